@@ -1,0 +1,142 @@
+"""The `laser_line` emitter: a thin sheet of laser light, or a row of laser dots."""
+
+from typing import Any
+
+import numpy as np
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.eikonal import March
+from virtual_sensor.optics.illumination import Illumination, illuminate
+from virtual_sensor.optics.sensor_model import LaserLine, Pose
+from virtual_sensor.optics.surfaces import NoSurface
+
+_FAINT = 1e-6  # light below this fraction of the peak is taken as none: 2.6 radii out
+_REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
+
+
+class LaserLineEmitter(mi.Emitter):
+    """Laser line generator: Gaussian across the sheet, even along the line.
+
+    Geometric light: the sheet keeps its thickness (no diffraction, no focus).
+
+    ============  ==========  ==================================================================
+    Property      Default     Meaning
+    ============  ==========  ==================================================================
+    to_world      (needed)    Exit of the generator: z forward, y along the line, x across
+    distance      300         From the exit to the reference plane, mm
+    length        (needed)    Length of the line in the reference plane, mm
+    radius        (needed)    1/e^2 radius across the sheet, mm
+    power         1           Total power, W
+    fan           0           Full fan angle in the laser plane, degrees; 0 is telecentric
+    dots          (none)      Positions along the line, mm, as "0, -1.25": round Gaussian beams of
+                              the same radius, sharing the power, in place of the line
+    ============  ==========  ==================================================================
+
+    Where light runs straight, any Mitsuba integrator can use it (`sample_direction`); through hot
+    air use the `refractive` integrator.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        to_world = np.array(props["to_world"].matrix, dtype=float)
+        self.line = LaserLine(
+            pose=Pose(orthonormal(to_world[:3, :3]), to_world[:3, 3]),
+            distance_mm=_positive(props, "distance", 300.0),
+            length_mm=_positive(props, "length"),
+            radius_mm=_positive(props, "radius"),
+            power_w=_positive(props, "power", 1.0),
+            fan_deg=float(props.get("fan", 0.0)),
+            dots_mm=_positions(str(props.get("dots", ""))),
+        )
+        if not 0.0 <= self.line.fan_deg < 170.0:
+            raise InputError(
+                f"laser_line: 'fan' is {self.line.fan_deg:g} degrees; give a full angle from 0"
+                " (telecentric) up to 170"
+            )
+        self.m_flags = mi.EmitterFlags.DeltaDirection
+
+    def irradiance(self, light: Illumination) -> Any:
+        """Flux density in W/mm^2 square to the light, for each point that it reaches."""
+        line, w = self.line, self.line.radius_mm
+        if line.dots_mm.size:
+            peak = line.power_w / line.dots_mm.size * 2.0 / (np.pi * w**2)
+            along = sum(dr.exp(-2.0 * dr.square((light.b - float(y)) / w)) for y in line.dots_mm)
+        else:
+            peak = line.power_w / line.length_mm * np.sqrt(2.0 / np.pi) / w
+            along = dr.select(dr.abs(light.b) <= line.length_mm / 2.0, 1.0, 0.0)
+        profile = dr.exp(-2.0 * dr.square(light.a / w)) * along
+        value = mi.Float(float(peak) * profile * light.concentration)
+        return dr.select(self.reaches(light.a, light.b), value, 0.0)
+
+    def reaches(self, a: Any, b: Any, margin_mm: tuple[float, float] = (0.0, 0.0)) -> Any:
+        """Mask of the coordinates with light that counts, or near it; NaN has none."""
+        radius = _REACH * self.line.radius_mm
+        if self.line.dots_mm.size:
+            along = dr.full(mi.Mask, False, dr.width(b))
+            for y in self.line.dots_mm:
+                along |= dr.abs(b - float(y)) <= radius + margin_mm[1]
+        else:
+            along = dr.abs(b) <= self.line.length_mm / 2.0 + margin_mm[1]
+        return along & (dr.abs(a) <= radius + margin_mm[0])
+
+    def sample_direction(
+        self, it: mi.Interaction3f, sample: mi.Point2f, active: Any = True
+    ) -> tuple[mi.DirectionSample3f, Any]:
+        """Light at a point by the straight laser ray; the only direction there is."""
+        march = March(precision="single")
+        light = illuminate(self.line, None, NoSurface(), mi.Array3f(it.p), march, active=active)
+        ds = dr.zeros(mi.DirectionSample3f, dr.width(it.p))
+        ds.d = -mi.Vector3f(light.heading)
+        ds.dist = dr.dot(mi.Vector3f(*map(float, self.line.pose.rotation[:, 2])), it.p) + float(
+            -self.line.pose.rotation[:, 2] @ self.line.pose.origin_mm
+        )
+        ds.p = mi.Point3f(it.p + ds.d * ds.dist)
+        ds.n = mi.Normal3f(light.heading)
+        ds.pdf = 1.0
+        ds.delta = True
+        ds.emitter = mi.EmitterPtr(self)
+        return ds, mi.Spectrum(self.irradiance(light)) & active
+
+    def eval(self, si: mi.SurfaceInteraction3f, active: Any = True) -> Any:
+        """Nothing: the generator itself is not seen."""
+        return mi.Spectrum(0.0)
+
+    def pdf_direction(self, it: Any, ds: Any, active: Any = True) -> Any:
+        """Nil: a single direction can't be met by chance."""
+        return mi.Float(0.0)
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """The exit's middle."""
+        return mi.ScalarBoundingBox3f(mi.ScalarPoint3f(*map(float, self.line.pose.origin_mm)))
+
+    def to_string(self) -> str:
+        """Its own values, for Mitsuba's scene listing."""
+        return f"LaserLine[{self.line}]"
+
+
+def orthonormal(matrix: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a float32 matrix of one, so that inverting is transposing."""
+    u, _, vt = np.linalg.svd(matrix)
+    return u @ vt
+
+
+def _positive(props: mi.Properties, name: str, default: float | None = None) -> float:
+    if default is None and name not in props:
+        raise InputError(f"laser_line: the property '{name}' is missing; give it in mm")
+    value = float(props.get(name, default))
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError(f"laser_line: '{name}' must be a positive number, not {value:g}")
+    return value
+
+
+def _positions(text: str) -> np.ndarray:
+    try:
+        return np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        raise InputError(
+            f'laser_line: \'dots\' must list positions in mm, such as "0, -1.25", not "{text}"'
+        ) from None
+
+
+mi.register_emitter("laser_line", LaserLineEmitter)

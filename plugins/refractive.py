@@ -1,0 +1,179 @@
+"""The `refractive` integrator: what a camera sees through air of varying refractive index."""
+
+from typing import Any
+
+import numpy as np
+from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.lit_pixels import LitPixels, Sight, film_rays, find_lit_pixels, rows
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.optics.eikonal import March, Straight, bend
+from virtual_sensor.optics.illumination import Illumination, illuminate
+from virtual_sensor.optics.ray_status import RayStatus
+from virtual_sensor.optics.surfaces import SceneSurface
+
+_BACK_MM = 0.05  # the last straight piece of a ray, on which Mitsuba's float32 meets the surface
+_LANES = 1 << 21  # samples in flight at once
+
+
+class Refractive(mi.SamplingIntegrator):
+    """Direct light only, along bent rays: from the laser to the surface, from there to the camera.
+
+    ===============  ==========  ==================================================================
+    Property         Default     Meaning
+    ===============  ==========  ==================================================================
+    field            (none)      NetCDF file of the air; without one, light runs straight
+    wavelength       532         Vacuum wavelength of the light, nm
+    way              "exact"     Each sample's rays are marched, its laser ray found by Newton
+    step             2           Step of the march, mm
+    method           "leapfrog"  "leapfrog", "sharma" or "rk4"
+    precision        "single"    "single" or "double"
+    ===============  ==========  ==================================================================
+
+    Limits: no interreflection.  Light of emitters other than `laser_line` runs straight from the
+    emitter to the surface, and bent from there to the camera.  The factor n^2 in the conservation
+    of radiance, 5e-4 at most in hot air, is left out.  Where the laser is the only light, samples
+    are spent on the pixels that it reaches and on no others.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        name = str(props.get("field", ""))
+        wavelength = float(props.get("wavelength", 532.0))
+        way = str(props.get("way", "exact"))
+        if way != "exact":
+            raise InputError(f'refractive: \'way\' must be "exact", not "{way}"')
+        try:
+            self.march = March(
+                step_mm=float(props.get("step", 2.0)),
+                method=str(props.get("method", "leapfrog")),
+                precision=str(props.get("precision", "single")),
+            )
+        except ValueError as error:
+            raise InputError(f"refractive: {error}") from None
+        path = str(mi.file_resolver().resolve(name)) if name else None
+        self.field = IndexField.read(path, wavelength_nm=wavelength) if path else None
+
+    def without_field(self) -> "Refractive":
+        """The same integrator in homogeneous air."""
+        march = self.march
+        choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
+        return mi.load_dict({"type": "refractive", **choices})
+
+    def look(self, scene: mi.Scene, ray: Any, guess: Any = None, active: Any = True) -> Sight:
+        """Follow camera rays to the surface and find the laser's light there."""
+        surface = SceneSurface(scene)
+        line = Straight.through(ray.o, ray.d, self.march)
+        bent = bend(self.field, surface, line, self.march, active=active)
+        hit = active & (bent.status == int(RayStatus.HIT))
+        point, heading = bent.position(line), dr.normalize(bent.tangent(line))
+        line_laser = laser_of(scene).line
+        light = illuminate(
+            line_laser, self.field, surface, point, self.march, guess=guess, active=hit
+        )
+        return Sight(point, heading, bent.t - line.start + bent.arc, hit, light)
+
+    def sample(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: Any, medium: Any = None, active: Any = True
+    ) -> tuple[Any, Any, list[Any]]:
+        """Radiance along camera rays."""
+        sight = self.look(scene, ray, active=active)
+        return self.radiance(scene, sampler, sight), sight.hit, []
+
+    def radiance(self, scene: mi.Scene, sampler: mi.Sampler, sight: Sight) -> Any:
+        """Radiance in W/(mm^2 sr) that leaves the points seen towards the camera."""
+        heading = mi.Vector3f(sight.heading)
+        last = mi.RayDifferential3f(mi.Point3f(sight.point) - heading * _BACK_MM, heading)
+        si = scene.ray_intersect(last, sight.hit)
+        valid = sight.hit & si.is_valid()
+        bsdf, context = si.bsdf(last), mi.BSDFContext()
+        radiance = si.emitter(scene, valid).eval(si, valid)
+        for emitter in scene.emitters():
+            if isinstance(emitter, LaserLineEmitter):
+                toward, lit = -mi.Vector3f(sight.light.heading), valid
+                weight = mi.Spectrum(emitter.irradiance(sight.light))
+            else:
+                ds, weight = emitter.sample_direction(si, sampler.next_2d(valid), valid)
+                toward, lit = ds.d, valid & (ds.pdf > 0.0)
+                lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
+            value = bsdf.eval(context, si, si.to_local(toward), lit) * weight
+            radiance += dr.select(lit, value, 0.0)
+        return radiance
+
+    def lit_pixels(self, scene: mi.Scene, sensor: mi.Sensor) -> LitPixels:
+        """The pixels that the laser reaches, with the truth at their centres."""
+        return find_lit_pixels(scene, sensor, laser_of(scene), lambda ray: self.look(scene, ray))
+
+    def render(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor | int = 0,
+        seed: int = 0,
+        spp: int = 0,
+        develop: bool = True,
+        evaluate: bool = True,
+        lit: LitPixels | None = None,
+    ) -> Any:
+        """Mitsuba's `render`; `lit` spares looking for the lit pixels if they are known."""
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        film, sampler = sensor.film(), sensor.sampler()
+        if spp:
+            sampler.set_sample_count(spp)
+        spp = sampler.sample_count()
+        film.prepare([])
+        block = film.create_block()
+        lit = lit or self.lit_pixels(scene, sensor)
+        width, height = (int(n) for n in film.crop_size())
+        laser_alone = all(isinstance(e, LaserLineEmitter) for e in scene.emitters())
+        wanted = lit.index if laser_alone else np.arange(width * height, dtype=np.uint32)
+        chunk = max(1, _LANES // spp)
+        for number, first in enumerate(range(0, wanted.size, chunk)):
+            part = slice(first, first + chunk)
+            index = dr.repeat(mi.UInt32(wanted[part]), spp)
+            guess = None
+            if laser_alone:
+                known = dr.repeat(dr.arange(mi.UInt32, first, first + wanted[part].size), spp)
+                guess = _guess(rows(lit.sight.light, known))
+            sampler.set_samples_per_wavefront(spp)
+            sampler.seed(seed + number * 0x9E3779B9 & 0xFFFFFFFF, dr.width(index))
+            jitter = sampler.next_2d()
+            offset = film.crop_offset()
+            x = mi.Float(index % width) + offset.x + jitter.x
+            y = mi.Float(index // width) + offset.y + jitter.y
+            aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+            ray, weight = film_rays(sensor, x, y, aperture)
+            sight = self.look(scene, ray, guess)
+            value = self.radiance(scene, sampler, sight) * weight
+            block.put(mi.Point2f(x, y), ray.wavelengths, value, dr.select(sight.hit, 1.0, 0.0))
+            dr.eval(block.tensor())
+        film.put_block(block)
+        return film.develop() if develop else None
+
+    def to_string(self) -> str:
+        """Its own values, for Mitsuba's scene listing."""
+        return f"Refractive[{self.march}, {self.field}]"
+
+
+def laser_of(scene: mi.Scene) -> LaserLineEmitter:
+    """The scene's only laser line generator."""
+    found = [e for e in scene.emitters() if isinstance(e, LaserLineEmitter)]
+    if len(found) != 1:
+        raise InputError(
+            f'{len(found)} emitters of type "laser_line"; a scene for the refractive integrator has'
+            " exactly one"
+        )
+    return found[0]
+
+
+def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
+    """What is known near samples, from the light at their pixels' centres; straight if nothing."""
+    sound = dr.isfinite(light.a)
+    identity = (1.0, 0.0, 0.0, 1.0)
+    jacobian = (dr.select(sound, j, i) for j, i in zip(light.jacobian, identity, strict=True))
+    return *(dr.select(sound, shift, 0.0) for shift in light.shift), tuple(jacobian)
+
+
+mi.register_integrator("refractive", Refractive)

@@ -1,0 +1,65 @@
+"""A virtual laser-triangulation sensor that sees through hot air.
+
+>>> import virtual_sensor as vs
+>>> scene = vs.load_scene("hot_cylinder", beta=15)
+>>> image = vs.render(scene)
+>>> line = vs.line_centres(image)
+>>> points_mm = vs.triangulate(scene.sensor, np.column_stack([line.column, line.row]))
+
+Names are loaded when first used: those that compute with Dr.Jit start the engine then.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from virtual_sensor.errors import EngineError, InputError
+    from virtual_sensor.imaging.render import render, render_frame
+    from virtual_sensor.imaging.scene import load_scene
+    from virtual_sensor.medium.air import air_refractivity
+    from virtual_sensor.medium.index_field import IndexField
+    from virtual_sensor.metrology.line_peaks import line_centres
+    from virtual_sensor.metrology.triangulation import triangulate
+    from virtual_sensor.optics.ray_search import ray_search
+    from virtual_sensor.optics.ray_status import RayStatus
+    from virtual_sensor.optics.trace import trace
+
+_HOME = {
+    "EngineError": "errors",
+    "IndexField": "medium.index_field",
+    "InputError": "errors",
+    "RayStatus": "optics.ray_status",
+    "air_refractivity": "medium.air",
+    "line_centres": "metrology.line_peaks",
+    "load_scene": "imaging.scene",
+    "ray_search": "optics.ray_search",
+    "render": "imaging.render",
+    "render_frame": "imaging.render",
+    "trace": "optics.trace",
+    "triangulate": "metrology.triangulation",
+}
+
+__all__ = [
+    "EngineError",
+    "IndexField",
+    "InputError",
+    "RayStatus",
+    "air_refractivity",
+    "line_centres",
+    "load_scene",
+    "ray_search",
+    "render",
+    "render_frame",
+    "trace",
+    "triangulate",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'virtual_sensor' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"virtual_sensor.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

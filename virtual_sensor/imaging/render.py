@@ -1,0 +1,113 @@
+"""Frames: what the camera records, with the ground truth of every pixel that the laser lights."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import OpenEXR
+from numpy.typing import NDArray
+
+from virtual_sensor.files import written_whole
+from virtual_sensor.imaging.scene import Scene
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A rendered frame, and the truth at its pixels' centres.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W)
+        W/(mm^2 sr), averaged over each pixel.
+    point_mm : ndarray of shape (H, W, 3)
+        Where the bent line of sight meets the surface, world; NaN where the laser does not reach.
+    depth_mm : ndarray of shape (H, W)
+        Of that point along the camera's axis.
+    laser_mm : ndarray of shape (H, W, 2)
+        Coordinates (a, b), across the sheet and along the line, of the laser ray that lights it.
+    lit : ndarray of shape (H, W)
+        Whether the laser reaches the pixel's centre.
+    """
+
+    radiance: Image
+    point_mm: Image
+    depth_mm: Image
+    laser_mm: Image
+    lit: NDArray[np.bool_]
+
+
+def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
+    """Render the scene's camera image: radiance in W/(mm^2 sr), shape (H, W).
+
+    Parameters
+    ----------
+    scene : Scene
+    spp : int, optional
+        Samples per pixel; the scene's own if not given.
+    seed : int
+        Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
+    """
+    return render_frame(scene, spp, seed).radiance
+
+
+def render_frame(scene: Scene, spp: int | None = None, seed: int = 0) -> Frame:
+    """Render the scene's camera image together with its ground truth."""
+    camera = scene.sensor.camera
+    width, height = camera.size
+    sensor = scene.mitsuba.sensors()[0]
+    lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
+    image = scene.integrator.render(scene.mitsuba, sensor, seed, spp or 0, lit=lit)
+
+    def spread(values: NDArray[np.floating], channels: int) -> Image:
+        whole = np.full((height * width, channels), np.nan, np.float32)
+        whole[lit.index] = values
+        return np.squeeze(whole.reshape(height, width, channels), axis=2 if channels == 1 else ())
+
+    light = lit.sight.light
+    a, b = light.a.numpy(), light.b.numpy()
+    emitter = scene.sensor.laser
+    reached = np.isfinite(a) & (np.abs(b) <= emitter.length_mm / 2.0)
+    point = np.where(reached[:, None], np.array(lit.sight.point).T, np.nan)
+    depth = camera.pose.to_local(point)[:, 2:]
+    coordinates = np.where(reached[:, None], np.column_stack([a, b]), np.nan)
+    return Frame(
+        np.array(image, np.float32).reshape(height, width, -1)[:, :, 0],
+        spread(point, 3),
+        spread(depth, 1),
+        spread(coordinates, 2),
+        np.nan_to_num(spread(reached[:, None], 1)) > 0.0,
+    )
+
+
+def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
+    """Write radiance and ground truth as float32 channels, with the scene's parameters as header.
+
+    Channels: Y (radiance), point.X/Y/Z, depth.Z, laser.a, laser.b, lit.
+    """
+    channels = {
+        "Y": frame.radiance,
+        "point.X": frame.point_mm[:, :, 0],
+        "point.Y": frame.point_mm[:, :, 1],
+        "point.Z": frame.point_mm[:, :, 2],
+        "depth.Z": frame.depth_mm,
+        "laser.a": frame.laser_mm[:, :, 0],
+        "laser.b": frame.laser_mm[:, :, 1],
+        "lit": frame.lit.astype(np.float32),
+    }
+    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
+    with written_whole(path) as temporary:
+        OpenEXR.File(attributes, pixels).write(str(temporary))
+
+
+def write_png(path: Path, radiance: Image, white: float) -> None:
+    """Write radiance as 16-bit grey, with `white` at the top of the range."""
+    grey = np.clip(np.rint(radiance / white * 65535.0), 0, 65535).astype(np.uint16)
+    coded, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    if not coded:
+        raise OSError(f"{path}: OpenCV can't encode the PNG")
+    with written_whole(path) as temporary:
+        temporary.write_bytes(data.tobytes())

@@ -1,0 +1,193 @@
+"""From a scene file to what the program works with; the only place that loads a scene.
+
+The sensor model is read *from* the loaded Mitsuba scene, so the two can't disagree.
+"""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import virtual_sensor_plugins as plugins
+
+from virtual_sensor.engine import mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
+from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
+
+# Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
+_OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
+_ABSOLUTE_ZERO_C = -273.15
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A loaded scene.
+
+    Attributes
+    ----------
+    path : Path
+    parameters : dict
+        The scene's ``$parameters`` as used, defaults included.
+    mitsuba : mitsuba.Scene
+    integrator : Refractive
+    sensor : SensorModel
+    surface : Surface
+        Of the part, in float64 where it is the analytic cylinder.
+    """
+
+    path: Path
+    parameters: dict[str, str]
+    mitsuba: Any
+    integrator: Any
+    sensor: SensorModel
+    surface: Surface
+
+    @property
+    def field(self) -> IndexField | None:
+        """The air; None where light runs straight."""
+        return self.integrator.field
+
+    def cold(self) -> "Scene":
+        """The same scene in homogeneous air."""
+        return replace(self, integrator=self.integrator.without_field())
+
+
+def shipped_scenes() -> Path:
+    """Folder of the scenes that come with the program."""
+    return Path(str(resources.files("virtual_sensor_scenes")))
+
+
+def find_scene(name: str | Path) -> Path:
+    """A scene's file: a path, or the name of one that comes with the program."""
+    path = Path(name)
+    shipped = shipped_scenes() / path.with_suffix(".xml").name
+    if path.is_file():
+        return path
+    if path.name == str(name) and shipped.is_file():
+        return shipped
+    names = ", ".join(sorted(p.stem for p in shipped_scenes().glob("*.xml")))
+    raise InputError(f"{name}: there is no such scene file; scenes that come along: {names}")
+
+
+def load_scene(name: str | Path, **parameters: object) -> Scene:
+    """Load a scene.
+
+    Parameters
+    ----------
+    name : str or Path
+        A Mitsuba XML file, or the name of a scene that comes with the program.
+    **parameters
+        Values for the scene's ``$parameters``, such as ``temperature=1250, beta=15``.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the element and the remedy.
+    """
+    path = find_scene(name)
+    values = _parameters(path, {key: str(value) for key, value in parameters.items()})
+    loaded = _load(path, values)
+    integrator = loaded.integrator()
+    if not isinstance(integrator, plugins.refractive.Refractive):
+        raise InputError(
+            f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
+            ' type="refractive"/> in its place'
+        )
+    try:
+        emitter = plugins.refractive.laser_of(loaded)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    sensor = SensorModel(_camera(path, loaded), emitter.line)
+    return Scene(path, values, loaded, integrator, sensor, _surface(loaded))
+
+
+def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
+    """The scene's parameters with the given values in place of defaults."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not well-formed XML ({error}); mend that line") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: can't be read as a scene ({error})") from None
+    if root.tag != "scene":
+        raise InputError(f"{path}: its root element is <{root.tag}>; a scene's is <scene>")
+    defaults = {str(e.get("name")): str(e.get("value")) for e in root.iter("default")}
+    used = set(re.findall(r"\$(\w+)", path.read_text(encoding="utf-8")))
+    unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in used)]
+    if unknown:
+        names = ", ".join(sorted(defaults)) or "none"
+        raise InputError(f"{path}: no parameter '{unknown[0]}'; the scene has: {names}")
+    values = defaults | given
+    if "temperature" in values:
+        try:
+            below = float(values["temperature"]) < _ABSOLUTE_ZERO_C
+        except ValueError:
+            raise InputError(
+                f"{path}: temperature={values['temperature']} is not a number; give it in degC"
+            ) from None
+        if below:
+            raise InputError(
+                f"{path}: temperature={values['temperature']} degC is below absolute zero"
+                f" ({_ABSOLUTE_ZERO_C} degC); give the part's temperature in degC"
+            )
+    return values
+
+
+def _load(path: Path, values: dict[str, str]) -> Any:
+    """Load with Mitsuba, and put its complaint in a user's terms."""
+    try:
+        return mi.load_file(str(path), **values)
+    except Exception as error:  # Mitsuba raises RuntimeError, and passes on what plugins raise
+        text = str(error)
+        ours = re.search(r"InputError: (.*)", text, re.DOTALL)
+        where = re.search(r"\(line (\d+), col \d+\)", text)
+        line = f", line {where.group(1)}" if where else ""
+        if ours:
+            raise InputError(f"{path}{line}: {ours.group(1).strip()}") from None
+        reason = text.split("]: ", 1)[-1] if text.startswith("[") else text
+        reason = re.sub(r"^\[[^\]]*\]\s*", "", reason).replace(f"At {path}", "").strip()
+        raise InputError(f"{path}{line}: Mitsuba can't load the scene: {reason}") from None
+
+
+def _camera(path: Path, loaded: Any) -> Camera:
+    """K and pose of the scene's only camera, from what Mitsuba holds."""
+    sensors = loaded.sensors()
+    if len(sensors) != 1:
+        raise InputError(f"{path}: {len(sensors)} sensors; the scene must have one")
+    held = mi.traverse(sensors[0])
+    if "x_fov" not in held or "aperture_radius" in held:
+        raise InputError(f'{path}: its camera must be <sensor type="perspective">, a pinhole')
+    film = sensors[0].film()
+    width, height = (int(n) for n in film.size())
+    if [int(n) for n in film.crop_size()] != [width, height]:
+        raise InputError(f"{path}: the film is cropped; give the whole film")
+    focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
+    shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
+    shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
+    # Mitsuba's pixel i reaches from i to i + 1; ours has its centre at i.
+    centre = (width * (0.5 + shift_x) - 0.5, height * (0.5 + shift_y) - 0.5)
+    matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
+    to_world = np.array(sensors[0].world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
+    rotation = plugins.laser_line.orthonormal(to_world[:3, :3]) @ _OURS_FROM_MITSUBAS
+    return Camera(matrix, Pose(rotation, to_world[:3, 3]), (width, height))
+
+
+def _surface(loaded: Any) -> Surface:
+    """The analytic cylinder, if the part is one along x with end faces; else Mitsuba's shapes."""
+    shapes = loaded.shapes()
+    kinds = sorted(str(shape).split("[", 1)[0] for shape in shapes)
+    if kinds == ["Cylinder", "Disk", "Disk"]:
+        tube = next(s for s in shapes if str(s).startswith("Cylinder"))
+        place = np.array(mi.traverse(tube)["to_world"].matrix, float).reshape(4, 4)
+        radius, axis = np.linalg.norm(place[:3, 0]), place[:3, 2]
+        start, end = place[:3, 3], place[:3, 3] + axis
+        if np.allclose([start[0] + end[0], *axis[1:]], 0.0, atol=1e-4):
+            return Cylinder(
+                round(float(radius), 6), float(abs(axis[0])) / 2.0, float(start[1]), float(start[2])
+            )
+    return SceneSurface(loaded)

@@ -1,0 +1,1 @@
+"""The air and its refractive index."""

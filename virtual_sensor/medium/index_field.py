@@ -1,0 +1,364 @@
+"""The refractivity of air on a regular grid, as a smooth function of position.
+
+Between the nodes the field is the cubic spline through them (continuous up to its second
+derivative), evaluated by Dr.Jit. It holds the difference from the surrounding air, which float32
+resolves far better than n, and ends at the grid's border: what is left there is a jump in n.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import ndimage
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.netcdf import FieldFile, read_field_file, write_field_file
+from virtual_sensor.medium.spline import MIN_NODES, bspline_coefficients
+
+SMOOTHING_SWEEPS = 40  # inside the solid; the air near it sees two nodes
+
+
+@dataclass(frozen=True, eq=False)
+class IndexField:
+    """Refractivity on a regular grid in the world frame, in surroundings of uniform air.
+
+    Build one with `from_arrays` or `read`.
+
+    Attributes
+    ----------
+    nodes : ndarray of shape (nx, ny, nz)
+        n - 1 at the nodes.
+    origin, spacing : ndarray of shape (3,)
+        World position of node [0, 0, 0], and the distance of nodes, mm.
+    ambient : float
+        n - 1 of the surrounding air, also outside the box.
+    mirror : tuple of three bool
+        Whether the field is even about the plane through an axis's first node.
+    source : str
+        Where the field comes from, in words.
+    """
+
+    nodes: np.ndarray
+    origin: np.ndarray
+    spacing: np.ndarray
+    ambient: float
+    mirror: tuple[bool, ...]
+    source: str = ""
+    _lookups: dict[tuple[str, str], CubicLookup] = field(default_factory=dict, repr=False)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        refractivity: ArrayLike,
+        origin_mm: ArrayLike,
+        spacing_mm: ArrayLike,
+        *,
+        ambient: float = 0.0,
+        mirror: Sequence[bool] = (False, False, False),
+        solid: ArrayLike | None = None,
+        source: str = "",
+    ) -> IndexField:
+        """Make a field of values at grid nodes.
+
+        Parameters
+        ----------
+        refractivity : array_like of shape (nx, ny, nz)
+            n - 1 at the nodes, at least four along each axis. Finite, except inside the solid.
+        origin_mm, spacing_mm : array_like of shape (3,)
+            World position of node [0, 0, 0], and the distance of nodes, mm.
+        ambient : float
+            n - 1 of the surrounding air.
+        mirror : sequence of three bool
+            True: the field is even about the plane through this axis's first node.
+        solid : array_like of bool of shape (nx, ny, nz), optional
+            True inside the solid, where the values are replaced (`fill_solid`).
+        source : str
+            Where the field comes from, in words.
+
+        Raises
+        ------
+        InputError
+            If a shape or a value is unfit.
+        """
+        nodes = np.array(refractivity, dtype=np.float64)
+        origin, spacing = (np.array(v, dtype=np.float64) for v in (origin_mm, spacing_mm))
+        if nodes.ndim != 3 or min(nodes.shape) < MIN_NODES:
+            raise InputError(
+                f"a field needs at least {MIN_NODES} nodes along each of x, y and z; "
+                f"this one has the shape {nodes.shape}"
+            )
+        if origin.shape != (3,) or spacing.shape != (3,) or len(mirror) != 3:
+            raise InputError("origin_mm, spacing_mm and mirror need three entries each: x, y, z")
+        if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
+            raise InputError("origin_mm must be finite, and spacing_mm finite and positive")
+        if solid is not None:
+            nodes = fill_solid(nodes, np.asarray(solid, dtype=bool), spacing)
+
+        missing = ~np.isfinite(nodes)
+        if missing.any():
+            raise InputError(
+                f"{missing.sum()} nodes have no finite value, the first is "
+                f"{np.argwhere(missing)[0].tolist()}; give them one, or mark those that lie in the "
+                "solid (`solid`, 1 there and 0 in the air)"
+            )
+        if nodes.min() <= -1.0 or not -1.0 < ambient < np.inf:
+            raise InputError("n - 1 must be above -1, in the field and in the surrounding air")
+        for array in (nodes, origin, spacing):
+            array.flags.writeable = False
+        even = tuple(bool(m) for m in mirror)
+        return cls(nodes, origin, spacing, float(ambient), even, source)
+
+    @classmethod
+    def read(
+        cls,
+        path: str | Path,
+        *,
+        wavelength_nm: float = 532.0,
+        mirror: Sequence[bool] | None = None,
+    ) -> IndexField:
+        """Read a NetCDF-3 file of temperature, density or refractivity.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; `virtual_sensor.medium.netcdf` describes what is in one.
+        wavelength_nm : float
+            Vacuum wavelength at which temperature or density become n - 1.
+        mirror : sequence of three bool, optional
+            Overrides what the file says about mirror planes.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be used; the message names the file, the element and the remedy.
+        """
+        try:
+            f = read_field_file(path, wavelength_nm, mirror)
+            return cls.from_arrays(
+                f.refractivity,
+                f.origin_mm,
+                f.spacing_mm,
+                ambient=f.ambient,
+                mirror=f.mirror,
+                solid=f.solid,
+                source=f.source,
+            )
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+
+    def write(self, path: str | Path) -> None:
+        """Write the field as a NetCDF-3 file that `read` takes back, all of it or nothing.
+
+        Raises
+        ------
+        InputError
+            If the folder does not exist.
+        """
+        write_field_file(
+            path,
+            FieldFile(
+                self.nodes, self.origin, self.spacing, self.ambient, self.mirror, None, self.source
+            ),
+        )
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of nodes (nx, ny, nz), mirrored parts not counted."""
+        return self.nodes.shape
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lowest and highest corner of the field, mirrored parts included; shape (2, 3), mm."""
+        size = (np.array(self.shape) - 1) * self.spacing
+        return np.array([self.origin - np.where(self.mirror, size, 0.0), self.origin + size])
+
+    def refractivity(self, points_mm: ArrayLike) -> np.ndarray:
+        """Refractivity n - 1 at world positions.
+
+        Parameters
+        ----------
+        points_mm : array_like of shape (N, 3)
+            World positions, mm.
+
+        Returns
+        -------
+        ndarray of shape (N,)
+            n - 1; that of the surrounding air outside the box, NaN at NaN positions.
+        """
+        points, inside = self._locate(points_mm)
+        result = np.where(np.isnan(points).any(axis=1), np.nan, self.ambient)
+        if inside.any():
+            delta = self.lookup("double").delta(mi.Array3f64(points[inside].T))
+            result[inside] += delta.numpy()
+        return result
+
+    def gradient(self, points_mm: ArrayLike) -> np.ndarray:
+        """Gradient of n at world positions.
+
+        Parameters
+        ----------
+        points_mm : array_like of shape (N, 3)
+            World positions, mm.
+
+        Returns
+        -------
+        ndarray of shape (N, 3)
+            Gradient, 1/mm; zero outside the box, NaN at NaN positions.
+        """
+        points, inside = self._locate(points_mm)
+        result = np.where(np.isnan(points).any(axis=1, keepdims=True), np.nan, np.zeros((1, 3)))
+        if inside.any():
+            p = mi.Array3f64(points[inside].T)
+            _, gradient = self.lookup("double").delta_and_gradient(p)
+            result[inside] = gradient.numpy().T
+        return result
+
+    def border_jump(self) -> np.ndarray:
+        """Largest jump of n across each face of the box, where it should have faded to zero.
+
+        Returns
+        -------
+        ndarray of shape (6,)
+            Largest abs(n - n_ambient) on the faces x-, x+, y-, y+, z-, z+; a face that is the
+            mirror image of another has the other's.
+        """
+        difference = abs(self.nodes - self.ambient)
+        return np.array(
+            [
+                difference.take(node, axis).max()
+                for axis, even in enumerate(self.mirror)
+                for node in (-1 if even else 0, -1)
+            ]
+        )
+
+    def lookup(self, precision: str) -> CubicLookup:
+        """Return the field in Dr.Jit memory, for the code that marches rays; made only once."""
+        key = (precision, mi.variant())
+        if key not in self._lookups:
+            self._lookups[key] = CubicLookup(self, precision)
+        return self._lookups[key]
+
+    def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points as float64 (N, 3), and which of them are in the box."""
+        points = np.asarray(points_mm, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
+        low, high = self.box
+        return points, ((points >= low) & (points <= high)).all(axis=1)
+
+
+class CubicLookup:
+    """Value, gradient and Hessian of a field's difference from ambient, in Dr.Jit.
+
+    Positions are world positions *inside the box*, mm, in vectors of the lookup's precision
+    (`mi.Array3f64` for double, `mi.Vector3f` or the like for single). The methods only trace, so
+    symbolic loops may call them; the derivatives cannot themselves be differentiated.
+    """
+
+    def __init__(self, index_field: IndexField, precision: str) -> None:
+        if precision not in ("single", "double"):
+            raise InputError(f"precision '{precision}': give 'single' or 'double'")
+        dtype, scalar, self._vector, self._matrix, tensor, texture = (
+            (np.float64, mi.Float64, mi.Array3f64, mi.Matrix3f64, mi.TensorXf64, mi.Texture3d)
+            if precision == "double"
+            else (np.float32, mi.Float, mi.Array3f, mi.Matrix3f, mi.TensorXf, mi.Texture3f)
+        )
+        self._mirror = index_field.mirror
+        difference = index_field.nodes - index_field.ambient
+        # Texels are one coefficient wider than the nodes at either end; the last index is x.
+        coefficients = bspline_coefficients(difference, index_field.mirror).T.astype(dtype)
+        # The product copies: an aliased NumPy array may be aligned too poorly for packet gathers.
+        values = scalar(coefficients.ravel()) * dr.opaque(scalar, 1)
+        dr.eval(values)
+        self._texture = texture(tensor(values, (*coefficients.shape, 1)), use_accel=False)
+
+        # Texel centres are at (i + 1/2) / N and node 0 is texel 1. Opaque: one kernel for any grid.
+        texels = np.array(index_field.shape) + 2
+        self._origin, self._scale, self._first = (
+            dr.opaque(self._vector(*np.asarray(v, dtype=np.float64).tolist()))
+            for v in (index_field.origin, 1.0 / (texels * index_field.spacing), 1.5 / texels)
+        )
+
+    def delta(self, p: Any) -> Any:
+        """Return n - n_ambient at `p`."""
+        u, _ = self._unit_cube(p)
+        return self._texture.eval_cubic(u)[0]
+
+    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
+        """Return n - n_ambient and its gradient, 1/mm, in a vector of `p`'s type."""
+        u, scale = self._unit_cube(p)
+        value, gradient = self._texture.eval_cubic_grad(u)
+        return value[0], type(p)(gradient[0] * scale)
+
+    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
+        """Return n - n_ambient, its gradient (1/mm) and its 3 x 3 Hessian matrix (1/mm^2)."""
+        u, scale = self._unit_cube(p)
+        value, gradient, hessian = self._texture.eval_cubic_hessian(u)
+        rows = [[hessian[0][i, j] * scale[i] * scale[j] for j in range(3)] for i in range(3)]
+        return value[0], type(p)(gradient[0] * scale), self._matrix(rows)
+
+    def _unit_cube(self, p: Any) -> tuple[Any, Any]:
+        """Texture coordinates of `p`, and their derivative by the world coordinates."""
+        q = self._vector(p) - self._origin
+        scale = self._vector(self._scale)
+        for axis in range(3):
+            if self._mirror[axis]:
+                scale[axis] = dr.mulsign(scale[axis], q[axis])
+        return dr.fma(q, scale, self._first), scale
+
+
+def fill_solid(nodes: np.ndarray, solid: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    """Fill the nodes inside the solid smoothly from the air, which stays as it is.
+
+    Each takes the value of the nearest air node, then a few sweeps of Jacobi's iteration for
+    Laplace's equation smooth the seams, so that no spline next to the wall sees the steel.
+
+    Parameters
+    ----------
+    nodes : ndarray of shape (nx, ny, nz)
+        Values; those inside the solid may be anything.
+    solid : ndarray of bool of shape (nx, ny, nz)
+        True inside the solid.
+    spacing : ndarray of shape (3,)
+        Distance of nodes, mm.
+
+    Returns
+    -------
+    ndarray of shape (nx, ny, nz)
+
+    Raises
+    ------
+    InputError
+        If the shapes differ or there is no air.
+    """
+    if solid.shape != nodes.shape or solid.all():
+        raise InputError(
+            f"solid must have the field's shape {nodes.shape} and leave some air; "
+            f"its shape is {solid.shape}, {solid.mean():.0%} of it solid"
+        )
+    if not solid.any():
+        return nodes
+    nearest = ndimage.distance_transform_edt(
+        solid, sampling=spacing, return_distances=False, return_indices=True
+    )
+    filled = nodes[tuple(nearest)]
+
+    # Only the box round the solid, one node wider, takes part.
+    around = tuple(
+        slice(max(s.start - 1, 0), s.stop + 1) for s in ndimage.find_objects(solid.astype(int))[0]
+    )
+    part, inside = filled[around], solid[around]
+    weights = 0.5 / spacing**2 / (1.0 / spacing**2).sum()
+    for _ in range(SMOOTHING_SWEEPS):
+        mean = sum(
+            ndimage.correlate1d(part, [w, 0.0, w], axis=axis, mode="mirror")
+            for axis, w in enumerate(weights)
+        )
+        part[inside] = mean[inside]
+    return filled

@@ -1,0 +1,1 @@
+"""From image to line centres to points; knows no Mitsuba, takes arrays."""

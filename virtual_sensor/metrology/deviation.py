@@ -1,0 +1,121 @@
+"""What hot air does to a measurement: the differences of figures 7 to 10 of Beermann et al. 2018.
+
+A is where a laser ray meets the cold object and B where it meets the hot one, A_m and B_m are the
+points measured there by triangulation, all in the world frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.sensor_model import Camera
+
+Array = NDArray[np.float64]
+
+UM_PER_MM = 1000.0
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Differences in N laser rays; NaN where one of the two points is missing.
+
+    Attributes
+    ----------
+    incidence_um : ndarray of shape (N, 3)
+        B - A: how far the laser spot moves on the object, figure 7(a).
+    hot_um : ndarray of shape (N, 3)
+        B - B_m: real minus measured point in hot air, figure 7(b).
+    measured_um : ndarray of shape (N, 3)
+        B_m - A_m: how far the measured point moves, figure 7(c).
+    pixel_px : ndarray of shape (N, 2)
+        Hot minus cold pixel (Delta u, Delta v), figure 7(d).
+    cold_um : ndarray of shape (N, 3)
+        A - A_m: real minus measured point in cold air, figure 7(e).
+    """
+
+    incidence_um: Array
+    hot_um: Array
+    measured_um: Array
+    pixel_px: Array
+    cold_um: Array
+
+
+@dataclass(frozen=True)
+class PathDisplacement:
+    """Pixel displacement (Delta u, Delta v), split by light path: figures 8 and 9.
+
+    Attributes
+    ----------
+    laser_to_object_px : ndarray of shape (N, 2)
+        By the laser's way: B and A both seen straight.
+    object_to_camera_px : ndarray of shape (N, 2)
+        By the camera's way: the hot pixel against B seen straight.
+    laser_to_camera_px : ndarray of shape (N, 2)
+        By both: hot minus cold pixel.  It is the sum of the other two, but for the error with which
+        the cold pixel shows A.
+    """
+
+    laser_to_object_px: Array
+    object_to_camera_px: Array
+    laser_to_camera_px: Array
+
+
+def deviations(
+    A_mm: ArrayLike,
+    B_mm: ArrayLike,
+    A_m_mm: ArrayLike,
+    B_m_mm: ArrayLike,
+    pixel_A: ArrayLike,
+    pixel_B: ArrayLike,
+) -> Deviation:
+    """Compare points (N, 3) in mm and pixels (N, 2) of the cold (A) and the hot (B) object."""
+    A, B, A_m, B_m = (np.asarray(points, float) for points in (A_mm, B_mm, A_m_mm, B_m_mm))
+    return Deviation(
+        incidence_um=UM_PER_MM * (B - A),
+        hot_um=UM_PER_MM * (B - B_m),
+        measured_um=UM_PER_MM * (B_m - A_m),
+        pixel_px=np.asarray(pixel_B, float) - np.asarray(pixel_A, float),
+        cold_um=UM_PER_MM * (A - A_m),
+    )
+
+
+def euclidean(difference: ArrayLike) -> Array:
+    """Length (N,) of each difference (N, 2) or (N, 3) in its own unit: the paper's d_euclid."""
+    return np.linalg.norm(np.asarray(difference, float), axis=-1)
+
+
+def round_pixel(pixel: ArrayLike, step: float = 0.25) -> Array:
+    """Round pixels to the sensor's sub-pixel step in px, the paper's discretisation (section 4.2).
+
+    Raises
+    ------
+    InputError
+        Where `step` is not positive.
+    """
+    if not step > 0.0:
+        raise InputError(f"round_pixel: step is {step}; give a positive one, 0.25 px in the paper")
+    return np.round(np.asarray(pixel, float) / step) * step
+
+
+def separate_paths(
+    camera: Camera, A_mm: ArrayLike, B_mm: ArrayLike, pixel_A: ArrayLike, pixel_B: ArrayLike
+) -> PathDisplacement:
+    """Split the displacement of the laser spot in the image by light path, as figure 8 does.
+
+    Parameters
+    ----------
+    camera : Camera
+    A_mm, B_mm : array_like of shape (N, 3)
+        Where the laser ray meets the cold and the hot object, world frame.
+    pixel_A, pixel_B : array_like of shape (N, 2)
+        Where the camera sees them, in px: straight (A) and through the hot air (B).
+    """
+    A_straight, B_straight = camera.project(A_mm), camera.project(B_mm)
+    pixel_A, pixel_B = np.asarray(pixel_A, float), np.asarray(pixel_B, float)
+    return PathDisplacement(
+        laser_to_object_px=B_straight - A_straight,
+        object_to_camera_px=pixel_B - B_straight,
+        laser_to_camera_px=pixel_B - pixel_A,
+    )

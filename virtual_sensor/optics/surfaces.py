@@ -1,0 +1,88 @@
+"""What stops a ray: any Mitsuba scene, or the analytic cylinder in the rays' own precision."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from virtual_sensor.engine import dr, mi
+
+
+class Surface(Protocol):
+    """Something that straight pieces of a ray can meet."""
+
+    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
+        """Distance in mm to the first point met along unit directions; inf for none in reach."""
+
+    def starts_inside(self, origin: Any, direction: Any) -> Any:
+        """Mask of the rays that start inside the solid."""
+
+
+@dataclass(frozen=True)
+class NoSurface:
+    """Nothing stands in the way."""
+
+    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
+        """Infinite."""
+        return dr.full(type(direction.x), dr.inf, dr.width(direction))
+
+    def starts_inside(self, origin: Any, direction: Any) -> Any:
+        """Nowhere."""
+        return dr.full(mi.Mask, False, dr.width(direction))
+
+
+@dataclass(frozen=True)
+class SceneSurface:
+    """All shapes of a Mitsuba scene.  Its intersections are float32: keep the pieces short."""
+
+    scene: Any
+
+    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
+        """See `Surface`."""
+        ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
+        ray.maxt = mi.Float(limit)
+        met = self.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        return type(direction.x)(dr.select(met.is_valid(), met.t, dr.inf))
+
+    def starts_inside(self, origin: Any, direction: Any) -> Any:
+        """True where the first face met is seen from behind."""
+        ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
+        si = self.scene.ray_intersect(ray)
+        return si.is_valid() & (dr.dot(si.n, ray.d) > 0.0)
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A solid cylinder with its end faces, along x; in the precision of the rays.
+
+    Attributes
+    ----------
+    radius_mm, half_length_mm : float
+    axis_y_mm, axis_z_mm : float
+        Where the axis lies; x = 0 is its middle.  The defaults are the paper's cylinder.
+    """
+
+    radius_mm: float = 13.5
+    half_length_mm: float = 85.0
+    axis_y_mm: float = 0.0
+    axis_z_mm: float = -13.5
+
+    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
+        """Where the ray enters both the round tube and the slab between the end faces."""
+        y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm
+        a = dr.square(direction.y) + dr.square(direction.z)
+        b = y * direction.y + z * direction.z
+        c = dr.square(y) + dr.square(z) - self.radius_mm**2
+        root = dr.safe_sqrt(dr.square(b) - a * c)
+        # The stable form of (-b -+ root) / a: no cancellation.
+        q = -(b + dr.copysign(root, b))
+        tube_in, tube_out = dr.minimum(q / a, c / q), dr.maximum(q / a, c / q)
+        ends = [(s * self.half_length_mm - origin.x) / direction.x for s in (-1.0, 1.0)]
+        enters = dr.maximum(tube_in, dr.minimum(*ends))
+        leaves = dr.minimum(tube_out, dr.maximum(*ends))
+        met = (dr.square(b) > a * c) & (enters < leaves) & (enters >= 0.0) & (enters <= limit)
+        return dr.select(met, enters, dr.inf)
+
+    def starts_inside(self, origin: Any, direction: Any) -> Any:
+        """See `Surface`."""
+        y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm
+        within = dr.square(y) + dr.square(z) < self.radius_mm**2
+        return within & (dr.abs(origin.x) < self.half_length_mm)

@@ -1,0 +1,104 @@
+"""Rays in, rays out, as NumPy arrays: the march for people who want just that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.eikonal import Field, March, Straight, after_length, bend
+from virtual_sensor.optics.ray_status import RayStatus
+from virtual_sensor.optics.surfaces import NoSurface
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Where rays are after a march.
+
+    Attributes
+    ----------
+    position : ndarray of shape (N, 3)
+        World, mm.
+    direction : ndarray of shape (N, 3)
+        Unit vectors.
+    optical_path_mm : ndarray of shape (N,)
+        Integral of n ds since the start, with n the whole index, surroundings included.
+    status : ndarray of shape (N,)
+        `RayStatus`: ENDED in the field, LEFT, TURNED_BACK or OUT_OF_STEPS (the numbers are then
+        those of the last step).
+    """
+
+    position: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    optical_path_mm: NDArray[np.float64]
+    status: NDArray[np.uint32]
+
+
+def trace(
+    field: Field,
+    origins_mm: ArrayLike,
+    directions: ArrayLike,
+    length_mm: ArrayLike,
+    step_mm: float = 1.0,
+    method: str = "rk4",
+    precision: str = "double",
+) -> Rays:
+    """March rays through a field for a given length of arc.
+
+    Parameters
+    ----------
+    field : IndexField or ExactField
+    origins_mm, directions : array_like of shape (N, 3)
+        World; directions of any length but zero.
+    length_mm : float or array_like of shape (N,)
+        Arc length.  Outside the field's box rays go straight.
+    step_mm, method, precision
+        See `March`.
+
+    Raises
+    ------
+    InputError
+        If shapes do not match, a number is not finite, or a direction is zero.
+    """
+    origins, directions = (np.atleast_2d(np.asarray(x, float)) for x in (origins_mm, directions))
+    if origins.shape != directions.shape or origins.shape[1:] != (3,) or not len(origins):
+        raise InputError(
+            f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
+        )
+    norm = np.linalg.norm(directions, axis=1)
+    lengths = np.broadcast_to(np.asarray(length_mm, float), norm.shape)
+    if not (np.isfinite(origins).all() and np.isfinite(lengths).all() and np.all(norm > 0.0)):
+        raise InputError("trace: origins and lengths must be finite, and directions not zero")
+    march = March(step_mm, method, precision)
+    o, d = to_vectors(origins), to_vectors(directions / norm[:, None])
+    line = Straight.through(o, d, march)
+    ends = after_length(march.scalar(mi.Float64(np.ascontiguousarray(lengths))))
+    ray = bend(field, NoSurface(), line, march, remaining=ends)
+    dr.eval(ray)
+    position = to_numpy(ray.position(line))
+    status = np.array(ray.status)
+    low, high = field.box
+    outside = np.any((position < low) | (position > high), axis=1)
+    backwards = np.einsum("ij,ij->i", to_numpy(ray.tangent(line)), directions) < 0.0
+    ended = status == RayStatus.ENDED
+    status[ended & outside] = RayStatus.LEFT
+    status[ended & outside & backwards] = RayStatus.TURNED_BACK
+    tangent = to_numpy(ray.tangent(line))
+    relative = np.array(ray.t, float) - np.array(line.start, float) + np.array(ray.path, float)
+    return Rays(
+        position,
+        tangent / np.linalg.norm(tangent, axis=1, keepdims=True),
+        relative * (1.0 + field.ambient),
+        status,
+    )
+
+
+def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
+    """Points (N, 3) as Dr.Jit vectors."""
+    return mi.Array3f64(np.ascontiguousarray(points.T))
+
+
+def to_numpy(vectors: object) -> NDArray[np.float64]:
+    """Dr.Jit vectors of any precision as points (N, 3)."""
+    return np.array(vectors, float).T
