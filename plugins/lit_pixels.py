@@ -102,15 +102,15 @@ def find_lit_pixels(
             pixel_mm + _largest(seen.light.a.numpy() - a[near]),
             pixel_mm + _largest(seen.light.b.numpy() - b[near]),
         )
-    candidates = every[_reached(emitter, a, b, margin)]
+    # A pixel whose centre looks past an edge may see light beside it: neighbours are candidates too.
+    candidates = every[_grown(_reached(emitter, a, b, margin), height, width)]
     if not candidates.size:
         candidates = every[:1]  # Dr.Jit knows no empty array
     sight = look(centre_rays(sensor, mi.UInt32(candidates)))
     dr.eval(sight)
-    lit = np.zeros(width * height, np.uint8)
+    lit = np.zeros(width * height, bool)
     lit[candidates] = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm)).numpy()
-    grown = cv2.dilate(lit.reshape(height, width), np.ones((3, 3), np.uint8)).ravel()
-    keep = np.flatnonzero(grown[candidates]).astype(np.uint32)
+    keep = np.flatnonzero(_grown(lit, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         keep = np.zeros(1, np.uint32)
     return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)))
@@ -141,3 +141,9 @@ def _reached(
     emitter: LaserLineEmitter, a: Any, b: Any, margin_mm: tuple[float, float]
 ) -> NDArray[np.bool_]:
     return np.asarray(emitter.reaches(mi.Float(a), mi.Float(b), margin_mm).numpy(), bool)
+
+
+def _grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:
+    """The pixels of a mask and their neighbours."""
+    image = mask.astype(np.uint8).reshape(height, width)
+    return cv2.dilate(image, np.ones((3, 3), np.uint8)).ravel() > 0

@@ -1,8 +1,9 @@
 """The `refractive` integrator: what a camera sees through air of varying refractive index."""
 
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 from virtual_sensor_plugins.lit_pixels import LitPixels, Sight, film_rays, find_lit_pixels, rows
 
@@ -15,7 +16,7 @@ from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import SceneSurface
 
 _BACK_MM = 0.05  # the last straight piece of a ray, on which Mitsuba's float32 meets the surface
-_LANES = 1 << 21  # samples in flight at once
+_LANES = 1 << 17  # samples in flight at once: enough to fill the cores, and progress is seen
 
 
 class Refractive(mi.SamplingIntegrator):
@@ -53,8 +54,9 @@ class Refractive(mi.SamplingIntegrator):
             )
         except ValueError as error:
             raise InputError(f"refractive: {error}") from None
-        path = str(mi.file_resolver().resolve(name)) if name else None
-        self.field = IndexField.read(path, wavelength_nm=wavelength) if path else None
+        self.field = (
+            IndexField.read(_beside_scene(name), wavelength_nm=wavelength) if name else None
+        )
 
     def without_field(self) -> "Refractive":
         """The same integrator in homogeneous air."""
@@ -69,6 +71,7 @@ class Refractive(mi.SamplingIntegrator):
         bent = bend(self.field, surface, line, self.march, active=active)
         hit = active & (bent.status == int(RayStatus.HIT))
         point, heading = bent.position(line), dr.normalize(bent.tangent(line))
+        dr.eval(point, heading, hit)  # else what uses them would march again
         line_laser = laser_of(scene).line
         light = illuminate(
             line_laser, self.field, surface, point, self.march, guess=guess, active=hit
@@ -115,8 +118,13 @@ class Refractive(mi.SamplingIntegrator):
         develop: bool = True,
         evaluate: bool = True,
         lit: LitPixels | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> Any:
-        """Mitsuba's `render`; `lit` spares looking for the lit pixels if they are known."""
+        """Mitsuba's `render`.
+
+        `lit` spares looking for the lit pixels if they are known; `progress` is told the fraction
+        done.
+        """
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         film, sampler = sensor.film(), sensor.sampler()
@@ -128,17 +136,20 @@ class Refractive(mi.SamplingIntegrator):
         lit = lit or self.lit_pixels(scene, sensor)
         width, height = (int(n) for n in film.crop_size())
         laser_alone = all(isinstance(e, LaserLineEmitter) for e in scene.emitters())
-        wanted = lit.index if laser_alone else np.arange(width * height, dtype=np.uint32)
+        count = lit.index.size if laser_alone else width * height
+        dr.eval(numbers := mi.UInt32(lit.index) + dr.opaque(mi.UInt32, 0))
         chunk = max(1, _LANES // spp)
-        for number, first in enumerate(range(0, wanted.size, chunk)):
-            part = slice(first, first + chunk)
-            index = dr.repeat(mi.UInt32(wanted[part]), spp)
+        for number, first in enumerate(range(0, count, chunk)):
+            # What changes from chunk to chunk is opaque, so that one kernel serves them all.
+            index = dr.repeat(dr.arange(mi.UInt32, min(chunk, count - first)), spp)
+            index += dr.opaque(mi.UInt32, first)
             guess = None
             if laser_alone:
-                known = dr.repeat(dr.arange(mi.UInt32, first, first + wanted[part].size), spp)
-                guess = _guess(rows(lit.sight.light, known))
+                guess = _guess(rows(lit.sight.light, index))
+                index = dr.gather(mi.UInt32, numbers, index)
             sampler.set_samples_per_wavefront(spp)
-            sampler.seed(seed + number * 0x9E3779B9 & 0xFFFFFFFF, dr.width(index))
+            shuffled = seed + number * 0x9E3779B9 & 0xFFFFFFFF
+            sampler.seed(dr.opaque(mi.UInt32, shuffled), dr.width(index))
             jitter = sampler.next_2d()
             offset = film.crop_offset()
             x = mi.Float(index % width) + offset.x + jitter.x
@@ -149,6 +160,9 @@ class Refractive(mi.SamplingIntegrator):
             value = self.radiance(scene, sampler, sight) * weight
             block.put(mi.Point2f(x, y), ray.wavelengths, value, dr.select(sight.hit, 1.0, 0.0))
             dr.eval(block.tensor())
+            if progress:
+                dr.sync_thread()
+                progress(min(1.0, (first + chunk) / count))
         film.put_block(block)
         return film.develop() if develop else None
 
@@ -166,6 +180,13 @@ def laser_of(scene: mi.Scene) -> LaserLineEmitter:
             " exactly one"
         )
     return found[0]
+
+
+def _beside_scene(name: str) -> Path:
+    """A file's path where the scene says so, or in the scene's own folder."""
+    resolver = mi.file_resolver()
+    found = Path(str(resolver.resolve(name)))
+    return found if found.is_file() else Path(str(resolver[0])) / name
 
 
 def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:

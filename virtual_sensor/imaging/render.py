@@ -1,5 +1,6 @@
 """Frames: what the camera records, with the ground truth of every pixel that the laser lights."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,13 +54,23 @@ def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
     return render_frame(scene, spp, seed).radiance
 
 
-def render_frame(scene: Scene, spp: int | None = None, seed: int = 0) -> Frame:
-    """Render the scene's camera image together with its ground truth."""
+def render_frame(
+    scene: Scene,
+    spp: int | None = None,
+    seed: int = 0,
+    progress: Callable[[float], None] | None = None,
+) -> Frame:
+    """Render the scene's camera image together with its ground truth.
+
+    `progress` is told the fraction of the samples done.
+    """
     camera = scene.sensor.camera
     width, height = camera.size
     sensor = scene.mitsuba.sensors()[0]
     lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
-    image = scene.integrator.render(scene.mitsuba, sensor, seed, spp or 0, lit=lit)
+    image = scene.integrator.render(
+        scene.mitsuba, sensor, seed, spp or 0, lit=lit, progress=progress
+    )
 
     def spread(values: NDArray[np.floating], channels: int) -> Image:
         whole = np.full((height * width, channels), np.nan, np.float32)

@@ -17,7 +17,6 @@ and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (k
 from __future__ import annotations
 
 import io
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ import numpy as np
 from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import written_whole
 from virtual_sensor.medium.air import (
     ATMOSPHERE_PA,
     ZERO_CELSIUS_K,
@@ -149,12 +149,8 @@ def write_field_file(path: str | Path, field: FieldFile) -> None:
     variable.ambient_refractivity = np.float64(field.ambient)
     nc.flush()
 
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
+    with written_whole(path) as unfinished:
         unfinished.write_bytes(buffer.getvalue())
-        unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
 
 
 def _open(path: Path) -> netcdf_file:

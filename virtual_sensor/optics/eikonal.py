@@ -282,10 +282,12 @@ def _march(
         moving = moving & ~hit & ~arrived & _within(ray.position(line), box)
         return ray, moving, chord, count + 1
 
-    f, *_ = field.lookup(march.precision).delta_and_gradient(ray.position(line))
-    n_excess = f / (1.0 + field.ambient)
-    at_start = tuple(
-        v + w * n_excess for v, w in zip(ray.tau, (line.direction, *ray.tau[1:]), strict=True)
+    f, g = field.lookup(march.precision).delta_and_gradient(ray.position(line))
+    f, g = f / (1.0 + field.ambient), g / (1.0 + field.ambient)
+    d = line.direction
+    at_start = (  # T = n d, and its derivatives
+        ray.tau[0] + d * f,
+        *(v + v * f + d * dr.dot(g, x) for x, v in zip(ray.offset[1:], ray.tau[1:], strict=True)),
     )
     ray = dr.select(active, replace(ray, tau=at_start), ray)
     ray, moving, chord, _ = dr.while_loop(
@@ -333,8 +335,8 @@ def _run_straight(
     left = remaining(line, ray)
     reach = dr.minimum(gap, dr.maximum(left, 0.0))
     met = surface.distance(ray.position(line), T, reach, active)
-    hit = active & (met <= reach)
-    ended = active & ~hit & (left <= gap)
+    hit = active & dr.isfinite(met) & (met <= reach)
+    ended = active & ~hit & dr.isfinite(left) & (left <= gap)
     moved = ray.moved(
         dr.select(hit, met, dr.select(ended, left, dr.select(dr.isinf(gap), 0.0, gap)))
     )

@@ -147,6 +147,7 @@ def illuminate(
     jacobian: Any = None
     if guess is not None:
         a, b, jacobian = a + guess[0], b + guess[1], guess[2]
+    heading = frame.axis + 0.0 * points
     shadowed = dr.full(mi.Mask, False, dr.width(points))
     settled = dr.full(mi.Mask, False, dr.width(points))
     for _ in range(_MAX_MARCHES):
@@ -163,7 +164,6 @@ def illuminate(
             tangents=by_start if first else (),
             active=wanted & ~settled,
         )
-        heading = dr.normalize(ray.tangent(line))
         arrived = ray.status == int(RayStatus.ENDED)
         ray = ray.moved(_CLEARANCE_MM / dr.dot(frame.axis, ray.tangent(line)))
         if first:
@@ -171,6 +171,7 @@ def illuminate(
         at = frame.coordinates(ray.position(line))
         da, db = _solve(jacobian, x - at[0], y - at[1])
         go = wanted & ~settled & arrived
+        heading = dr.select(go, dr.normalize(ray.tangent(line)), heading)
         a, b = dr.select(go, a + da, a), dr.select(go, b + db, b)
         if not first:
             shadowed |= wanted & ~settled & (ray.status == int(RayStatus.HIT))

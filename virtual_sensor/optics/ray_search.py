@@ -17,7 +17,7 @@ from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sensor_model import Camera, SensorModel
 from virtual_sensor.optics.surfaces import NoSurface, Surface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
+from virtual_sensor.optics.trace import to_numpy, to_scalars, to_vectors
 
 Array = NDArray[np.float64]
 
@@ -205,7 +205,7 @@ def _newton(scene: SearchScene, target: Array, march: March) -> FoundPixels:
     for _ in range(5):
         line = _sight(camera, pixel, march)
         normal = march.vector(*map(float, axis))
-        offset = march.scalar(np.nan_to_num(target) @ axis)
+        offset = march.scalar(to_scalars(np.nan_to_num(target) @ axis))
         ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
         ray = bend(
             scene.field,

@@ -68,7 +68,8 @@ class Cylinder:
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """Where the ray enters both the round tube and the slab between the end faces."""
         y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm
-        a = dr.square(direction.y) + dr.square(direction.z)
+        # Not zero, so that a ray along the axis is in the tube all the way, or never.
+        a = dr.maximum(dr.square(direction.y) + dr.square(direction.z), 1e-30)
         b = y * direction.y + z * direction.z
         c = dr.square(y) + dr.square(z) - self.radius_mm**2
         root = dr.safe_sqrt(dr.square(b) - a * c)

@@ -73,7 +73,7 @@ def trace(
     march = March(step_mm, method, precision)
     o, d = to_vectors(origins), to_vectors(directions / norm[:, None])
     line = Straight.through(o, d, march)
-    ends = after_length(march.scalar(mi.Float64(np.ascontiguousarray(lengths))))
+    ends = after_length(march.scalar(to_scalars(lengths)))
     ray = bend(field, NoSurface(), line, march, remaining=ends)
     dr.eval(ray)
     position = to_numpy(ray.position(line))
@@ -94,9 +94,18 @@ def trace(
     )
 
 
+def to_scalars(values: NDArray[np.float64]) -> mi.Float64:
+    """Numbers (N,) in Dr.Jit's own memory: how NumPy's is aligned would be compiled in."""
+    scalars = mi.Float64(np.ascontiguousarray(values)) + dr.opaque(mi.Float64, 0.0)
+    dr.eval(scalars)
+    return scalars
+
+
 def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     """Points (N, 3) as Dr.Jit vectors."""
-    return mi.Array3f64(np.ascontiguousarray(points.T))
+    vectors = mi.Array3f64(np.ascontiguousarray(points.T))
+    dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
+    return vectors
 
 
 def to_numpy(vectors: object) -> NDArray[np.float64]:

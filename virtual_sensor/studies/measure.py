@@ -1,0 +1,221 @@
+"""The main job: measure a part cold and hot by rendered frames, beside the ray-by-ray search."""
+
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor import engine
+from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.render import Frame, render_frame
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean, round_pixel
+from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
+from virtual_sensor.studies.agreement import Agreement, compare
+
+NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
+"""The paper's laser rays: positions y along the line."""
+
+DENSE_RAYS = 401
+"""Rays along the whole line of the search that the rendered line is compared with."""
+
+Array = NDArray[np.float64]
+Report = Callable[[str, float], None]
+"""Told what is being done, and which fraction of the whole is."""
+
+
+@dataclass(frozen=True)
+class State:
+    """One measurement, of the part cold or hot.
+
+    Attributes
+    ----------
+    scene : Scene
+    frame : Frame
+    line : LineCentres
+    points_mm : ndarray of shape (W, 3)
+        Triangulated from the line, world.
+    paper, newton : FoundPixels
+        The nine rays, by the paper's search and by Newton's.
+    dense : FoundPixels
+        Rays along the whole line, by Newton's search.
+    agreement : Agreement
+        Rendered line minus dense search.
+    seconds : dict
+        Of rendering and of searching.
+    """
+
+    scene: Scene
+    frame: Frame
+    line: LineCentres
+    points_mm: Array
+    paper: FoundPixels
+    newton: FoundPixels
+    dense: FoundPixels
+    agreement: Agreement
+    seconds: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """The part measured cold and, if the scene has a field, hot.
+
+    `dense_y_mm` are the dense search's rays; `told` holds what the user should know of the scene;
+    `seconds` is the time of the whole.
+    """
+
+    cold: State
+    hot: State | None
+    dense_y_mm: Array
+    told: list[str]
+    seconds: float
+
+    @property
+    def states(self) -> dict[str, State]:
+        """The states by name."""
+        return {"cold": self.cold} | ({"hot": self.hot} if self.hot else {})
+
+
+def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Measurement:
+    """Render, find the line, triangulate, search: first cold, then hot.
+
+    Raises
+    ------
+    InputError
+        If the scene can't be measured (see `imaging.checks`).
+    """
+    started = time.perf_counter()
+    report("checking the scene", 0.0)
+    told = check_scene(scene)
+    dense_y = np.linspace(-0.5, 0.5, DENSE_RAYS) * scene.sensor.laser.length_mm
+    share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
+    cold = _measure_state(
+        scene.cold(), dense_y, lambda stage, part: report(f"cold part: {stage}", share * part)
+    )
+    hot = None
+    if scene.field:
+        hot = _measure_state(
+            scene,
+            dense_y,
+            lambda stage, part: report(f"hot part: {stage}", share + (1.0 - share) * part),
+        )
+    return Measurement(cold, hot, dense_y, told, time.perf_counter() - started)
+
+
+def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
+    clock = time.perf_counter
+    report("searching, ray by ray", 0.0)
+    at = clock()
+    paper = ray_search(scene, NINE_RAYS_MM, "paper")
+    newton = ray_search(scene, NINE_RAYS_MM, "newton")
+    dense = ray_search(scene, dense_y, "newton")
+    seconds = {"search": clock() - at}
+    report("looking for the lit pixels", 0.2)
+    at = clock()
+    frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
+    seconds["render"] = clock() - at
+    line = line_centres(frame.radiance)
+    return State(
+        scene,
+        frame,
+        line,
+        triangulate(scene.sensor, line.pixel),
+        paper,
+        newton,
+        dense,
+        compare(line, dense),
+        seconds,
+    )
+
+
+def nine_ray_deviations(result: Measurement, step_px: float | None = None) -> Deviation:
+    """The paper's differences for its nine rays, by Newton's search; pixels rounded if asked.
+
+    Of a part that is measured only cold, the hot points are NaN.
+    """
+    cold, hot = result.cold.newton, result.hot.newton if result.hot else None
+    nothing = np.full_like(cold.laser_point_mm, np.nan)
+    pixel_A, pixel_B = cold.pixel, hot.pixel if hot else nothing[:, :2]
+    if step_px:
+        pixel_A, pixel_B = round_pixel(pixel_A, step_px), round_pixel(pixel_B, step_px)
+    sensor = result.cold.scene.sensor
+    return deviations(
+        cold.laser_point_mm,
+        hot.laser_point_mm if hot else nothing,
+        triangulate(sensor, pixel_A),
+        triangulate(sensor, pixel_B),
+        pixel_A,
+        pixel_B,
+    )
+
+
+def summary(result: Measurement) -> dict[str, Any]:
+    """The figures that tell whether the measurement is sound, for `summary.json`."""
+    scene = (result.hot or result.cold).scene
+    exact, rounded = nine_ray_deviations(result), nine_ray_deviations(result, 0.25)
+    running = engine.activate()
+    return {
+        "scene": str(scene.path),
+        "parameters": scene.parameters,
+        "field": scene.field.source if scene.field else None,
+        "told": result.told,
+        "states": {name: _state_summary(state) for name, state in result.states.items()},
+        "nine_rays_um": {
+            "largest |A - A_m|, cold": _largest(exact.cold_um),
+            "largest |A - A_m|, cold, pixels rounded to 0.25": _largest(rounded.cold_um),
+            "largest |B - A|": _largest(exact.incidence_um),
+            "largest |B - B_m|": _largest(exact.hot_um),
+            "largest |B_m - A_m|": _largest(exact.measured_um),
+        },
+        "seconds": round(result.seconds, 2),
+        "made_with": {
+            "variant": running.variant,
+            "llvm": str(running.llvm.path) if running.llvm else None,
+            "threads": running.threads,
+            "python": platform.python_version(),
+            "march": str(scene.integrator.march),
+            **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
+        },
+    }
+
+
+def _state_summary(state: State) -> dict[str, Any]:
+    agreement = state.agreement
+    return {
+        "line": _counts(state.line.status, Status),
+        "search": _counts(state.dense.status, SearchStatus),
+        "rendered line minus search, px": {
+            "rms": agreement.rms_px,
+            "largest": agreement.largest_px,
+            "columns compared": agreement.column.size,
+            "columns on the searched line": agreement.expected,
+        },
+        "paper's search, nine rays": {
+            "largest distance, um": _largest(state.paper.distance_um[:, None]),
+            "steps": int(state.paper.iterations.max()),
+            "found": int(np.sum(state.paper.status == SearchStatus.FOUND)),
+        },
+        "Newton's search, nine rays": {
+            "largest distance, um": _largest(state.newton.distance_um[:, None]),
+            "marches": int(state.newton.iterations.max()),
+            "found": int(np.sum(state.newton.status == SearchStatus.FOUND)),
+        },
+        "seconds": {name: round(value, 2) for name, value in state.seconds.items()},
+    }
+
+
+def _counts(status: NDArray[np.integer], kind: Any) -> dict[str, int]:
+    return {member.name.lower(): int(np.sum(status == member)) for member in kind}
+
+
+def _largest(differences: Array) -> float | None:
+    """Largest norm of the rows that have one."""
+    norms = euclidean(differences)
+    return float(np.nanmax(norms)) if np.isfinite(norms).any() else None

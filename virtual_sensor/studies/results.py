@@ -1,0 +1,95 @@
+"""A measurement's results in a folder: frames, centres, points, searches, summary and picture."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from virtual_sensor.files import folder_written_whole, written_whole
+from virtual_sensor.imaging.render import write_exr, write_png
+from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.line_peaks import Status
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.studies.measure import (
+    NINE_RAYS_MM,
+    Measurement,
+    nine_ray_deviations,
+    summary,
+)
+from virtual_sensor.studies.report import draw_report
+from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+
+
+def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
+    """Write frames, centres, points, searches, summary and picture; all of them or none.
+
+    Raises
+    ------
+    InputError
+        If the folder exists (and `overwrite` is not set) or can't be written.
+    """
+    figures = summary(result)
+    white = max(float(state.frame.radiance.max()) for state in result.states.values())
+    with folder_written_whole(folder, overwrite) as place:
+        for name, state in result.states.items():
+            header = {f"virtual_sensor/{k}": v for k, v in state.scene.parameters.items()}
+            header["virtual_sensor/state"] = name
+            write_exr(place / f"{name}.exr", state.frame, header)
+            write_png(place / f"{name}.png", state.frame.radiance, white)
+            line = state.line
+            write_csv(
+                place / f"line_{name}.csv",
+                {
+                    "column": line.column,
+                    "row": line.row,
+                    "row_error": line.row_error,
+                    "sigma": line.sigma,
+                    "amplitude": line.amplitude,
+                    "status": status_names(line.status, Status),
+                    **vectors("point_mm", state.points_mm, "xyz"),
+                },
+            )
+            write_ply(place / f"points_{name}.ply", state.points_mm, line.amplitude)
+        write_csv(place / "nine_rays.csv", _nine_rays_table(result))
+        write_csv(place / "dense_search.csv", _dense_table(result))
+        draw_report(result, place / "report.png")
+        with written_whole(place / "summary.json") as temporary:
+            temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def _nine_rays_table(result: Measurement) -> dict[str, Any]:
+    table: dict[str, Any] = {"y_mm": NINE_RAYS_MM}
+    for letter, state in zip("AB", result.states.values(), strict=False):
+        table |= {
+            **vectors(f"{letter}_mm", state.newton.laser_point_mm, "xyz"),
+            **vectors(f"pixel_{letter}", state.newton.pixel, "uv"),
+            **vectors(f"pixel_{letter}_paper", state.paper.pixel, "uv"),
+            f"distance_{letter}_paper_um": state.paper.distance_um,
+            f"status_{letter}": status_names(state.newton.status, SearchStatus),
+            f"status_{letter}_paper": status_names(state.paper.status, SearchStatus),
+        }
+    for suffix, step in (("", None), ("_rounded", 0.25)):
+        d = nine_ray_deviations(result, step)
+        for name, values, axes in (
+            ("B-A_um", d.incidence_um, "xyz"),
+            ("B-B_m_um", d.hot_um, "xyz"),
+            ("B_m-A_m_um", d.measured_um, "xyz"),
+            ("A-A_m_um", d.cold_um, "xyz"),
+            ("pixel_B-A", d.pixel_px, "uv"),
+        ):
+            table |= vectors(name + suffix, values, axes)
+            table[f"{name}{suffix}_norm"] = euclidean(values)
+    return table
+
+
+def _dense_table(result: Measurement) -> dict[str, Any]:
+    table: dict[str, Any] = {"y_mm": result.dense_y_mm}
+    for letter, state in zip("AB", result.states.values(), strict=False):
+        found = state.dense
+        table |= {
+            **vectors(f"{letter}_mm", found.laser_point_mm, "xyz"),
+            **vectors(f"pixel_{letter}", found.pixel, "uv"),
+            **vectors(f"{letter}_m_mm", triangulate(state.scene.sensor, found.pixel), "xyz"),
+            f"status_{letter}": status_names(found.status, SearchStatus),
+        }
+    return table

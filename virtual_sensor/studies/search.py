@@ -1,0 +1,44 @@
+"""The ray search alone, without any image."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.studies.measure import NINE_RAYS_MM
+from virtual_sensor.studies.tables import status_names, vectors
+
+
+def search(
+    scene: Scene, method: str, y_mm: ArrayLike | None = None, rays: int | None = None
+) -> dict[str, Any]:
+    """Search the pixels of laser rays at y_mm, of so many rays along the line, or the paper's nine.
+
+    Returns
+    -------
+    dict
+        Columns of a table, one row per ray.
+
+    Raises
+    ------
+    InputError
+        If the scene can't be measured (see `imaging.checks`).
+    """
+    check_scene(scene)
+    y = NINE_RAYS_MM if y_mm is None else np.asarray(y_mm, float)
+    if rays:
+        y = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
+    found = ray_search(scene, y, method)
+    return {
+        "y_mm": y,
+        **vectors("laser_point_mm", found.laser_point_mm, "xyz"),
+        **vectors("pixel", found.pixel, "uv"),
+        **vectors("measured_point_mm", triangulate(scene.sensor, found.pixel), "xyz"),
+        "distance_um": found.distance_um,
+        "marches": found.iterations,
+        "status": status_names(found.status, SearchStatus),
+    }

@@ -1,0 +1,51 @@
+"""Results as files that other programs read: CSV and PLY."""
+
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.files import written_whole
+
+
+def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Write columns of equal length under their names; NaN stays empty."""
+    cells = [[_cell(value) for value in np.asarray(values)] for values in columns.values()]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
+    with written_whole(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, (float, np.floating)):
+        return "" if np.isnan(value) else f"{value:.10g}"
+    return str(value)
+
+
+def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:
+    """Names of status numbers, in lower case."""
+    return np.array([kind(number).name.lower() for number in np.asarray(status).ravel()])
+
+
+def vectors(name: str, values: NDArray[np.floating], axes: Sequence[str]) -> dict[str, ArrayLike]:
+    """Columns ``name_x``, ... of an array (N, len(axes))."""
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate(axes)}
+
+
+def write_ply(path: Path, points_mm: NDArray[np.floating], intensity: NDArray[np.floating]) -> None:
+    """Write the finite points (N, 3) in mm, world frame, with an intensity (N,) as binary PLY."""
+    kept = np.isfinite(points_mm).all(axis=1)
+    vertex = np.zeros(int(kept.sum()), [(n, "<f4") for n in ("x", "y", "z", "intensity")])
+    for i, name in enumerate("xyz"):
+        vertex[name] = points_mm[kept, i]
+    vertex["intensity"] = intensity[kept]
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment points in mm, world frame\n"
+        f"element vertex {len(vertex)}\n"
+        + "".join(f"property float {name}\n" for name in vertex.dtype.names or ())
+        + "end_header\n"
+    )
+    with written_whole(path) as temporary:
+        temporary.write_bytes(header.encode("ascii") + vertex.tobytes())
