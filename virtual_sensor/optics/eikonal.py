@@ -279,7 +279,7 @@ def _march(
         arrived = moving & ~hit & (dr.abs(remaining(line, ray)) <= close)
         ray.status = dr.select(hit, int(RayStatus.HIT), ray.status)
         ray.status = dr.select(arrived, int(RayStatus.ENDED), ray.status)
-        moving = moving & ~hit & ~arrived & _within(ray.position(line), box)
+        moving = moving & ~hit & ~arrived & _within(ray.position(line), ray.tangent(line), box)
         return ray, moving, chord, count + 1
 
     f, g = field.lookup(march.precision).delta_and_gradient(ray.position(line))
@@ -376,5 +376,7 @@ def _slab(p: Any, direction: Any, box: tuple[Any, Any]) -> tuple[Any, Any]:
     return dr.max(dr.minimum(one, two)), dr.min(dr.maximum(one, two))
 
 
-def _within(p: Any, box: tuple[Any, Any]) -> Any:
-    return dr.all((p >= box[0] - _BORDER_MM / 2) & (p <= box[1] + _BORDER_MM / 2))
+def _within(p: Any, heading: Any, box: tuple[Any, Any]) -> Any:
+    """Not out of the box: beyond a face and heading outward, so that none can hover at a border."""
+    out = ((p <= box[0]) & (heading < 0.0)) | ((p >= box[1]) & (heading > 0.0))
+    return ~dr.any(out)

@@ -78,6 +78,11 @@ class Measurement:
     seconds: float
 
     @property
+    def rays(self) -> int:
+        """Rays that were searched in each state."""
+        return 2 * len(NINE_RAYS_MM) + len(self.dense_y_mm)
+
+    @property
     def states(self) -> dict[str, State]:
         """The states by name."""
         return {"cold": self.cold} | ({"hot": self.hot} if self.hot else {})

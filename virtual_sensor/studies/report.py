@@ -26,15 +26,21 @@ _MARGIN_PX = 12
 
 def draw_report(result: Measurement, path: Path) -> None:
     """Draw the page as a PNG."""
-    figure = Figure(figsize=(13.0, 9.2), dpi=110, layout="constrained")
+    figure = Figure(figsize=(13.5, 9.5), dpi=110, layout="constrained")
     axes = figure.subplot_mosaic(
-        [["frame", "frame", "air"], ["height", "nine", "air"], ["residual", "residual", "text"]],
-        height_ratios=[1.25, 1.0, 0.8],
+        [
+            ["frame", "frame", "along"],
+            ["height", "nine", "across"],
+            ["residual", "residual", "text"],
+        ],
+        height_ratios=[1.3, 1.2, 0.8],
+        width_ratios=[1.0, 1.0, 0.9],
     )
     scene = (result.hot or result.cold).scene
     figure.suptitle(f"{scene.path.stem}: what the sensor sees and measures", fontsize=13)
     _frame(axes["frame"], result)
-    _air(axes["air"], result)
+    _air(axes["along"], result, across=False)
+    _air(axes["across"], result, across=True)
     _height(axes["height"], result)
     _nine_rays(axes["nine"], result)
     _residual(axes["residual"], result)
@@ -47,37 +53,50 @@ def _frame(axes: Axes, result: Measurement) -> None:
     name, state = list(result.states.items())[-1]
     image = state.frame.radiance
     rows, columns = np.nonzero(image > 0.01 * image.max())
-    top, bottom = rows.min() - _MARGIN_PX, rows.max() + _MARGIN_PX
-    left, right = columns.min() - _MARGIN_PX, columns.max() + _MARGIN_PX
-    axes.imshow(image, cmap="gray", aspect="auto", interpolation="nearest")
+    height, width = image.shape
+    top, bottom = max(rows.min() - _MARGIN_PX, 0), min(rows.max() + _MARGIN_PX, height)
+    left, right = max(columns.min() - _MARGIN_PX, 0), min(columns.max() + _MARGIN_PX, width)
+    extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
+    axes.imshow(image[top:bottom, left:right], cmap="gray", aspect="auto", extent=extent)
     for label, drawn in result.states.items():
         axes.plot(drawn.line.column, drawn.line.row, color=_COLOURS[label], lw=0.9, label=label)
-    axes.set(xlim=(left, right), ylim=(bottom, top), xlabel="u in px (along the line)")
+    axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u in px (along the line)")
     axes.set(ylabel="v in px", title=f"Camera frame, {name} part, with the line centres found")
     axes.legend(loc="lower center", ncols=2)
 
 
-def _air(axes: Axes, result: Measurement) -> None:
-    """The air in the plane x = 0, with the light's ways drawn in."""
+def _air(axes: Axes, result: Measurement, across: bool) -> None:
+    """The air in a plane through the part, with the light's ways drawn in: x = 0, or y = 0."""
     state = result.hot
     if state is None or state.scene.field is None:
         axes.text(0.5, 0.5, "no index field:\nlight runs straight", ha="center", va="center")
         axes.set_axis_off()
         return
-    low, high = state.scene.field.box
-    x, z = np.linspace(low[0], high[0], 200), np.linspace(low[2], high[2], 300)
-    grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1)
-    n = state.scene.field.refractivity(grid.reshape(-1, 3)).reshape(len(x), len(z))
-    drawn = axes.pcolormesh(x, z, n.T * 1e5, cmap="magma", shading="nearest", rasterized=True)
-    axes.figure.colorbar(drawn, ax=axes, label="$10^5\\,(n-1)$ at y = 0", shrink=0.8)
-    sensor = state.scene.sensor
-    middle = state.dense.laser_point_mm[len(state.dense.status) // 2]
-    for name, pose in (("laser", sensor.laser.pose), ("camera", sensor.camera.pose)):
-        origin = pose.origin_mm
-        axes.plot([origin[0], middle[0]], [origin[2], middle[2]], "c-", lw=1.0)
-        axes.annotate(name, (origin[0], origin[2]), color="c", ha="center", va="bottom")
-    axes.set(xlabel="x in mm", ylabel="z in mm", title="Air and light paths (seen along y)")
-    axes.set_aspect("equal")
+    field, axis = state.scene.field, 1 if across else 0
+    low, high = field.box
+    side, z = np.linspace(low[axis], high[axis], 240), np.linspace(low[2], high[2], 320)
+    points = np.zeros((len(side), len(z), 3))
+    points[..., axis], points[..., 2] = side[:, None], z
+    n = field.refractivity(points.reshape(-1, 3)).reshape(len(side), len(z))
+    drawn = axes.pcolormesh(side, z, n.T * 1e5, cmap="magma", shading="nearest", rasterized=True)
+    axes.figure.colorbar(drawn, ax=axes, label="$10^5\\,(n-1)$", pad=0.02)
+    ends = state.dense.laser_point_mm[np.isfinite(state.dense.laser_point_mm[:, 0])]
+    for name, pose, colour in (
+        ("laser", state.scene.sensor.laser.pose, "#35e06a"),
+        ("camera", state.scene.sensor.camera.pose, "#4fd2ff"),
+    ):
+        for number, end in enumerate(ends[[0, len(ends) // 2, -1]]):
+            start = pose.origin_mm
+            if name == "laser":
+                start, _ = (v[0] for v in state.scene.sensor.laser.rays(0.0, [end[1]]))
+            way = np.stack([start, end])
+            label = name if number == 0 else None
+            axes.plot(way[:, axis], way[:, 2], color=colour, lw=0.9, label=label)
+    axes.set_xlim(min(low[axis], axes.get_xlim()[0]), max(high[axis], axes.get_xlim()[1]))
+    axes.legend(loc="upper right", fontsize=8)
+    plane = "x = 0" if across else "y = 0"
+    axes.set(xlabel="y in mm" if across else "x in mm", ylabel="z in mm")
+    axes.set_title(f"The air in the plane {plane}, and the light's ways")
 
 
 def _height(axes: Axes, result: Measurement) -> None:
@@ -138,12 +157,14 @@ def _residual(axes: Axes, result: Measurement) -> None:
 
 
 def _text(axes: Axes, result: Measurement) -> None:
+    """The figures of `summary.json` that a reader asks for first."""
     figures = summary(result)
-    lines = [f"{name}  {value:.3g} µm" for name, value in figures["nine_rays_um"].items() if value]
+    lines = [
+        f"nine rays, {name}: {um:.3g} µm" for name, um in figures["nine_rays_um"].items() if um
+    ]
     for name, state in result.states.items():
         found = int(np.sum(state.line.status == Status.OK))
-        spent = state.seconds["render"]
-        lines.append(f"{name}: {found} line centres, rendered in {spent:.1f} s")
+        lines.append(f"{name}: {found} line centres, rendered in {state.seconds['render']:.1f} s")
     lines += [f"whole measurement: {result.seconds:.1f} s", *result.told]
-    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5, wrap=True)
+    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=9, wrap=True)
     axes.set_axis_off()

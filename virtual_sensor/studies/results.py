@@ -53,8 +53,46 @@ def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
         write_csv(place / "nine_rays.csv", _nine_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
         draw_report(result, place / "report.png")
+        with written_whole(place / "table.md") as temporary:
+            temporary.write_text(markdown_table(result), encoding="utf-8")
         with written_whole(place / "summary.json") as temporary:
             temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+
+
+def markdown_table(result: Measurement) -> str:
+    """Accuracy and speed of a measurement, as the README shows them."""
+    figures = summary(result)
+    states = figures["states"]
+    agreement = "rendered line minus search, px"
+    rows = {
+        "Rendered line minus ray search, rms": ("{:.4f} px", (agreement, "rms")),
+        "... at most, line ends included": ("{:.4f} px", (agreement, "largest")),
+        "Columns compared": ("{}", (agreement, "columns compared")),
+        "The paper's search: largest distance of nine rays": (
+            "{:.2g} µm",
+            ("paper's search, nine rays", "largest distance, um"),
+        ),
+        "Newton's search: the same": (
+            "{:.1g} µm",
+            ("Newton's search, nine rays", "largest distance, um"),
+        ),
+        "Newton's search: marches a ray": ("{}", ("Newton's search, nine rays", "marches")),
+        "Frame of {0} x {1} px, {spp} samples a lit pixel": ("{:.1f} s", ("seconds", "render")),
+        "Search of {rays} rays": ("{:.2f} s", ("seconds", "search")),
+    }
+    camera = result.cold.scene.sensor.camera
+    words = {"spp": figures["parameters"].get("spp", "16"), "rays": result.rays}
+    lines = ["| | " + " | ".join(states) + " |", "|---|" + "---|" * len(states)]
+    for name, (shape, (group, key)) in rows.items():
+        cells = (shape.format(state[group][key]) for state in states.values())
+        lines.append(f"| {name.format(*camera.size, **words)} | {' | '.join(cells)} |")
+    made = figures["made_with"]
+    lines += [
+        "",
+        f"Made by `virtual-sensor measure` in {figures['seconds']:.0f} s, with {made['threads']}"
+        f" threads ({made['variant']}); the march: {made['march']}.",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _nine_rays_table(result: Measurement) -> dict[str, Any]:
