@@ -6,10 +6,8 @@ import numpy as np
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.eikonal import March
-from virtual_sensor.optics.illumination import Illumination, illuminate
+from virtual_sensor.optics.illumination import LaserFrame
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
-from virtual_sensor.optics.surfaces import NoSurface
 
 _FAINT = 1e-6  # light below this fraction of the peak is taken as none: 2.6 radii out
 _REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
@@ -56,24 +54,24 @@ class LaserLineEmitter(mi.Emitter):
             )
         self.m_flags = mi.EmitterFlags.DeltaDirection
 
-    def irradiance(self, light: Illumination) -> Any:
-        """Flux density in W/mm^2 square to the light, for each point that it reaches."""
+    def irradiance(self, a: Any, b: Any, concentration: Any) -> Any:
+        """Flux density in W/mm^2 square to the light, by `Illumination`'s numbers; none for NaN."""
         line, w = self.line, self.line.radius_mm
         if line.dots_mm.size:
             peak = line.power_w / line.dots_mm.size * 2.0 / (np.pi * w**2)
-            along = sum(dr.exp(-2.0 * dr.square((light.b - float(y)) / w)) for y in line.dots_mm)
+            along = sum(dr.exp(-2.0 * dr.square((b - float(y)) / w)) for y in line.dots_mm)
         else:
             peak = line.power_w / line.length_mm * np.sqrt(2.0 / np.pi) / w
-            along = dr.select(dr.abs(light.b) <= line.length_mm / 2.0, 1.0, 0.0)
-        profile = dr.exp(-2.0 * dr.square(light.a / w)) * along
-        value = mi.Float(float(peak) * profile * light.concentration)
-        return dr.select(self.reaches(light.a, light.b), value, 0.0)
+            along = dr.select(dr.abs(b) <= line.length_mm / 2.0, 1.0, 0.0)
+        profile = dr.exp(-2.0 * dr.square(a / w)) * along
+        value = mi.Float(float(peak) * profile * concentration)
+        return dr.select(self.reaches(a, b), value, 0.0)
 
     def reaches(self, a: Any, b: Any, margin_mm: tuple[float, float] = (0.0, 0.0)) -> Any:
         """Mask of the coordinates with light that counts, or near it; NaN has none."""
         radius = _REACH * self.line.radius_mm
         if self.line.dots_mm.size:
-            along = dr.full(mi.Mask, False, dr.width(b))
+            along = mi.Mask(False)
             for y in self.line.dots_mm:
                 along |= dr.abs(b - float(y)) <= radius + margin_mm[1]
         else:
@@ -84,19 +82,23 @@ class LaserLineEmitter(mi.Emitter):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: Any = True
     ) -> tuple[mi.DirectionSample3f, Any]:
         """Light at a point by the straight laser ray; the only direction there is."""
-        march = March(precision="single")
-        light = illuminate(self.line, None, NoSurface(), mi.Array3f(it.p), march, active=active)
-        ds = dr.zeros(mi.DirectionSample3f, dr.width(it.p))
-        ds.d = -mi.Vector3f(light.heading)
-        ds.dist = dr.dot(mi.Vector3f(*map(float, self.line.pose.rotation[:, 2])), it.p) + float(
-            -self.line.pose.rotation[:, 2] @ self.line.pose.origin_mm
-        )
+        frame = LaserFrame.of(self.line, mi.Array3f)
+        point = mi.Array3f(it.p)
+        a, b = frame.straight(point)
+        depth = frame.coordinates(point)[2]
+        heading = frame.rays(a, b)[1]
+        cosine = dr.dot(frame.axis, heading)
+        spread = (1.0 + frame.fan_per_mm * depth) * cosine
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.d = -mi.Vector3f(heading)
+        ds.dist = (frame.distance_mm + depth) / cosine
         ds.p = mi.Point3f(it.p + ds.d * ds.dist)
-        ds.n = mi.Normal3f(light.heading)
+        ds.n = mi.Normal3f(heading)
         ds.pdf = 1.0
         ds.delta = True
         ds.emitter = mi.EmitterPtr(self)
-        return ds, mi.Spectrum(self.irradiance(light)) & active
+        lit = active & (spread > 0.0) & (ds.dist > 0.0)
+        return ds, mi.Spectrum(self.irradiance(a, b, dr.rcp(spread))) & lit
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Any = True) -> Any:
         """Nothing: the generator itself is not seen."""

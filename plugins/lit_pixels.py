@@ -7,12 +7,13 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.illumination import Illumination, LaserFrame
 
-_LATTICE_PX = 16  # displacement is looked at this often to bound it before every pixel is marched
+_LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
 _FAR_MM = 2.0  # refraction is taken to move no light further than this
 
 
@@ -87,22 +88,23 @@ def find_lit_pixels(
     """Find the pixels that the laser reaches, marching no more rays than that takes.
 
     1. Straight rays of all pixels give each one's laser coordinates without refraction.
-    2. Bent rays of a lattice of pixels bound how far refraction moves these.
-    3. Bent rays of the pixels within that bound tell which are lit; their neighbours count too.
+    2. Bent rays of a lattice of pixels tell about how far refraction moves these.
+    3. Bent rays of the pixels that may be lit then tell which are; their neighbours count too.
     """
     width, height = (int(n) for n in sensor.film().crop_size())
     a, b, pixel_mm = _straight_coordinates(scene, sensor, emitter)
     every = np.arange(width * height, dtype=np.uint32)
-    on_lattice = (every % width % _LATTICE_PX == 0) & (every // width % _LATTICE_PX == 0)
+    middle = _LATTICE_PX // 2
+    on_lattice = (every % width % _LATTICE_PX == middle) & (every // width % _LATTICE_PX == middle)
     near = every[on_lattice & _reached(emitter, a, b, (_FAR_MM, _FAR_MM))]
-    margin = (pixel_mm, pixel_mm)
+    margin = (_FAR_MM, _FAR_MM)
     if near.size:
-        seen = look(centre_rays(sensor, mi.UInt32(near)))
-        margin = (
-            pixel_mm + _largest(seen.light.a.numpy() - a[near]),
-            pixel_mm + _largest(seen.light.b.numpy() - b[near]),
-        )
-    # A pixel whose centre looks past an edge may see light beside it: neighbours are candidates too.
+        light = look(centre_rays(sensor, mi.UInt32(near))).light
+        moved_a, margin_a = _spread(light.a.numpy() - a[near], near, width, height)
+        moved_b, margin_b = _spread(light.b.numpy() - b[near], near, width, height)
+        a, b = a + moved_a, b + moved_b
+        margin = (pixel_mm + margin_a, pixel_mm + margin_b)
+    # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
     candidates = every[_grown(_reached(emitter, a, b, margin), height, width)]
     if not candidates.size:
         candidates = every[:1]  # Dr.Jit knows no empty array
@@ -131,10 +133,24 @@ def _straight_coordinates(
     return a.numpy(), b.numpy(), float(dr.max(spread)[0])
 
 
-def _largest(moved_mm: NDArray[np.floating]) -> float:
-    """A bound for displacements between the ones looked at."""
-    found = np.abs(moved_mm[np.isfinite(moved_mm)])
-    return min(1.25 * float(np.max(found, initial=0.0)), _FAR_MM)
+def _spread(
+    moved_mm: NDArray[np.floating], at: NDArray[np.uint32], width: int, height: int
+) -> tuple[NDArray[np.float32], float]:
+    """Displacements of all pixels by the nearest on the lattice, and a bound for what is left.
+
+    The bound is what neighbours on the lattice differ by, with something to spare.
+    """
+    shape = -(-height // _LATTICE_PX), -(-width // _LATTICE_PX)
+    lattice = np.full(shape, np.nan, np.float32)
+    lattice[at // width // _LATTICE_PX, at % width // _LATTICE_PX] = moved_mm
+    steps = np.concatenate([np.diff(lattice, axis=axis).ravel() for axis in (0, 1)])
+    bound = float(np.nanmax(np.abs(steps), initial=0.0)) if np.isfinite(steps).any() else _FAR_MM
+    unknown = np.isnan(lattice)
+    if unknown.all():
+        return np.zeros(width * height, np.float32), _FAR_MM
+    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    whole = lattice[tuple(nearest)].repeat(_LATTICE_PX, axis=0).repeat(_LATTICE_PX, axis=1)
+    return whole[:height, :width].ravel(), min(1.5 * bound, _FAR_MM)
 
 
 def _reached(

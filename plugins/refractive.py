@@ -96,7 +96,8 @@ class Refractive(mi.SamplingIntegrator):
         for emitter in scene.emitters():
             if isinstance(emitter, LaserLineEmitter):
                 toward, lit = -mi.Vector3f(sight.light.heading), valid
-                weight = mi.Spectrum(emitter.irradiance(sight.light))
+                light = sight.light
+                weight = mi.Spectrum(emitter.irradiance(light.a, light.b, light.concentration))
             else:
                 ds, weight = emitter.sample_direction(si, sampler.next_2d(valid), valid)
                 toward, lit = ds.d, valid & (ds.pdf > 0.0)

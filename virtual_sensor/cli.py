@@ -1,9 +1,12 @@
 """The command `virtual-sensor`: arguments to studies, nothing else."""
 
+import signal
 import sys
+from importlib import metadata
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -11,6 +14,7 @@ from rich.table import Table
 
 from virtual_sensor import engine
 from virtual_sensor.errors import EngineError, InputError
+from virtual_sensor.files import check_output
 
 app = typer.Typer(
     help="A virtual laser-triangulation sensor that sees through hot air.",
@@ -19,24 +23,42 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-console = Console()
+# Paths and messages may hold [brackets] and :colons:, which rich would take for its own.
+console = Console(markup=False, emoji=False, highlight=False)
 
 SceneArgument = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene file, or the name of one that comes along.")
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A scene file, or one that comes along: hot_cylinder, cold_cylinder, stepped_shaft.",
+    ),
 ]
 Definitions = Annotated[
     list[str] | None,
-    typer.Option("-D", metavar="NAME=VALUE", help="Set a parameter of the scene; repeatable."),
+    typer.Option(
+        "-D",
+        metavar="NAME=VALUE",
+        help="Set a parameter of the scene; repeatable. A wrong name is answered with all names.",
+    ),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 
 
-@app.callback()
-def choose_engine(
+def _tell_version(asked: bool) -> None:
+    if asked:
+        console.print(f"virtual-sensor {metadata.version('virtual-sensor')}")
+        raise typer.Exit
+
+
+@app.callback(epilog="Start with:\n\n    virtual-sensor measure hot_cylinder")
+def before_the_command(
     variant: Annotated[
         str | None,
         typer.Option(help="Mitsuba variant, such as llvm_ad_mono (default) or cuda_ad_mono."),
     ] = None,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell it.")
+    ] = False,
 ) -> None:
     """Options before the command."""
     if variant:
@@ -63,7 +85,7 @@ def measure(
     from virtual_sensor.studies.measure import summary
     from virtual_sensor.studies.results import save
 
-    _refuse_existing(output, overwrite)
+    check_output(output, overwrite, folder=True)
     with _progress() as bar:
         task = bar.add_task("loading the scene", total=1.0)
 
@@ -88,14 +110,23 @@ def measure(
     console.print(table)
     for name, value in figures["nine_rays_um"].items():
         if value is not None:
-            console.print(f"  nine rays, {name}: {value:.3g} µm", highlight=False)
-    for text in result.told:
-        console.print(f"Note: {text}", style="yellow", highlight=False)
+            console.print(f"  nine rays, {name}: {value:.3g} µm")
+    for text in [*result.told, *_blind_states(figures)]:
+        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
     console.print(
         f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
-        highlight=False,
         soft_wrap=True,
     )
+
+
+def _blind_states(figures: dict[str, Any]) -> list[str]:
+    """Why there are no line centres, for each state that has none."""
+    counts = {name: state["line"] for name, state in figures["states"].items()}
+    return [
+        f"{name}: no line centres, the columns are {', '.join(k for k, n in line.items() if n)}"
+        for name, line in counts.items()
+        if not line["ok"]
+    ]
 
 
 @app.command(
@@ -113,7 +144,7 @@ def search(
         typer.Option("-y", help="A ray's position along the line, mm; repeatable."),
     ] = None,
     rays: Annotated[
-        int | None, typer.Option(min=1, help="So many rays along the whole line instead.")
+        int | None, typer.Option(min=1, help="So many rays along the whole line, in place of -y.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV file for the result.")
@@ -130,12 +161,15 @@ def search(
 
     if method not in ("paper", "newton"):
         raise InputError(f"--method {method}: choose paper or newton")
+    if y and rays:
+        raise InputError("-y and --rays: choose one of them")
     if output:
-        _refuse_existing(output, overwrite)
+        check_output(output, overwrite)
     columns = run(load_scene(scene, **_definitions(define)), method, y, rays)
     if output:
         write_csv(output, columns)
-        console.print(f"{len(columns['y_mm'])} rays in {output}", highlight=False)
+        found = np.sum(columns["status"] == "found")
+        console.print(f"{len(columns['y_mm'])} rays in {output}, {found} found", soft_wrap=True)
         return
     shown = Table("y, mm", "u, px", "v, px", "distance, µm", "marches", "status")
     for row in zip(
@@ -146,13 +180,17 @@ def search(
     console.print(shown)
 
 
-@app.command()
+@app.command(
+    epilog="Examples:\n\n"
+    "    virtual-sensor doctor\n\n"
+    "    virtual-sensor --variant cuda_ad_mono doctor"
+)
 def doctor() -> None:
     """Tell in plain words what this machine computes with, and what to install if it can't."""
     from virtual_sensor.studies.doctor import diagnose, report
 
     diagnosis = diagnose()
-    console.print(report(diagnosis), highlight=False, markup=False, soft_wrap=True)
+    console.print(report(diagnosis), soft_wrap=True)
     raise typer.Exit(0 if diagnosis.ok else 1)
 
 
@@ -166,12 +204,6 @@ def _definitions(define: list[str] | None) -> dict[str, str]:
     return pairs
 
 
-def _refuse_existing(path: Path, overwrite: bool) -> None:
-    """Before any work is done."""
-    if path.exists() and not overwrite:
-        raise InputError(f"{path} exists; name another with -o, or say --overwrite")
-
-
 def _progress() -> Progress:
     columns = (
         TextColumn("{task.description:<36}"),
@@ -179,13 +211,15 @@ def _progress() -> Progress:
         TaskProgressColumn(),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, console=console, transient=not console.is_terminal)
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def main() -> None:
     """Run the command; a user's errors are told in a line, without a traceback."""
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # and clean up
     try:
         app()
     except (InputError, EngineError) as error:
-        Console(stderr=True).print(f"Error: {error}", style="red", highlight=False, soft_wrap=True)
+        told = Console(stderr=True, markup=False, emoji=False, highlight=False)
+        told.print(f"Error: {error}", style="red", soft_wrap=True)
         sys.exit(2)

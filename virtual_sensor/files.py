@@ -1,57 +1,107 @@
-"""Results are written whole or not at all: files beside their place first, folders likewise."""
+"""Results are written whole or not at all: in a hidden folder beside their place first."""
 
-import os
-import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from virtual_sensor.errors import InputError
 
-
-@contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """A temporary file to write; it takes its place when all went well and is removed if not."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        yield temporary
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+RESULTS_SIGN = "summary.json"
+"""A folder with this file holds results and may be replaced; what else it is, nobody knows."""
 
 
-@contextmanager
-def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
-    """A temporary folder to fill; it takes its place when all went well and is removed if not.
+def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
+    """Refuse an output that must not or can't be written; to be asked before any work is done.
 
     Raises
     ------
     InputError
-        If the folder exists and `overwrite` is not set, or its parent can't be written.
+        If it exists and `overwrite` is not set, `overwrite` would destroy something else than
+        earlier results, or its place can't be written.
     """
-    path = path.absolute()
-    if path.exists() and not overwrite:
-        raise InputError(f"{path}: the output folder exists; name another, or say --overwrite")
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: the output folder's name belongs to a file; name another")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
-    try:
-        temporary.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(
-            f"{path}: the output folder can't be made ({error.strerror}); choose one where you may"
-            " write"
-        ) from None
-    try:
-        yield temporary
-        old = path.with_name(f".{path.name}.{os.getpid()}.old")
+    with _told(path):
         if path.exists():
-            path.replace(old)
-        temporary.replace(path)
-        shutil.rmtree(old, ignore_errors=True)
+            if not overwrite:
+                raise InputError(f"{path}: exists; name another with -o, or say --overwrite")
+            if not (path.is_dir() if folder else path.is_file()):
+                raise InputError(f"{path}: is not a {'folder' if folder else 'file'}; name another")
+            if folder and any(path.iterdir()) and not (path / RESULTS_SIGN).exists():
+                raise InputError(
+                    f"{path}: holds other files than results (there is no {RESULTS_SIGN}), which"
+                    " --overwrite would delete; name another with -o"
+                )
+        place = next(p for p in path.absolute().parents if p.exists())
+        with tempfile.TemporaryDirectory(dir=place):
+            pass
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary file to write; it takes its place when all went well, else it is removed.
+
+    Raises
+    ------
+    InputError
+        If the file can't be written.
+    """
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is not a file; name another")
+    with _beside(path) as workshop:
+        new = workshop / path.name
+        try:
+            yield new
+        except RuntimeError as error:  # OpenEXR's, where others raise OSError
+            raise OSError(f"{error}") from error
+        new.replace(path.resolve())
+
+
+@contextmanager
+def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary folder to fill; it takes its place when all went well, else it is removed.
+
+    Raises
+    ------
+    InputError
+        As `check_output`, and if what it is filled with can't be written.
+    """
+    check_output(path, overwrite, folder=True)
+    final = path.resolve()
+    with _beside(path) as workshop:
+        new, old = workshop / "new", workshop / "old"
+        new.mkdir()
+        try:
+            yield new
+        except InputError as error:
+            raise InputError(f"{error}".replace(f"{new}", f"{path}")) from error
+        try:
+            if overwrite and final.exists():
+                final.replace(old)
+            new.replace(final)
+        finally:
+            if old.exists() and not final.exists():
+                old.replace(final)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """Give a hidden folder on the same disk, which is removed in the end with all it holds."""
+    with _told(path):
+        parent = path.resolve().parent
+        parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(
+            ".unfinished", f".{path.name}.", parent, ignore_cleanup_errors=True
+        ) as folder:
+            yield Path(folder)
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Tell what the system refuses in a user's terms."""
+    try:
+        yield
     except OSError as error:
         raise InputError(
-            f"{path}: the results can't be written ({error.strerror or error}); nothing was kept"
+            f"{path}: can't be written ({error.strerror or error}); nothing was kept. Make room, or"
+            " choose a place where you may write"
         ) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)

@@ -23,6 +23,34 @@ from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
 
+# What Mitsuba says of faults that are easily made, and what we say instead.
+_COMPLAINTS = (
+    (
+        r'unreferenced propert\w+ in (\w+) plugin of type "([^"]+)":\s+- \w+ "([^"]+)"',
+        r'<\1 type="\2"> has no property "\3"; correct its name or take it out',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": \[PluginManager\] Plugin .* not found',
+        r'there is no <\1 type="\2">; correct its type',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": .*Could not find property named "([^"]+)"',
+        r'<\1 type="\2"> lacks its "\3"; add it',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": .*file "([^"]+)": file not found',
+        r'<\1 type="\2">: there is no file "\3" where "filename" says; correct it',
+    ),
+    (
+        r'could not parse (.*) "([^"]*)"',
+        r'"\2" is no \1; correct it, or the parameter that it comes from',
+    ),
+    (
+        r"undefined parameter: (\S+)",
+        r"the parameter \1 has no value; give it one, or a <default> in the scene",
+    ),
+)
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -90,8 +118,9 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
         Naming the file, the element and the remedy.
     """
     path = find_scene(name)
-    values = _parameters(path, {key: str(value) for key, value in parameters.items()})
-    loaded = _load(path, values)
+    given = {key: str(value) for key, value in parameters.items()}
+    values = _parameters(path, given)
+    loaded = _load(path, given)
     integrator = loaded.integrator()
     if not isinstance(integrator, plugins.refractive.Refractive):
         raise InputError(
@@ -118,7 +147,8 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
         raise InputError(f"{path}: its root element is <{root.tag}>; a scene's is <scene>")
     defaults = {str(e.get("name")): str(e.get("value")) for e in root.iter("default")}
     used = set(re.findall(r"\$(\w+)", path.read_text(encoding="utf-8")))
-    unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in used)]
+    free = [name for name in used if not name.startswith(tuple(defaults))]
+    unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in free)]
     if unknown:
         names = ", ".join(sorted(defaults)) or "none"
         raise InputError(f"{path}: no parameter '{unknown[0]}'; the scene has: {names}")
@@ -138,20 +168,21 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
     return values
 
 
-def _load(path: Path, values: dict[str, str]) -> Any:
+def _load(path: Path, given: dict[str, str]) -> Any:
     """Load with Mitsuba, and put its complaint in a user's terms."""
     try:
-        return mi.load_file(str(path), **values)
+        return mi.load_file(str(path), **given)
     except Exception as error:  # Mitsuba raises RuntimeError, and passes on what plugins raise
         text = str(error)
-        ours = re.search(r"InputError: (.*)", text, re.DOTALL)
-        where = re.search(r"\(line (\d+), col \d+\)", text)
-        line = f", line {where.group(1)}" if where else ""
-        if ours:
-            raise InputError(f"{path}{line}: {ours.group(1).strip()}") from None
-        reason = text.split("]: ", 1)[-1] if text.startswith("[") else text
-        reason = re.sub(r"^\[[^\]]*\]\s*", "", reason).replace(f"At {path}", "").strip()
-        raise InputError(f"{path}{line}: Mitsuba can't load the scene: {reason}") from None
+    line = re.search(r"\(line (\d+), col \d+\)", text)
+    where = f"{path}, line {line[1]}" if line else str(path)
+    if ours := re.search(r"InputError: (.*)", text, re.DOTALL):
+        raise InputError(f"{where}: {ours[1].strip()}")
+    for pattern, in_our_words in _COMPLAINTS:
+        if found := re.search(pattern, text, re.DOTALL):
+            raise InputError(f"{where}: {found.expand(in_our_words)}")
+    reason = re.split(r"hile loading .*? \(line \d+, col \d+\): |\[[\w.:]+\] ", text)[-1]
+    raise InputError(f"{where}: Mitsuba can't load the scene: {reason.strip()}")
 
 
 def _camera(path: Path, loaded: Any) -> Camera:

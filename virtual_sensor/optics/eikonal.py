@@ -254,7 +254,7 @@ def _march(
     rhs = _right_hand_side(field, line, march)
     stepper = STEPPERS[march.method]
     box = _box(field, march)
-    close = 1e-4 if march.precision == "single" else 1e-6
+    close = 1e-4 if march.precision == "single" else 1e-9
 
     def step(ray: BentRays, h: Any) -> BentRays:
         offset, tau, arc, path = stepper(rhs, ray.t, ray.offset, ray.tau, h)

@@ -39,7 +39,7 @@ class SceneSurface:
         """See `Surface`."""
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
         ray.maxt = mi.Float(limit)
-        met = self.scene.ray_intersect_preliminary(ray, coherent=True, active=active)
+        met = self.scene.ray_intersect_preliminary(ray, active=active)
         return type(direction.x)(dr.select(met.is_valid(), met.t, dr.inf))
 
     def starts_inside(self, origin: Any, direction: Any) -> Any:

@@ -59,7 +59,7 @@ def trace(
     Raises
     ------
     InputError
-        If shapes do not match, a number is not finite, or a direction is zero.
+        If shapes do not match, a number is not finite, a direction is zero or a length negative.
     """
     origins, directions = (np.atleast_2d(np.asarray(x, float)) for x in (origins_mm, directions))
     if origins.shape != directions.shape or origins.shape[1:] != (3,) or not len(origins):
@@ -67,9 +67,14 @@ def trace(
             f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
         )
     norm = np.linalg.norm(directions, axis=1)
-    lengths = np.broadcast_to(np.asarray(length_mm, float), norm.shape)
-    if not (np.isfinite(origins).all() and np.isfinite(lengths).all() and np.all(norm > 0.0)):
-        raise InputError("trace: origins and lengths must be finite, and directions not zero")
+    lengths = np.asarray(length_mm, float)
+    if lengths.shape not in ((), norm.shape):
+        raise InputError(f"trace: length_mm {lengths.shape} must be one number or ({len(norm)},)")
+    if not (np.isfinite(origins).all() and np.isfinite(norm).all() and np.all(norm > 0.0)):
+        raise InputError("trace: origins and directions must be finite, and directions not zero")
+    if not (np.isfinite(lengths).all() and np.all(lengths >= 0.0)):
+        raise InputError("trace: lengths must be finite and not negative")
+    lengths = np.broadcast_to(lengths, norm.shape)
     march = March(step_mm, method, precision)
     o, d = to_vectors(origins), to_vectors(directions / norm[:, None])
     line = Straight.through(o, d, march)

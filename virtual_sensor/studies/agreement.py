@@ -6,11 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
 from virtual_sensor.metrology.line_peaks import LineCentres, Status
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus
 
 Array = NDArray[np.float64]
 
+_PROFILE = 1.5  # seen out to so many 1/e^2 radii on both sides, the profile is whole
+_DOT_REACH_PX = 3.0
 _BREAK = 4.0  # a step between neighbouring rays this many times the usual one parts the line
 
 
@@ -21,16 +24,20 @@ class Agreement:
     Attributes
     ----------
     column : ndarray of shape (N,)
-        Columns that have a line centre and lie on the searched line.
+        Columns that have a line centre, lie on the searched line and see the whole profile.
     difference_px : ndarray of shape (N,)
         Row of the line centre minus row of the searched line there.
     expected : int
-        Columns that lie wholly on the searched line.
+        Columns that lie wholly on the searched line and see the whole profile.
+    cut : int
+        Columns on the searched line where an edge hides part of the profile: they are left out,
+        since the centre of what is left is not that of the line.
     """
 
     column: Array
     difference_px: Array
     expected: int
+    cut: int
 
     @property
     def rms_px(self) -> float:
@@ -45,20 +52,89 @@ class Agreement:
         )
 
 
-def compare(line: LineCentres, found: FoundPixels) -> Agreement:
+def compare(
+    line: LineCentres, found: FoundPixels, across_mm: NDArray[np.floating], radius_mm: float
+) -> Agreement:
     """Set the centres of a rendered line beside a dense search along it.
 
     Between searched rays the line is a cubic spline, piece by piece where the surface breaks it.
+
+    Parameters
+    ----------
+    line : LineCentres
+    found : FoundPixels
+    across_mm : ndarray of shape (H, W)
+        The true coordinate a across the sheet of each pixel; NaN where no light is.
+    radius_mm : float
+        The laser's 1/e^2 radius.
     """
     pieces = _pieces(found)
     row = np.full(line.column.shape, np.nan)
-    whole = np.zeros(line.column.shape, bool)
+    covered = np.zeros(line.column.shape, bool)
     for u, v in pieces:
         on = (line.column >= u[0]) & (line.column <= u[-1])
         row[on] = CubicSpline(u, v)(line.column[on])
-        whole |= (line.column - 0.5 >= u[0]) & (line.column + 0.5 <= u[-1])
-    both = (line.status == Status.OK) & np.isfinite(row)
-    return Agreement(line.column[both].astype(float), (line.row - row)[both], int(whole.sum()))
+        covered |= (line.column - 0.5 >= u[0]) & (line.column + 0.5 <= u[-1])
+    whole = _sees_whole_profile(row, across_mm, radius_mm)
+    both = (line.status == Status.OK) & np.isfinite(row) & whole
+    return Agreement(
+        line.column[both].astype(float),
+        (line.row - row)[both],
+        int(np.sum(covered & whole)),
+        int(np.sum(covered & ~whole)),
+    )
+
+
+def _sees_whole_profile(
+    row: Array, across_mm: NDArray[np.floating], radius_mm: float
+) -> NDArray[np.bool_]:
+    """Columns that see the profile round a row from edge to edge, on one piece of the surface."""
+    known = np.isfinite(row)
+    middle = np.where(known, np.rint(row), 0).astype(int).clip(0, len(across_mm) - 1)
+    column = np.arange(across_mm.shape[1])
+    number = np.arange(len(across_mm))[:, None]
+    # A pixel starts a new piece where there was no light before, or that of another place.
+    starts = np.ones(across_mm.shape, bool)
+    starts[1:] = ~(np.abs(np.diff(across_mm, axis=0)) < radius_mm)
+    ends = np.ones(across_mm.shape, bool)
+    ends[:-1] = starts[1:]
+    first = np.maximum.accumulate(np.where(starts, number, 0), axis=0)[middle, column]
+    backwards = np.where(ends, number, len(across_mm) - 1)[::-1]
+    last = np.minimum.accumulate(backwards, axis=0)[::-1][middle, column]
+    a = np.stack([across_mm[first, column], across_mm[last, column]])
+    reach = _PROFILE * radius_mm
+    return known & (a.min(axis=0) < -reach) & (a.max(axis=0) > reach)
+
+
+@dataclass(frozen=True)
+class DotAgreement:
+    """Centroids of rendered dots beside the searched pixels of their laser rays.
+
+    Attributes
+    ----------
+    pixel : ndarray of shape (M, 2)
+        Centroid (u, v) of each laser ray's dot; NaN where none was found near the searched pixel.
+    searched : ndarray of shape (M, 2)
+    """
+
+    pixel: Array
+    searched: Array
+
+    @property
+    def difference_px(self) -> Array:
+        """Centroid minus searched pixel, shape (M, 2)."""
+        return self.pixel - self.searched
+
+
+def match_dots(dots: DotCentres, found: FoundPixels) -> DotAgreement:
+    """Give each searched laser ray the dot nearest to its pixel, if there is one within reach."""
+    pixel = np.full_like(found.pixel, np.nan)
+    centres = dots.pixel[dots.status == DotStatus.OK]
+    for i, searched in enumerate(found.pixel):
+        distance = np.linalg.norm(centres - searched, axis=1)
+        if distance.size and np.min(distance) < _DOT_REACH_PX:
+            pixel[i] = centres[np.argmin(distance)]
+    return DotAgreement(pixel, found.pixel)
 
 
 def _pieces(found: FoundPixels) -> list[tuple[Array, Array]]:

@@ -15,10 +15,11 @@ from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean, round_pixel
+from virtual_sensor.metrology.dot_peaks import dot_centres
 from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.agreement import Agreement, compare
+from virtual_sensor.studies.agreement import Agreement, DotAgreement, compare, match_dots
 
 NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
 """The paper's laser rays: positions y along the line."""
@@ -48,6 +49,8 @@ class State:
         Rays along the whole line, by Newton's search.
     agreement : Agreement
         Rendered line minus dense search.
+    dots : DotAgreement or None
+        Of a laser that makes dots: their centroids beside the search.
     seconds : dict
         Of rendering and of searching.
     """
@@ -60,6 +63,7 @@ class State:
     newton: FoundPixels
     dense: FoundPixels
     agreement: Agreement
+    dots: DotAgreement | None
     seconds: dict[str, float]
 
 
@@ -127,6 +131,10 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
     frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
     seconds["render"] = clock() - at
     line = line_centres(frame.radiance)
+    laser, dots = scene.sensor.laser, None
+    if laser.dots_mm.size:
+        searched = ray_search(scene, laser.dots_mm, "newton")
+        dots = match_dots(dot_centres(frame.radiance), searched)
     return State(
         scene,
         frame,
@@ -135,7 +143,8 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
         paper,
         newton,
         dense,
-        compare(line, dense),
+        compare(line, dense, frame.laser_mm[:, :, 0], laser.radius_mm),
+        dots,
         seconds,
     )
 
@@ -201,7 +210,15 @@ def _state_summary(state: State) -> dict[str, Any]:
             "largest": agreement.largest_px,
             "columns compared": agreement.column.size,
             "columns on the searched line": agreement.expected,
+            "columns where an edge cuts the line": agreement.cut,
         },
+        "rendered dots minus search, px": {
+            "found": int(np.isfinite(state.dots.pixel[:, 0]).sum()),
+            "largest in u": _largest(state.dots.difference_px[:, :1]),
+            "largest in v": _largest(state.dots.difference_px[:, 1:]),
+        }
+        if state.dots
+        else None,
         "paper's search, nine rays": {
             "largest distance, um": _largest(state.paper.distance_um[:, None]),
             "steps": int(state.paper.iterations.max()),

@@ -49,6 +49,17 @@ def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
                     **vectors("point_mm", state.points_mm, "xyz"),
                 },
             )
+            if state.dots:
+                seen = state.dots
+                write_csv(
+                    place / f"dots_{name}.csv",
+                    {
+                        "b_mm": state.scene.sensor.laser.dots_mm,
+                        **vectors("pixel", seen.pixel, "uv"),
+                        **vectors("searched_pixel", seen.searched, "uv"),
+                        **vectors("point_mm", triangulate(state.scene.sensor, seen.pixel), "xyz"),
+                    },
+                )
             write_ply(place / f"points_{name}.ply", state.points_mm, line.amplitude)
         write_csv(place / "nine_rays.csv", _nine_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
@@ -84,7 +95,8 @@ def markdown_table(result: Measurement) -> str:
     words = {"spp": figures["parameters"].get("spp", "16"), "rays": result.rays}
     lines = ["| | " + " | ".join(states) + " |", "|---|" + "---|" * len(states)]
     for name, (shape, (group, key)) in rows.items():
-        cells = (shape.format(state[group][key]) for state in states.values())
+        values = [state[group][key] for state in states.values()]
+        cells = ("none" if value is None else shape.format(value) for value in values)
         lines.append(f"| {name.format(*camera.size, **words)} | {' | '.join(cells)} |")
     made = figures["made_with"]
     lines += [
