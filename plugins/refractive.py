@@ -52,7 +52,7 @@ class Refractive(mi.SamplingIntegrator):
                 method=str(props.get("method", "leapfrog")),
                 precision=str(props.get("precision", "single")),
             )
-        except ValueError as error:
+        except InputError as error:
             raise InputError(f"refractive: {error}") from None
         self.field = (
             IndexField.read(_beside_scene(name), wavelength_nm=wavelength) if name else None
@@ -92,11 +92,12 @@ class Refractive(mi.SamplingIntegrator):
         si = scene.ray_intersect(last, sight.hit)
         valid = sight.hit & si.is_valid()
         bsdf, context = si.bsdf(last), mi.BSDFContext()
-        radiance = si.emitter(scene, valid).eval(si, valid)
+        si.wi = dr.select(valid, si.wi, -heading)  # what meets nothing sees the environment
+        radiance = si.emitter(scene).eval(si)
         for emitter in scene.emitters():
             if isinstance(emitter, LaserLineEmitter):
-                toward, lit = -mi.Vector3f(sight.light.heading), valid
                 light = sight.light
+                toward, lit = -mi.Vector3f(light.heading), valid
                 weight = mi.Spectrum(emitter.irradiance(light.a, light.b, light.concentration))
             else:
                 ds, weight = emitter.sample_direction(si, sampler.next_2d(valid), valid)

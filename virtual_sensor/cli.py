@@ -57,7 +57,8 @@ def before_the_command(
         typer.Option(help="Mitsuba variant, such as llvm_ad_mono (default) or cuda_ad_mono."),
     ] = None,
     version: Annotated[
-        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell it.")
+        bool,
+        typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell the version."),
     ] = False,
 ) -> None:
     """Options before the command."""
@@ -97,14 +98,14 @@ def measure(
         save(result, output, overwrite)
         bar.update(task, description="done", completed=1.0)
     figures = summary(result)
-    table = Table("", "rendered - search, px rms", "at most", "line centres", "rendered in")
+    table = Table("", "rendered - search, px rms", "at most", "centres", "rendered in")
     for name, state in result.states.items():
-        agreement = state.agreement
+        agreement = state.dots or state.agreement
         table.add_row(
             name,
             f"{agreement.rms_px:.4f}",
             f"{agreement.largest_px:.4f}",
-            str(figures["states"][name]["line"]["ok"]),
+            str(int(np.isfinite(state.centres_px[:, 1]).sum())),
             f"{state.seconds['render']:.1f} s",
         )
     console.print(table)
@@ -144,7 +145,7 @@ def search(
         typer.Option("-y", help="A ray's position along the line, mm; repeatable."),
     ] = None,
     rays: Annotated[
-        int | None, typer.Option(min=1, help="So many rays along the whole line, in place of -y.")
+        int | None, typer.Option(min=2, help="So many rays along the whole line, in place of -y.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV file for the result.")

@@ -45,9 +45,9 @@ def written_whole(path: Path) -> Iterator[Path]:
     InputError
         If the file can't be written.
     """
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a file; name another")
     with _beside(path) as workshop:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is not a file; name another")
         new = workshop / path.name
         try:
             yield new

@@ -118,7 +118,7 @@ def test_a_failed_write_leaves_the_old_file(path, monkeypatch):
         raise OSError("No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", half_written)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(InputError, match="No space"):
         field.write(path)
     assert path.read_bytes() == before
     assert [p.name for p in path.parent.iterdir()] == ["field.nc"]

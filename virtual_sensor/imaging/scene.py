@@ -171,7 +171,8 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
 def _load(path: Path, given: dict[str, str]) -> Any:
     """Load with Mitsuba, and put its complaint in a user's terms."""
     try:
-        return mi.load_file(str(path), **given)
+        # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
+        return mi.load_file(str(path), optimize=False, **given)
     except Exception as error:  # Mitsuba raises RuntimeError, and passes on what plugins raise
         text = str(error)
     line = re.search(r"\(line (\d+), col \d+\)", text)

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.steppers import STEPPERS, Vectors
 from virtual_sensor.optics.surfaces import Surface
@@ -71,6 +72,11 @@ class March:
         "single" or "double".
     max_steps : int
         A ray still in the field after so many steps gets status OUT_OF_STEPS.
+
+    Raises
+    ------
+    InputError
+        If one of them can't be marched with.
     """
 
     step_mm: float = 1.0
@@ -80,11 +86,11 @@ class March:
 
     def __post_init__(self) -> None:
         if not self.step_mm > 0.0:
-            raise ValueError(f"step_mm must be positive, not {self.step_mm}")
+            raise InputError(f"step_mm must be positive, not {self.step_mm}")
         if self.method not in STEPPERS:
-            raise ValueError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
+            raise InputError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
         if self.precision not in ("single", "double"):
-            raise ValueError(f"precision must be single or double, not '{self.precision}'")
+            raise InputError(f"precision must be single or double, not '{self.precision}'")
 
     @property
     def vector(self) -> Any:

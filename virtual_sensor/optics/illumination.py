@@ -33,6 +33,8 @@ class LightStatus(IntEnum):
     """Something stands in its way."""
     FOLDED = 2
     """Newton found no single laser ray: a caustic, or rays turned away."""
+    NO_POINT = 3
+    """There was no point to light."""
 
 
 @dataclass
@@ -136,8 +138,8 @@ def illuminate(
 
     Notes
     -----
-    Without a guess the first march carries tangents, which give the Jacobian; the later ones keep
-    it (the chord method), and also look for shadows.
+    Without a guess the first two marches carry tangents, which give the Jacobian; the later ones
+    keep it (the chord method), and also look for shadows.
     """
     frame = LaserFrame.of(laser, march.vector)
     x, y, depth = frame.coordinates(points)
@@ -150,39 +152,40 @@ def illuminate(
     heading = frame.axis + 0.0 * points
     shadowed = dr.full(mi.Mask, False, dr.width(points))
     settled = dr.full(mi.Mask, False, dr.width(points))
-    for _ in range(_MAX_MARCHES):
-        first = jacobian is None
+    for number in range(_MAX_MARCHES):
+        newton = guess is None and number < 2
         origin, direction, by_start = frame.rays(a, b)
         line = Straight.through(origin, direction, march)
         to_plane = depth + frame.centre[2] - dr.dot(frame.axis, line.anchor)
         ray = bend(
             field,
-            NoSurface() if first else surface,
+            NoSurface() if newton else surface,
             line,
             march,
             remaining=in_plane(frame.axis, to_plane - _CLEARANCE_MM),
-            tangents=by_start if first else (),
+            tangents=by_start if newton else (),
             active=wanted & ~settled,
         )
         arrived = ray.status == int(RayStatus.ENDED)
         ray = ray.moved(_CLEARANCE_MM / dr.dot(frame.axis, ray.tangent(line)))
-        if first:
+        if newton:
             jacobian = _jacobian(frame, line, ray)
         at = frame.coordinates(ray.position(line))
         da, db = _solve(jacobian, x - at[0], y - at[1])
         go = wanted & ~settled & arrived
         heading = dr.select(go, dr.normalize(ray.tangent(line)), heading)
         a, b = dr.select(go, a + da, a), dr.select(go, b + db, b)
-        if not first:
+        if not newton:
             shadowed |= wanted & ~settled & (ray.status == int(RayStatus.HIT))
             settled |= shadowed
-        settled |= go & (dr.maximum(dr.abs(da), dr.abs(db)) < _SETTLED_MM) & (not first)
+        settled |= go & (dr.maximum(dr.abs(da), dr.abs(db)) < _SETTLED_MM) & (not newton)
         dr.eval(a, b, jacobian, heading, settled, shadowed)
         if not dr.any(wanted & ~settled):
             break
     folded = wanted & (~settled | (_determinant(jacobian) <= 0.0))
     status = dr.select(shadowed, int(LightStatus.SHADOWED), int(LightStatus.LIT))
     status = dr.select(folded, int(LightStatus.FOLDED), mi.UInt32(status))
+    status = dr.select(wanted, status, int(LightStatus.NO_POINT))
     lit = wanted & (status == int(LightStatus.LIT))
     spread = _determinant(jacobian) * dr.dot(frame.axis, heading)
     return Illumination(

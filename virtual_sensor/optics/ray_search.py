@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.engine import dr
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sensor_model import Camera, SensorModel
@@ -83,7 +84,7 @@ class SearchScene(Protocol):
 def ray_search(
     scene: SearchScene,
     laser_y_mm: ArrayLike,
-    method: str = "newton",
+    method: str = "paper",
     *,
     grid_px: tuple[float, float] = (32.0, 32.0),
     k_stop: int = 15,
@@ -114,9 +115,14 @@ def ray_search(
     Returns
     -------
     FoundPixels
+
+    Raises
+    ------
+    InputError
+        If the method is neither.
     """
     if method not in ("paper", "newton"):
-        raise ValueError(f"method must be 'paper' or 'newton', not '{method}'")
+        raise InputError(f"ray_search: method must be paper or newton, not '{method}'")
     b = np.atleast_1d(np.asarray(laser_y_mm, float))
     target = _incidence_points(scene, b, march)
     if method == "paper":

@@ -114,10 +114,13 @@ class DotAgreement:
     ----------
     pixel : ndarray of shape (M, 2)
         Centroid (u, v) of each laser ray's dot; NaN where none was found near the searched pixel.
+    flux : ndarray of shape (M,)
+        Sum of the dot's pixels.
     searched : ndarray of shape (M, 2)
     """
 
     pixel: Array
+    flux: Array
     searched: Array
 
     @property
@@ -125,29 +128,42 @@ class DotAgreement:
         """Centroid minus searched pixel, shape (M, 2)."""
         return self.pixel - self.searched
 
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the distances; NaN if there is no dot."""
+        squares = np.sum(self.difference_px**2, axis=1)
+        return float(np.sqrt(np.nanmean(squares))) if np.isfinite(squares).any() else np.nan
+
+    @property
+    def largest_px(self) -> float:
+        """Largest distance; NaN if there is no dot."""
+        squares = np.sum(self.difference_px**2, axis=1)
+        return float(np.sqrt(np.nanmax(squares))) if np.isfinite(squares).any() else np.nan
+
 
 def match_dots(dots: DotCentres, found: FoundPixels) -> DotAgreement:
     """Give each searched laser ray the dot nearest to its pixel, if there is one within reach."""
-    pixel = np.full_like(found.pixel, np.nan)
-    centres = dots.pixel[dots.status == DotStatus.OK]
+    pixel, flux = np.full_like(found.pixel, np.nan), np.full(len(found.pixel), np.nan)
+    sound = dots.status == DotStatus.OK
     for i, searched in enumerate(found.pixel):
-        distance = np.linalg.norm(centres - searched, axis=1)
+        distance = np.linalg.norm(dots.pixel[sound] - searched, axis=1)
         if distance.size and np.min(distance) < _DOT_REACH_PX:
-            pixel[i] = centres[np.argmin(distance)]
-    return DotAgreement(pixel, found.pixel)
+            nearest = np.argmin(distance)
+            pixel[i], flux[i] = dots.pixel[sound][nearest], dots.flux[sound][nearest]
+    return DotAgreement(pixel, flux, found.pixel)
 
 
 def _pieces(found: FoundPixels) -> list[tuple[Array, Array]]:
-    """Unbroken pieces of the searched line as (u, v), u ascending."""
+    """Unbroken pieces of the searched line as (u, v), u ascending; not those that fold back."""
     usable = found.status == SearchStatus.FOUND
     steps = np.linalg.norm(np.diff(found.pixel, axis=0), axis=1)
     usual = np.nanmedian(steps) if np.isfinite(steps).any() else np.nan
     joined = np.isfinite(steps) & (steps < _BREAK * usual)
     pieces = []
     for run in np.split(np.arange(len(usable)), np.flatnonzero(~joined) + 1):
-        pixel = found.pixel[run[usable[run]]]
-        order = np.argsort(pixel[:, 0])
-        u, v = pixel[order].T
+        u, v = found.pixel[run[usable[run]]].T
+        if len(u) and u[0] > u[-1]:
+            u, v = u[::-1], v[::-1]
         if len(u) >= 4 and np.all(np.diff(u) > 0.0):
             pieces.append((u, v))
     return pieces

@@ -41,8 +41,8 @@ class State:
     scene : Scene
     frame : Frame
     line : LineCentres
-    points_mm : ndarray of shape (W, 3)
-        Triangulated from the line, world.
+    points_mm : ndarray of shape (N, 3)
+        Triangulated from `centres_px`, world.
     paper, newton : FoundPixels
         The nine rays, by the paper's search and by Newton's.
     dense : FoundPixels
@@ -65,6 +65,11 @@ class State:
     agreement: Agreement
     dots: DotAgreement | None
     seconds: dict[str, float]
+
+    @property
+    def centres_px(self) -> Array:
+        """What the image gives, (u, v): the line's centre in each column, or the dots; (N, 2)."""
+        return self.dots.pixel if self.dots else self.line.pixel
 
 
 @dataclass(frozen=True)
@@ -139,7 +144,7 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
         scene,
         frame,
         line,
-        triangulate(scene.sensor, line.pixel),
+        triangulate(scene.sensor, dots.pixel if dots else line.pixel),
         paper,
         newton,
         dense,

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import written_whole
 from virtual_sensor.metrology.deviation import euclidean
-from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.measure import (
@@ -59,7 +58,8 @@ def _frame(axes: Axes, result: Measurement) -> None:
     extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
     axes.imshow(image[top:bottom, left:right], cmap="gray", aspect="auto", extent=extent)
     for label, drawn in result.states.items():
-        axes.plot(drawn.line.column, drawn.line.row, color=_COLOURS[label], lw=0.9, label=label)
+        style = "+" if drawn.dots else "-"
+        axes.plot(*drawn.centres_px.T, style, color=_COLOURS[label], lw=0.9, label=label)
     axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u in px (along the line)")
     axes.set(ylabel="v in px", title=f"Camera frame, {name} part, with the line centres found")
     axes.legend(loc="lower center", ncols=2)
@@ -102,8 +102,9 @@ def _air(axes: Axes, result: Measurement, across: bool) -> None:
 def _height(axes: Axes, result: Measurement) -> None:
     """How far the measured section is from the true one, across the whole line."""
     for name, state in result.states.items():
-        y, error = _section_error(state, state.points_mm[state.line.status == Status.OK])
-        axes.plot(y, error, color=_COLOURS[name], lw=1.2, label=f"{name}, rendered")
+        y, error = _section_error(state, state.points_mm[np.isfinite(state.points_mm[:, 0])])
+        style = "+" if state.dots else "-"
+        axes.plot(y, error, style, color=_COLOURS[name], lw=1.2, label=f"{name}, rendered")
         searched = triangulate(state.scene.sensor, state.dense.pixel)
         y, error = _section_error(state, searched[np.isfinite(searched[:, 0])])
         axes.plot(y[::8], error[::8], "o", ms=2.5, mfc="none", color=_COLOURS[name])
@@ -121,7 +122,7 @@ def _section_error(
     The true section is where the straight sheet meets the surface: the cold incidence points.
     """
     half = 0.55 * state.scene.sensor.laser.length_mm
-    cold = ray_search(state.scene.cold(), np.linspace(-half, half, 801)).laser_point_mm
+    cold = ray_search(state.scene.cold(), np.linspace(-half, half, 801), "newton").laser_point_mm
     cold = cold[np.isfinite(cold[:, 0])]
     order = np.argsort(cold[:, 1])
     height = np.interp(measured_mm[:, 1], cold[order, 1], cold[order, 2], left=np.nan, right=np.nan)
@@ -146,25 +147,31 @@ def _nine_rays(axes: Axes, result: Measurement) -> None:
 
 def _residual(axes: Axes, result: Measurement) -> None:
     for name, state in result.states.items():
-        agreement = state.agreement
-        label = f"{name}: rms {agreement.rms_px:.4f} px, at most {agreement.largest_px:.4f} px"
-        axes.plot(
-            agreement.column, agreement.difference_px, color=_COLOURS[name], lw=0.8, label=label
-        )
+        seen = state.dots or state.agreement
+        label = f"{name}: rms {seen.rms_px:.4f} px, at most {seen.largest_px:.4f} px"
+        if state.dots:
+            u, dv = state.dots.searched[:, 0], state.dots.difference_px[:, 1]
+            axes.plot(u, dv, "o", ms=3, color=_COLOURS[name], label=label)
+        else:
+            u, dv = state.agreement.column, state.agreement.difference_px
+            gaps = np.flatnonzero(np.diff(u) > 1.5) + 1
+            u, dv = np.insert(u, gaps, np.nan), np.insert(dv, gaps, np.nan)
+            axes.plot(u, dv, color=_COLOURS[name], lw=0.8, label=label)
     axes.axhline(0.0, color="0.7", lw=0.6)
-    axes.set(xlabel="u in px", ylabel="Δv in px", title="Rendered line minus ray search")
+    what = "dots" if result.cold.dots else "line"
+    axes.set(xlabel="u in px", ylabel="Δv in px", title=f"Rendered {what} minus ray search")
     axes.legend(fontsize=8)
 
 
 def _text(axes: Axes, result: Measurement) -> None:
     """The figures of `summary.json` that a reader asks for first."""
     figures = summary(result)
-    lines = [
-        f"nine rays, {name}: {um:.3g} µm" for name, um in figures["nine_rays_um"].items() if um
-    ]
+    lines = ["Nine rays:"]
+    lines += [f"  {name}: {um:.3g} µm" for name, um in figures["nine_rays_um"].items() if um]
     for name, state in result.states.items():
-        found = int(np.sum(state.line.status == Status.OK))
-        lines.append(f"{name}: {found} line centres, rendered in {state.seconds['render']:.1f} s")
+        found = int(np.isfinite(state.centres_px[:, 1]).sum())
+        lines.append(f"{name}: {found} centres, rendered in {state.seconds['render']:.1f} s")
     lines += [f"whole measurement: {result.seconds:.1f} s", *result.told]
-    axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=9, wrap=True)
+    text = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5)
+    text.set_in_layout(False)
     axes.set_axis_off()

@@ -13,6 +13,7 @@ from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.studies.measure import (
     NINE_RAYS_MM,
     Measurement,
+    State,
     nine_ray_deviations,
     summary,
 )
@@ -36,19 +37,7 @@ def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
             header["virtual_sensor/state"] = name
             write_exr(place / f"{name}.exr", state.frame, header)
             write_png(place / f"{name}.png", state.frame.radiance, white)
-            line = state.line
-            write_csv(
-                place / f"line_{name}.csv",
-                {
-                    "column": line.column,
-                    "row": line.row,
-                    "row_error": line.row_error,
-                    "sigma": line.sigma,
-                    "amplitude": line.amplitude,
-                    "status": status_names(line.status, Status),
-                    **vectors("point_mm", state.points_mm, "xyz"),
-                },
-            )
+            write_csv(place / f"line_{name}.csv", _line_table(state))
             if state.dots:
                 seen = state.dots
                 write_csv(
@@ -56,11 +45,13 @@ def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
                     {
                         "b_mm": state.scene.sensor.laser.dots_mm,
                         **vectors("pixel", seen.pixel, "uv"),
+                        "flux": seen.flux,
                         **vectors("searched_pixel", seen.searched, "uv"),
-                        **vectors("point_mm", triangulate(state.scene.sensor, seen.pixel), "xyz"),
+                        **vectors("point_mm", state.points_mm, "xyz"),
                     },
                 )
-            write_ply(place / f"points_{name}.ply", state.points_mm, line.amplitude)
+            brightness = state.dots.flux if state.dots else state.line.amplitude
+            write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
         write_csv(place / "nine_rays.csv", _nine_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
         draw_report(result, place / "report.png")
@@ -105,6 +96,19 @@ def markdown_table(result: Measurement) -> str:
         f" threads ({made['variant']}); the march: {made['march']}.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _line_table(state: State) -> dict[str, Any]:
+    line = state.line
+    return {
+        "column": line.column,
+        "row": line.row,
+        "row_error": line.row_error,
+        "sigma": line.sigma,
+        "amplitude": line.amplitude,
+        "status": status_names(line.status, Status),
+        **vectors("point_mm", triangulate(state.scene.sensor, line.pixel), "xyz"),
+    }
 
 
 def _nine_rays_table(result: Measurement) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
@@ -26,10 +27,12 @@ def search(
     Raises
     ------
     InputError
-        If the scene can't be measured (see `imaging.checks`).
+        If a number is not finite, or the scene can't be measured (see `imaging.checks`).
     """
-    check_scene(scene)
     y = NINE_RAYS_MM if y_mm is None else np.asarray(y_mm, float)
+    if not np.isfinite(y).all():
+        raise InputError(f"search: the rays' y are {y.tolist()}; give finite numbers in mm")
+    check_scene(scene)
     if rays:
         y = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
     found = ray_search(scene, y, method)

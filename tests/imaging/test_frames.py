@@ -1,0 +1,124 @@
+"""Rendered frames against the ray search, the sensor model and the part's shape."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+
+import virtual_sensor as vs
+from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.metrology.dot_peaks import DotStatus, dot_centres
+from virtual_sensor.metrology.line_peaks import Status
+from virtual_sensor.optics.ray_search import SearchStatus
+
+TEMPERATURES = ["cold", "hot"]
+
+
+def load(temperature, **parameters):
+    """The cylinder's scene, cold or hot."""
+    return vs.load_scene(f"{temperature}_cylinder", **parameters)
+
+
+def on_cylinder(y):
+    """Where straight laser rays at y meet the cylinder: the plane z = -x tan(60 deg)."""
+    z = np.sqrt(13.5**2 - y**2) - 13.5
+    return np.column_stack([-z / np.tan(np.radians(60.0)), y, z])
+
+
+@pytest.mark.parametrize("size", [(2048, 2048), (1999, 1500), (1500, 1801)])
+def test_projected_point_is_where_its_dot_is_rendered(size):
+    """Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i: that half would show."""
+    y = np.array([-5.0, -1.25, 0.0, 2.5])
+    scene = load("cold", width=size[0], height=size[1], line_radius=0.05, dots="-5, -1.25, 0, 2.5")
+    dots = dot_centres(vs.render(scene))
+    np.testing.assert_array_equal(dots.status, DotStatus.OK)
+    np.testing.assert_allclose(dots.pixel, scene.sensor.camera.project(on_cylinder(y)), atol=0.003)
+
+
+@pytest.mark.parametrize("temperature", TEMPERATURES)
+@pytest.mark.parametrize("length", [6, pytest.param(22, marks=pytest.mark.slow)])
+def test_line_centres_agree_with_the_ray_search(temperature, length):
+    """A noise-free frame, up to both ends of the line: two ways to the same bent light."""
+    scene = load(temperature, line_length=length, spp=4)
+    found = vs.ray_search(scene, np.linspace(-0.5, 0.5, 401) * length, "newton")
+    u, v = found.pixel[np.argsort(found.pixel[:, 0])].T
+    line = vs.line_centres(vs.render(scene))
+    held = (line.status == Status.OK) & (line.column > u[0]) & (line.column < u[-1])
+    column, error = line.column[held], line.row[held] - CubicSpline(u, v)(line.column[held])
+    assert np.sqrt(np.mean(error**2)) < 0.003
+    assert np.abs(error).max() < 0.01
+    assert column[0] - u[0] < 2.5
+    assert u[-1] - column[-1] < 2.5
+    assert np.all(np.diff(column) == 1)
+
+
+def test_hot_dots_agree_with_the_ray_search():
+    """Along the line, too, where refraction moves dots by pixels and a line shows nothing."""
+    y = np.array([-8.75, -6.25, -3.75, -1.25, 0.0, 5.0])
+    dots = ", ".join(map(str, y))
+    scene = load("hot", line_radius=0.08, dots=dots, spp=4)
+    seen, found = dot_centres(vs.render(scene)), vs.ray_search(scene, y, "newton")
+    np.testing.assert_array_equal(seen.status, DotStatus.OK)
+    straight = scene.sensor.camera.project(on_cylinder(y))
+    np.testing.assert_allclose(seen.pixel, found.pixel, atol=0.02)
+    assert np.abs(found.pixel - straight)[:, 0].max() > 5.0
+
+
+def test_float32_march_agrees_with_float64():
+    """End to end: what is carried is the difference from the straight ray."""
+    rows = [
+        vs.line_centres(vs.render(load("hot", line_length=3, spp=4, precision=precision))).row
+        for precision in ("single", "double")
+    ]
+    error = np.abs(rows[1] - rows[0])
+    assert np.isfinite(error).sum() > 100
+    assert np.nanmax(error) < 0.002
+
+
+@pytest.fixture(scope="module", params=TEMPERATURES)
+def coarse(request):
+    """A scene and its frame on a coarse film."""
+    scene = load(request.param, width=512, height=512, spp=4)
+    return scene, render_frame(scene)
+
+
+def test_lit_points_lie_on_the_part(coarse):
+    """In float32, to a ten-thousandth of a millimetre; and in front of the camera."""
+    _, frame = coarse
+    point = frame.point_mm[frame.lit].astype(float)
+    np.testing.assert_allclose(np.hypot(point[:, 1], point[:, 2] + 13.5), 13.5, atol=1e-4)
+    assert np.all((frame.depth_mm[frame.lit] > 250.0) & (frame.depth_mm[frame.lit] < 350.0))
+
+
+def test_truth_is_nan_outside_the_light(coarse):
+    """Nothing is claimed where the laser does not reach; what shines has a truth, but for edges."""
+    _, frame = coarse
+    for truth in (frame.point_mm[..., 0], frame.depth_mm, *np.moveaxis(frame.laser_mm, -1, 0)):
+        np.testing.assert_array_equal(np.isfinite(truth), frame.lit)
+    bright = frame.radiance > 0.2 * frame.radiance.max()
+    assert np.mean(frame.lit[bright]) > 0.98
+
+
+def test_laser_coordinates_are_those_of_the_ray_search(coarse):
+    """At the pixel that sees laser ray y, the frame says: across the sheet 0, along the line y."""
+    scene, frame = coarse
+    y = np.linspace(-10.5, 10.5, 31)
+    u, v = vs.ray_search(scene, y, "newton").pixel.T
+    a, b = (map_coordinates(frame.laser_mm[..., i], [v, u], order=1) for i in (0, 1))
+    np.testing.assert_allclose(a, 0.0, atol=1e-3)
+    np.testing.assert_allclose(b, y, atol=1e-3)
+
+
+def test_line_breaks_off_where_the_camera_cannot_look():
+    """The groove of the stepped shaft hides the laser: the frame and the search agree where."""
+    scene = vs.load_scene("stepped_shaft", width=1024, height=1024, spp=4).cold()
+    frame = render_frame(scene)
+    a, b = np.moveaxis(frame.laser_mm, -1, 0)
+    lit = np.sort(b[(frame.radiance > 0.0) & (np.abs(a) < 0.02)])
+    y = np.linspace(-10.9, 10.9, 219)
+    seen = vs.ray_search(scene, y, "newton").status == SearchStatus.FOUND
+    nearest = np.min(np.abs(y[:, None] - lit), axis=1)
+    assert (~seen).sum() > 20
+    assert nearest[seen].max() < 0.3
+    assert nearest[~seen].max() > 0.6
+    assert np.median(nearest[~seen]) > 0.2

@@ -1,0 +1,224 @@
+"""The ray search: against SciPy end to end, the paper's way against Newton's, and each status."""
+
+from dataclasses import replace
+
+import numpy as np
+import oracles
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor import ray_search
+from virtual_sensor.engine import mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.optics.surfaces import SceneSurface
+
+NINE = np.linspace(0.0, -10.0, 9)
+PIXEL_UM = 22.0  # on the object: 5.5 um, 300 mm and 75 mm
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene("hot_cylinder")
+
+
+@pytest.fixture(scope="module")
+def newton(scene):
+    return ray_search(scene, NINE, "newton")
+
+
+@pytest.fixture(scope="module")
+def paper(scene):
+    return ray_search(scene, NINE, "paper")
+
+
+def entered(field, origins, directions):
+    """Where straight rays from outside enter the field's box."""
+    with np.errstate(divide="ignore"):
+        crossings = (field.box[:, None] - origins) / directions
+    near = crossings.min(axis=0).max(axis=1, keepdims=True)
+    return origins + near * directions
+
+
+def above_cylinder(points):
+    return np.hypot(points[:, 1], points[:, 2] + 13.5) - 13.5
+
+
+def scipys_hits(field, index, origins, directions):
+    """Where SciPy's rays meet the paper's cylinder: points (N, 3)."""
+    starts = entered(field, origins, directions)
+    to_top = np.min(-starts[:, 2] / directions[:, 2])
+    rays = oracles.integrate(index, starts, directions, to_top + 15.0)
+    arcs = rays.arcs_to(above_cylinder, to_top - 15.0, to_top + 15.0)
+    return np.array([rays.position(s)[i] for i, s in enumerate(arcs)])
+
+
+def test_newtons_pixels_are_scipys(scene):
+    """Fifty laser rays to the cylinder and fifty lines of sight back to it, to 1e-5 px.
+
+    SciPy has its own spline through the nodes, its own integrator and its own variable, arc length;
+    where its line of sight misses its laser point, the pixel was wrong by as much.
+    """
+    y = np.linspace(-10.5, 10.5, 50)
+    found = ray_search(scene, y, "newton")
+    assert np.all(found.status == SearchStatus.FOUND)
+    field, camera = scene.field, scene.sensor.camera
+    index = oracles.spline_index(field.nodes, field.origin, field.spacing, field.mirror)
+    laser_points = scipys_hits(field, index, *scene.sensor.laser.rays(0.0, y))
+    sight = camera.lines_of_sight(found.pixel)
+    seen = scipys_hits(field, index, np.tile(camera.pose.origin_mm, (50, 1)), sight)
+    for difference in (found.laser_point_mm - laser_points, seen - laser_points):
+        on_sensor = difference @ camera.pose.rotation[:, :2]
+        assert np.linalg.norm(on_sensor, axis=1).max() * 1e3 / PIXEL_UM < 1e-5
+    straight = np.linalg.norm(camera.project(laser_points) - found.pixel, axis=1)
+    assert straight.max() > 1.0  # px: what refraction does, and the search has found
+
+
+def test_newton_meets_the_laser_point_in_few_marches(newton):
+    assert np.all(newton.status == SearchStatus.FOUND)
+    assert newton.distance_um.max() < 1e-6
+    assert newton.iterations.max() <= 6
+    np.testing.assert_allclose(newton.seen_point_mm, newton.laser_point_mm, rtol=0, atol=1e-9)
+
+
+def test_the_papers_search_ends_within_a_micrometre(paper):
+    """Its stop criterion, r_max = 1 um, within its k_stop = 15 steps, for its nine rays."""
+    assert np.all(paper.status == SearchStatus.FOUND)
+    assert paper.distance_um.max() < 1.0
+    assert paper.iterations.max() <= 15
+    on_cylinder = [above_cylinder(p) for p in (paper.laser_point_mm, paper.seen_point_mm)]
+    np.testing.assert_allclose(on_cylinder, 0.0, rtol=0, atol=1e-9)
+
+
+def test_both_searches_find_the_same_pixels(paper, newton):
+    """Within the paper's own radius; its distances are those between its two points."""
+    np.testing.assert_allclose(paper.laser_point_mm, newton.laser_point_mm, rtol=0, atol=1e-12)
+    apart = np.linalg.norm(paper.pixel - newton.pixel, axis=1)
+    assert apart.max() * PIXEL_UM < 1.05  # refraction itself magnifies by a few per cent
+    assert apart.min() > 0.0
+
+
+def test_distances_are_parallel_to_the_sensor(scene, paper):
+    """Equation 3's pixel size turns them into pixels, which depth along the axis must not."""
+    camera = scene.sensor.camera
+    apart = camera.project(paper.seen_point_mm) - camera.project(paper.laser_point_mm)
+    in_pixels = np.linalg.norm(apart, axis=1) * PIXEL_UM
+    np.testing.assert_allclose(paper.distance_um, in_pixels, rtol=0.05)
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+def test_left_and_right_of_the_cylinder_are_mirror_images(scene, method):
+    """The field is even in y, and u runs along y about the middle of the image."""
+    y = np.array([2.0, 5.0, 7.5, 10.0])
+    left, right = ray_search(scene, -y, method), ray_search(scene, y, method)
+    flip = np.array([1.0, -1.0, 1.0])
+    np.testing.assert_allclose(right.laser_point_mm, flip * left.laser_point_mm, rtol=0, atol=1e-9)
+    if method == "newton":  # the paper's steps are not symmetric
+        middle = scene.sensor.camera.matrix[0, 2]
+        mirrored = np.stack([2.0 * middle - left.pixel[:, 0], left.pixel[:, 1]], axis=-1)
+        np.testing.assert_allclose(right.pixel, mirrored, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(right.seen_point_mm, flip * left.seen_point_mm, atol=1e-9)
+
+
+def test_the_middle_ray_stays_in_the_middle(newton):
+    """At y = 0 symmetry leaves only the height: B lies on the top line, its pixel on c_x."""
+    np.testing.assert_allclose(newton.laser_point_mm[0, 1:], 0.0, rtol=0, atol=1e-12)
+    assert newton.pixel[0, 0] == pytest.approx(1023.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+def test_cold_light_is_found_at_once(scene, method):
+    """The start pixel of step 2.1 is the straight projection, and light runs straight."""
+    found = ray_search(scene.cold(), NINE, method)
+    expected = scene.sensor.camera.project(found.laser_point_mm)
+    assert np.all(found.status == SearchStatus.FOUND)
+    assert found.distance_um.max() < 1e-8
+    np.testing.assert_allclose(found.pixel, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.laser_point_mm[:, 1], NINE, rtol=0, atol=1e-12)
+    assert np.all(found.iterations == (1 if method == "paper" else 2))
+
+
+# ------------------------------------------------------------------------------------- statuses
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("hot", [True, False], ids=["hot", "cold"])
+def test_a_ray_beside_the_cylinder_has_no_pixel(scene, method, hot):
+    """And does not disturb its neighbours; nor do they need it."""
+    found = ray_search(scene if hot else scene.cold(), [-4.0, 20.0, -6.0, -15.0], method)
+    missed = np.array([False, True, False, True])
+    np.testing.assert_array_equal(found.status == SearchStatus.LASER_MISSED, missed)
+    np.testing.assert_array_equal(found.status == SearchStatus.FOUND, ~missed)
+    for values in (found.laser_point_mm, found.pixel, found.seen_point_mm):
+        np.testing.assert_array_equal(np.isnan(values).all(axis=1), missed)
+    np.testing.assert_array_equal(np.isnan(found.distance_um), missed)
+    assert np.all(found.iterations[missed] == 0)
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
+    """Then there is nothing to march back to; a single ray may come as a plain number."""
+    found = ray_search(scene, [20.0, 15.0], method)
+    np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
+    found = ray_search(scene.cold(), 20.0, method)
+    assert found.pixel.shape == (1, 2)
+    np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
+
+
+def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
+    """One pixel wide, it can't reach what refraction moves by several; the best is still told."""
+    found = ray_search(scene, NINE, "paper", grid_px=(1.0, 1.0))
+    far = np.abs(scene.sensor.camera.project(newton.laser_point_mm) - newton.pixel) > 1.1
+    expected = np.where(far.any(axis=1), SearchStatus.ABOVE_RADIUS, found.status)
+    np.testing.assert_array_equal(found.status, expected)
+    above = found.status == SearchStatus.ABOVE_RADIUS
+    assert above.any()
+    assert np.all(found.distance_um[above] > 1.0)
+    assert np.all(np.isfinite(found.pixel[above]))
+    assert np.all(found.iterations[above] == 15)
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+def test_a_pixel_beside_the_sensor_is_not_used(scene, newton, method):
+    """A narrower sensor about the same axis loses the outer rays."""
+    camera = replace(scene.sensor.camera, size=(900, 2048))
+    narrow = replace(scene, sensor=replace(scene.sensor, camera=camera))
+    found = ray_search(narrow, NINE, method)
+    outside = newton.pixel[:, 0] > 899.5
+    assert 0 < outside.sum() < len(NINE)
+    np.testing.assert_array_equal(found.status == SearchStatus.OUTSIDE_IMAGE, outside)
+    np.testing.assert_array_equal(np.isnan(found.pixel).all(axis=1), outside)
+    assert np.all(np.isfinite(found.laser_point_mm))
+
+
+@pytest.mark.parametrize("method", ["newton", "paper"])
+def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
+    """A bead before the camera hides one laser point; its pixel sees the bead and is not used."""
+    cold = scene.cold()
+    free = ray_search(cold, [-2.0, -4.0, -6.0], "newton")
+    toward = scene.sensor.camera.pose.origin_mm - free.laser_point_mm[1]
+    bead = free.laser_point_mm[1] + 20.0 * oracles.unit(toward)
+    surface = SceneSurface(
+        mi.load_dict(
+            {
+                "type": "scene",
+                "part": {
+                    "type": "cylinder",
+                    "p0": [-85, 0, -13.5],
+                    "p1": [85, 0, -13.5],
+                    "radius": 13.5,
+                },
+                "bead": {"type": "sphere", "center": bead.tolist(), "radius": 1.0},
+            }
+        )
+    )
+    found = ray_search(replace(cold, surface=surface), [-2.0, -4.0, -6.0], method)
+    expected = [SearchStatus.FOUND, SearchStatus.UNDERCUT, SearchStatus.FOUND]
+    np.testing.assert_array_equal(found.status, expected)
+    assert np.all(np.isnan(found.pixel[1]))
+    assert np.linalg.norm(found.seen_point_mm[1] - bead) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_an_unknown_method_is_refused(scene):
+    with pytest.raises(InputError, match="paper or newton"):
+        ray_search(scene, NINE, "secant")

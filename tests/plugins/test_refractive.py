@@ -1,0 +1,160 @@
+"""The refractive integrator against Mitsuba's own, against closed forms and against itself."""
+
+import numpy as np
+import pytest
+from virtual_sensor_plugins.lit_pixels import LitPixels, centre_rays
+
+import virtual_sensor as vs
+from virtual_sensor.engine import mi
+from virtual_sensor.imaging.render import render_frame
+
+COARSE = {"width": 512, "height": 512, "spp": 4}
+
+# A plane lit from above, with a screen 20 mm over its y = 2 ... 5 mm, seen from 30 degrees.
+SCREENED = """<scene version="3.0.0">
+    <default name="jitter" value="false"/>
+    <default name="size" value="300"/>
+    <default name="spp" value="4"/>
+    <integrator type="refractive"><float name="step" value="8"/></integrator>
+    <sensor type="perspective">
+        <float name="fov" value="8.6"/>
+        <transform name="to_world">
+            <lookat origin="150, 0, 260" target="0, 0, 0" up="-1, 0, 0"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="$size"/><integer name="height" value="$size"/>
+            <string name="pixel_format" value="luminance"/><rfilter type="box"/></film>
+        <sampler type="stratified"><integer name="sample_count" value="$spp"/>
+            <boolean name="jitter" value="$jitter"/></sampler>
+    </sensor>
+    <emitter type="laser_line">
+        <float name="length" value="20"/><float name="radius" value="2"/>
+        <float name="power" value="0.1"/>
+        <transform name="to_world"><lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>
+        </transform>
+    </emitter>
+    OTHER_LIGHT
+    <bsdf type="diffuse" id="grey"><float name="reflectance" value="0.5"/></bsdf>
+    <shape type="rectangle"><transform name="to_world"><scale value="12"/></transform>
+        <ref id="grey"/></shape>
+    <shape type="rectangle"><transform name="to_world"><scale x="8" y="1.5"/>
+        <translate y="3.5" z="20"/></transform><ref id="grey"/></shape>
+</scene>"""
+POINT = '<emitter type="point"><point name="position" x="80" y="50" z="90"/></emitter>'
+AREA = """<shape type="rectangle"><transform name="to_world"><scale value="30"/>
+    <lookat origin="60, -40, 80" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <emitter type="area"><float name="radiance" value="5e-3"/></emitter></shape>"""
+CONSTANT = '<emitter type="constant"><float name="radiance" value="5e-4"/></emitter>'
+
+
+def screened(folder, other_light="", **parameters):
+    """That scene, in air that is the same everywhere but is marched through step by step."""
+    path = folder / "screened.xml"
+    path.write_text(SCREENED.replace("OTHER_LIGHT", other_light), encoding="utf-8")
+    scene = vs.load_scene(path, **parameters)
+    nothing = np.zeros((12, 12, 12))
+    scene.integrator.field = vs.IndexField.from_arrays(nothing, [-44.0] * 3, [8.0] * 3)
+    return scene
+
+
+def image_by(integrator, scene, **options):
+    """Radiance (H, W)."""
+    return np.array(integrator.render(scene.mitsuba, scene.mitsuba.sensors()[0], **options))[..., 0]
+
+
+def crop(scene, offset, size):
+    """Crop the film of a loaded scene."""
+    held = mi.traverse(scene.mitsuba.sensors()[0])
+    held["film.crop_offset"] = mi.ScalarPoint2u(*offset)
+    held["film.crop_size"] = mi.ScalarVector2u(*size)
+    held.update()
+
+
+def test_zero_field_gives_mitsubas_own_image(tmp_path):
+    """The laser's samples have no chance in them: equal to rounding, marched or straight."""
+    scene = screened(tmp_path)
+    direct = image_by(mi.load_dict({"type": "direct"}), scene)
+    for integrator in (scene.integrator, scene.cold().integrator):
+        image = image_by(integrator, scene)
+        np.testing.assert_allclose(image, direct, rtol=1e-3, atol=1e-4 * direct.max())
+
+
+@pytest.mark.parametrize("light", [POINT + AREA, CONSTANT], ids=["point and area", "constant"])
+def test_stock_lights_give_mitsubas_image_within_its_noise(light, tmp_path):
+    """Welch's z of every pixel over independent renders, background included."""
+    scene = screened(tmp_path, light, size=48, spp=16, jitter="true")
+    runs, mean, variance = 10, [], []
+    for number, integrator in enumerate((mi.load_dict({"type": "direct"}), scene.integrator)):
+        images = [image_by(integrator, scene, seed=runs * number + k) for k in range(runs)]
+        mean.append(np.mean(images, axis=0))
+        variance.append(np.var(images, axis=0, ddof=1) / runs)
+    difference, spread = mean[1] - mean[0], np.sqrt(sum(variance))
+    noisy = spread > 1e-5 * mean[0].max()
+    z = difference[noisy] / spread[noisy]
+    assert np.count_nonzero(noisy) > 500
+    assert np.abs(z).max() < 7.0  # Student's t of 18 degrees of freedom: one in a million
+    assert np.mean(z**2) < 1.4  # 1.125 in the mean
+    np.testing.assert_allclose(difference[~noisy], 0.0, atol=1e-4 * mean[0].max())
+
+
+@pytest.mark.parametrize("temperature", ["cold", "hot"])
+def test_no_lit_pixel_is_overlooked(temperature):
+    """Beside a step, too, where a pixel's centre may look past the edge, or be bent past it."""
+    scene = vs.load_scene("stepped_shaft", width=1024, height=1024, spp=4)
+    scene = scene if temperature == "hot" else scene.cold()
+    size = (160, 128)
+    crop(scene, (250, 490), size)
+    sensor = scene.mitsuba.sensors()[0]
+    every = np.arange(size[0] * size[1], dtype=np.uint32)
+    sight = scene.integrator.look(scene.mitsuba, centre_rays(sensor, mi.UInt32(every)))
+    whole = image_by(scene.integrator, scene, lit=LitPixels(every, sight))
+    found = image_by(scene.integrator, scene)
+    inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
+    np.testing.assert_allclose(found[inner], whole[inner], atol=1e-5 * whole.max())
+
+
+@pytest.fixture(scope="module", params=["cold", "hot"])
+def coarse(request):
+    """The cylinder on a coarse film, and its image."""
+    scene = vs.load_scene(f"{request.param}_cylinder", **COARSE, line_length=21.7)
+    return scene, image_by(scene.integrator, scene)
+
+
+def test_mirrored_scene_gives_mirrored_image(coarse):
+    """Nothing tells +y from -y: column u is column W - 1 - u, to float32's rounding."""
+    _, image = coarse
+    np.testing.assert_allclose(image, image[:, ::-1], atol=1e-5 * image.max())
+
+
+def test_cropping_changes_no_pixel(coarse):
+    """The same samples of the same rays, to float32's rounding."""
+    scene, image = coarse
+    crop(scene, (140, 250), (101, 37))
+    part = image_by(scene.integrator, scene)
+    assert np.count_nonzero(part) > 500
+    np.testing.assert_allclose(part, image[250:287, 140:241], atol=1e-4 * image.max())
+
+
+@pytest.fixture(scope="module")
+def screened_frame(tmp_path_factory):
+    """The screened plane's frame."""
+    return render_frame(screened(tmp_path_factory.mktemp("screened")))
+
+
+def test_nothing_is_lit_behind_a_screen(screened_frame):
+    """The plane is lit along the whole line, except in the screen's shadow."""
+    y, z = screened_frame.point_mm[..., 1], screened_frame.point_mm[..., 2]
+    shining = screened_frame.radiance > 1e-3 * screened_frame.radiance.max()
+    on_plane, on_screen = y[shining & (np.abs(z) < 0.1)], y[shining & (np.abs(z - 20.0) < 0.1)]
+    assert not np.any((on_plane > 2.0) & (on_plane < 5.0))
+    assert np.all(np.abs(on_screen - 3.5) < 1.51)
+    pixel_mm = 0.16
+    assert np.diff(np.sort(on_plane)).max() == pytest.approx(3.0, abs=2.0 * pixel_mm)
+    assert np.abs(on_plane).max() == pytest.approx(10.0, abs=pixel_mm)
+
+
+def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):
+    """L = rho E / pi with E = P / (length w) sqrt(2/pi) in the middle of a line square to it."""
+    a, b = np.moveaxis(screened_frame.laser_mm, -1, 0)
+    middle = (np.abs(a) < 0.5) & (np.abs(b) < 1.0)
+    density = 0.1 / 20.0 / 2.0 * np.sqrt(2.0 / np.pi) * np.exp(-2.0 * (a[middle] / 2.0) ** 2)
+    np.testing.assert_allclose(screened_frame.radiance[middle], 0.5 / np.pi * density, rtol=0.002)

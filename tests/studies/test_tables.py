@@ -1,0 +1,108 @@
+"""Tables and point clouds say to other programs what they said to us."""
+
+import csv
+from enum import IntEnum
+
+import numpy as np
+import pytest
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+
+
+class Status(IntEnum):
+    """Some way in which something ends."""
+
+    OK = 0
+    NO_PEAK = 1
+
+
+def read_ply(path):
+    """Read the vertices of a binary PLY file, as the format's description says (Turk 1994)."""
+    header, _, body = path.read_bytes().partition(b"end_header\n")
+    lines = [line.split() for line in header.decode("ascii").splitlines()]
+    assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
+    [count] = [int(words[2]) for words in lines if words[:2] == ["element", "vertex"]]
+    properties = [words for words in lines if words[0] == "property"]
+    assert {words[1] for words in properties} == {"float"}
+    names = [words[2] for words in properties]
+    values = np.frombuffer(body, "<f4")
+    assert values.size == count * len(names)
+    return dict(zip(names, values.reshape(count, len(names)).T, strict=True))
+
+
+def test_a_table_reads_back_to_ten_digits(tmp_path):
+    """Rationale: a pixel of 1234.567 must keep its 1e-6 px, and a number stay a number."""
+    numbers = np.random.default_rng(5).normal(size=50) * 10.0 ** np.arange(-25, 25)
+    write_csv(tmp_path / "t.csv", {"value": numbers, "column": np.arange(50)})
+    read = np.genfromtxt(tmp_path / "t.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(read["value"], numbers, rtol=1e-9)
+    np.testing.assert_array_equal(read["column"], np.arange(50))
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_nan_is_an_empty_cell(tmp_path, kind):
+    """Rationale: every program takes an empty cell for a missing value, 'nan' not every one."""
+    columns = {"u": np.array([1.5, np.nan, 2.5], kind), "status": ["ok", "no_peak", "ok"]}
+    write_csv(tmp_path / "t.csv", columns)
+    with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["u"] for row in rows] == ["1.5", "", "2.5"]
+    assert [row["status"] for row in rows] == ["ok", "no_peak", "ok"]
+    read = np.genfromtxt(tmp_path / "t.csv", None, delimiter=",", names=True, encoding="utf-8")
+    np.testing.assert_array_equal(read["u"], [1.5, np.nan, 2.5])
+
+
+def test_a_table_without_rows_has_its_header(tmp_path):
+    """Rationale: no result is a result, and its columns still have names."""
+    write_csv(tmp_path / "t.csv", {"u": np.empty(0), "v": np.empty(0)})
+    assert (tmp_path / "t.csv").read_text() == "u,v\n"
+
+
+def test_columns_of_different_length_are_a_mistake_that_writes_nothing(tmp_path):
+    """Rationale: cut to the shortest, rows would belong to no ray."""
+    with pytest.raises(ValueError, match="shorter"):
+        write_csv(tmp_path / "t.csv", {"u": np.zeros(3), "v": np.zeros(2)})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_without_a_place_is_the_users_error(tmp_path):
+    """Rationale: a full path in the message is worth more than a traceback."""
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=r"file/t\.csv: can't be written"):
+        write_csv(tmp_path / "file" / "t.csv", {"u": [1.0]})
+
+
+def test_states_are_named_in_lower_case():
+    """Rationale: numbers of an enumeration mean nothing in a table."""
+    np.testing.assert_array_equal(
+        status_names(np.array([0, 1, 0], np.uint8), Status), ["ok", "no_peak", "ok"]
+    )
+
+
+def test_vectors_become_one_column_per_axis():
+    """Rationale: a cell holds one number, and its name says along which axis."""
+    columns = vectors("pixel", np.array([[1.0, 2.0], [3.0, 4.0]]), "uv")
+    assert {name: list(values) for name, values in columns.items()} == {
+        "pixel_u": [1.0, 3.0],
+        "pixel_v": [2.0, 4.0],
+    }
+
+
+def test_a_point_cloud_holds_the_points_that_there_are(tmp_path):
+    """Rationale: a viewer draws NaN at the origin, or not at all; intensities stay with points."""
+    points = np.random.default_rng(2).normal(scale=10.0, size=(6, 3))
+    intensity = np.arange(6.0)
+    points[1], points[4, 2] = np.nan, np.nan
+    write_ply(tmp_path / "points.ply", points, intensity)
+    read = read_ply(tmp_path / "points.ply")
+    kept = [0, 2, 3, 5]
+    np.testing.assert_array_equal(read["intensity"], intensity[kept])
+    read_points = np.stack([read[axis] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(read_points, points[kept], atol=1e-6)
+
+
+def test_a_point_cloud_without_points_is_a_file_all_the_same(tmp_path):
+    """Rationale: a part that no column shows gives an empty cloud, not a missing file."""
+    write_ply(tmp_path / "points.ply", np.full((3, 3), np.nan), np.full(3, np.nan))
+    assert read_ply(tmp_path / "points.ply")["x"].size == 0

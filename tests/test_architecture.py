@@ -1,0 +1,271 @@
+"""The house: imports go down the stairs only, and what is promised to users is there."""
+
+import ast
+import inspect
+import re
+import shlex
+import subprocess
+import sys
+from graphlib import TopologicalSorter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import typer
+
+import virtual_sensor as vs
+from virtual_sensor import cli
+from virtual_sensor.imaging.scene import find_scene, load_scene, shipped_scenes
+
+try:
+    import tomllib
+except ModuleNotFoundError:  # Python 3.10, where pytest brings this one
+    import tomli as tomllib
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = {
+    "virtual_sensor": ROOT / "virtual_sensor",
+    "virtual_sensor_plugins": ROOT / "plugins",
+    "virtual_sensor_scenes": ROOT / "scenes",
+}
+STAIRS = (  # from the ground up
+    ("virtual_sensor.errors", "virtual_sensor.files", "virtual_sensor.engine"),
+    ("virtual_sensor.medium",),
+    ("virtual_sensor.optics",),
+    ("virtual_sensor_plugins",),
+    ("virtual_sensor.metrology",),
+    ("virtual_sensor.imaging",),
+    ("virtual_sensor.studies",),
+    ("virtual_sensor.cli",),
+)
+# Metrology serves images of real cameras too: it knows no renderer.
+METROLOGY_KNOWS = (
+    "virtual_sensor.errors",
+    "virtual_sensor.metrology",
+    "virtual_sensor.optics.sensor_model",
+)
+SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))
+
+
+def modules():
+    """Map from the names of our modules to their files."""
+    named = {}
+    for package, folder in PACKAGES.items():
+        for file in folder.rglob("*.py"):
+            parts = file.relative_to(folder).with_suffix("").parts
+            named[".".join([package, *(p for p in parts if p != "__init__")])] = file
+    return named
+
+
+MODULES = modules()
+TOOLS = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
+
+
+def imports(file):
+    """Names of all modules that a file imports, inside functions too."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{file}: write relative imports out"
+            members = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= {name if name in MODULES else node.module for name in members}
+    return found
+
+
+def is_in(module, room):
+    """Whether a module is a room, or lies in it."""
+    return module == room or module.startswith(f"{room}.")
+
+
+def floor(module):
+    """Number of the stair on which a module stands; None for the doorstep and for others'."""
+    return next((i for i, rooms in enumerate(STAIRS) if any(is_in(module, r) for r in rooms)), None)
+
+
+def test_every_module_has_a_place_in_the_house():
+    """Rationale: a module that no rule knows is a module that no rule holds for."""
+    homeless = {name for name in MODULES if floor(name) is None}
+    assert homeless == {
+        "virtual_sensor",  # lazy: the doorstep
+        "virtual_sensor_scenes",
+        "virtual_sensor_scenes.make_stepped_shaft",
+    }
+
+
+@pytest.mark.parametrize("module", sorted(n for n in MODULES if floor(n) is not None))
+def test_imports_only_go_down(module):
+    """Rationale: what lies below can be read, tested and used without what lies above."""
+    above = {name for name in imports(MODULES[module]) if (floor(name) or 0) > floor(module)}
+    assert not above
+
+
+@pytest.mark.parametrize("module", sorted(MODULES.keys() - {"virtual_sensor"}))
+def test_nobody_goes_through_the_door(module):
+    """Rationale: `from virtual_sensor import render` inside the house would hide what it needs."""
+    assert "virtual_sensor" not in imports(MODULES[module])
+
+
+def test_there_are_no_circles():
+    """Rationale: within a room too there is a first module to read."""
+    graph = {name: imports(file) & MODULES.keys() - {name} for name, file in MODULES.items()}
+    del graph["virtual_sensor"]
+    TopologicalSorter(graph).prepare()
+
+
+@pytest.mark.parametrize(
+    "module", sorted(n for n in MODULES if is_in(n, "virtual_sensor.metrology"))
+)
+def test_metrology_knows_no_mitsuba(module):
+    """Rationale: it must work on a real camera's images, on a machine without a renderer."""
+    ours = {name for name in imports(MODULES[module]) if name.startswith("virtual_sensor")}
+    assert {name for name in ours if not any(is_in(name, r) for r in METROLOGY_KNOWS)} == set()
+
+
+def test_only_the_engine_imports_drjit():
+    """Rationale: Dr.Jit loads the LLVM that it finds at its import, and a bad one kills."""
+    users = {
+        file.relative_to(ROOT).as_posix()
+        for file in [*MODULES.values(), *TOOLS]
+        if any(is_in(name, engine) for name in imports(file) for engine in ("drjit", "mitsuba"))
+    }
+    assert users == {"virtual_sensor/engine.py"}
+
+
+def test_the_oracles_know_nothing_of_the_project():
+    """Rationale: no mistake may stand on both sides of a test."""
+    assert not any(name.startswith("virtual_sensor") for name in imports(ROOT / "tests/oracles.py"))
+
+
+def test_no_module_is_longer_than_400_lines():
+    """Rationale: what is longer has two subjects."""
+    lengths = {
+        f: len(f.read_text(encoding="utf-8").splitlines()) for f in [*MODULES.values(), *TOOLS]
+    }
+    assert {file.name: length for file, length in lengths.items() if length > 400} == {}
+
+
+def test_importing_the_package_starts_no_engine():
+    """Rationale: those who only look for lines in images must not pay for a renderer."""
+    code = (
+        "import sys, virtual_sensor as vs; dir(vs); vs.line_centres; vs.triangulate\n"
+        "print({'drjit', 'mitsuba', 'matplotlib'} & sys.modules.keys())"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ended.stdout, ended.stderr) == ("set()\n", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        (
+            "air_refractivity",
+            "wavelength_nm temperature_c pressure_pa relative_humidity co2_ppm",
+        ),
+        ("trace", "field origins_mm directions length_mm step_mm method precision"),
+        ("load_scene", "name parameters"),
+        ("render", "scene spp seed"),
+        ("ray_search", "scene laser_y_mm method"),
+        ("line_centres", "image method"),
+        ("triangulate", "sensor pixel"),
+        ("IndexField.from_arrays", "refractivity origin_mm spacing_mm"),
+        ("IndexField.read", "path"),
+        ("IndexField.write", "self path"),
+        ("IndexField.refractivity", "self points_mm"),
+    ],
+)
+def test_what_users_rely_on_is_there(name, arguments):
+    """Rationale: these names and the order of their arguments are a promise."""
+    thing = vs
+    for part in name.split("."):
+        thing = getattr(thing, part)
+    given = list(inspect.signature(thing).parameters)
+    assert given[: len(arguments.split())] == arguments.split()
+
+
+def test_every_public_name_resolves():
+    """Rationale: the lazy door keeps a list of its own, which must agree with the house."""
+    assert dir(vs) == sorted(vs.__all__) == sorted(vs._HOME)
+    assert all(getattr(vs, name) is not None for name in vs.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'rays_search'"):
+        _ = vs.rays_search
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_shipped_scenes_are_found_by_name_from_anywhere(name, tmp_path, monkeypatch):
+    """Rationale: a user's first command runs in a folder of their own."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).mkdir()  # results, say: no scene
+    assert find_scene(name) == find_scene(f"{name}.xml") == shipped_scenes() / f"{name}.xml"
+    assert load_scene(name).sensor.camera.size == (2048, 2048)
+
+
+def shipped():
+    """Files of the scenes' package that an installation holds, by the patterns of pyproject."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    patterns = settings["tool"]["setuptools"]["package-data"]
+    files = {pattern: list((ROOT / "scenes").glob(pattern)) for pattern in patterns.pop(SHIPPED)}
+    files |= {p: [PACKAGES[name] / p] for name, each in patterns.items() for p in each}
+    return files
+
+
+SHIPPED = "virtual_sensor_scenes"
+
+
+def test_what_is_to_be_shipped_exists():
+    """Rationale: a pattern that matches nothing ships nothing, and says nothing."""
+    for pattern, files in shipped().items():
+        assert files, pattern
+        assert all(file.stat().st_size > 0 or file.name == "py.typed" for file in files)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_what_a_scene_refers_to_is_shipped(name):
+    """Rationale: from an editable checkout every file is found, from an installation not."""
+    path = shipped_scenes() / f"{name}.xml"
+    scene = ElementTree.parse(path)
+    values = {e.get("name"): e.get("value") for e in scene.iter("default")}
+    for element in scene.iter("string"):
+        if element.get("name") in ("field", "filename"):
+            file = element.get("value")
+            for parameter, value in values.items():
+                file = file.replace(f"${parameter}", value)
+            assert path.parent / file in [f for files in shipped().values() for f in files]
+
+
+def test_every_package_is_listed():
+    """Rationale: setuptools ships the packages of its list and no others."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = {n for n, file in MODULES.items() if file.name == "__init__.py"}
+    assert set(settings["tool"]["setuptools"]["packages"]) == packages
+
+
+def command_lines():
+    """Commands as README and the help texts show them."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    epilogs = [command.epilog or "" for command in cli.app.registered_commands]
+    shown = re.findall(r"\bvirtual-sensor [^\n`#&;]+", "\n".join([readme, *epilogs]))
+    return sorted({line.strip() for line in shown})
+
+
+@pytest.mark.parametrize("line", command_lines())
+def test_commands_that_are_shown_can_be_typed(line):
+    """Rationale: a first command that fails is the last one."""
+    words = shlex.split(line)[1:]
+    group = typer.main.get_command(cli.app)
+    if words != ["--help"]:
+        number = next(i for i, word in enumerate(words) if word in group.commands)
+        group.make_context("virtual-sensor", words[: number + 1])
+        name, *arguments = words[number:]
+        given = group.commands[name].make_context(name, arguments).params
+        assert given.get("scene", SCENES[0]) in SCENES
+
+
+def test_the_help_names_the_shipped_scenes():
+    """Rationale: 'the name of one that comes along' helps only who knows the names."""
+    for command in cli.app.registered_commands:
+        argument = inspect.signature(command.callback).parameters.get("scene")
+        if argument:
+            named = argument.annotation.__metadata__[0].help.split(": ")[1]
+            assert sorted(re.findall(r"\w+", named)) == SCENES
