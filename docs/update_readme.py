@@ -1,4 +1,4 @@
-"""Put a measurement's table and picture into the README: ``python docs/update_readme.py measured``."""
+"""Put a measurement into the README: ``python docs/update_readme.py measured``."""
 
 import shutil
 import sys

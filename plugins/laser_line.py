@@ -52,6 +52,11 @@ class LaserLineEmitter(mi.Emitter):
                 f"laser_line: 'fan' is {self.line.fan_deg:g} degrees; give a full angle from 0"
                 " (telecentric) up to 170"
             )
+        if self.line.fan_per_mm * self.line.distance_mm >= 1.0:
+            raise InputError(
+                f"laser_line: a 'fan' of {self.line.fan_deg:g} degrees would start in front of the"
+                " exit; make 'fan' or 'distance' smaller, or 'length' larger"
+            )
         self.m_flags = mi.EmitterFlags.DeltaDirection
 
     def irradiance(self, a: Any, b: Any, concentration: Any) -> Any:

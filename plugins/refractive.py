@@ -54,8 +54,9 @@ class Refractive(mi.SamplingIntegrator):
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
+        self.field_file = _beside_scene(name) if name else None
         self.field = (
-            IndexField.read(_beside_scene(name), wavelength_nm=wavelength) if name else None
+            IndexField.read(self.field_file, wavelength_nm=wavelength) if self.field_file else None
         )
 
     def without_field(self) -> "Refractive":
@@ -170,7 +171,7 @@ class Refractive(mi.SamplingIntegrator):
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
-        return f"Refractive[{self.march}, {self.field}]"
+        return f"Refractive[{self.march}, field={self.field_file}]"
 
 
 def laser_of(scene: mi.Scene) -> LaserLineEmitter:

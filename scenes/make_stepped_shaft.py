@@ -37,7 +37,8 @@ def revolved(outline: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
     around = np.column_stack([0.0 * angle, np.sin(angle), np.cos(angle)])
     here = np.arange(FACETS)
     there = (here + 1) % FACETS
-    vertices, faces = [], []
+    vertices: list[NDArray[np.float64]] = []
+    faces: list[NDArray[np.int64]] = []
     for start, end in pairwise(outline):
         first = len(vertices) * 2 * FACETS
         along, outward = (end - start) / np.linalg.norm(end - start)

@@ -126,7 +126,7 @@ def _blind_states(figures: dict[str, Any]) -> list[str]:
     return [
         f"{name}: no line centres, the columns are {', '.join(k for k, n in line.items() if n)}"
         for name, line in counts.items()
-        if not line["ok"]
+        if not line["ok"] and not figures["states"][name]["rendered dots minus search, px"]
     ]
 
 

@@ -159,7 +159,7 @@ def test_search_sees_the_shafts_steps_and_not_into_its_groove(temperature):
     y = np.array([0.0, -2.0, 3.4, -4.1, 5.2, 5.9, -6.8, 7.5, -7.6, 8.2, -9.1, 10.9])
     radius = np.array([13.5] * 3 + [13.0] * 2 + [12.0] * 4 + [np.nan] + [12.5] * 2)
     scene = scene if temperature == "hot" else scene.cold()
-    found = vs.ray_search(scene, y, "newton", z_max_mm=0.1)
+    found = vs.ray_search(scene, y, "newton")
     met = np.hypot(found.laser_point_mm[:, 1], found.laser_point_mm[:, 2] + 13.5)
     wall = np.isnan(radius)
     np.testing.assert_allclose(met[~wall], radius[~wall], atol=5e-4)

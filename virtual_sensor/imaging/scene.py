@@ -196,6 +196,8 @@ def _camera(path: Path, loaded: Any) -> Camera:
         raise InputError(f'{path}: its camera must be <sensor type="perspective">, a pinhole')
     film = sensors[0].film()
     width, height = (int(n) for n in film.size())
+    if min(width, height) < 1:
+        raise InputError(f"{path}: <film> of {width} x {height} px; give a width and a height")
     if [int(n) for n in film.crop_size()] != [width, height]:
         raise InputError(f"{path}: the film is cropped; give the whole film")
     focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)

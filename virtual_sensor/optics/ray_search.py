@@ -27,6 +27,9 @@ REFERENCE = March(step_mm=0.1, method="leapfrog", precision="double")
 and one lookup a step keeps its kernels small."""
 
 
+_LEAN = 5e-3  # a bent line of sight leans from the straight one by some milliradians
+
+
 class SearchStatus(IntEnum):
     """How a laser ray's search ended."""
 
@@ -35,7 +38,7 @@ class SearchStatus(IntEnum):
     ABOVE_RADIUS = 1
     """The best pixel's distance is above r_max: the paper's first warning."""
     UNDERCUT = 2
-    """The best pixel sees another part of the surface, more than z_max away: not used."""
+    """The pixel sees something else in front of the point, or behind it: not used."""
     LASER_MISSED = 3
     """The laser ray meets no surface."""
     OUTSIDE_IMAGE = 4
@@ -51,7 +54,7 @@ class FoundPixels:
     laser_point_mm : ndarray of shape (N, 3)
         Incidence point on the surface, world: the paper's A (cold) or B (hot); NaN if missed.
     pixel : ndarray of shape (N, 2)
-        (u, v) that sees it; NaN unless FOUND or ABOVE_RADIUS.
+        (u, v) that sees it; NaN unless FOUND, or ABOVE_RADIUS and within z_max.
     seen_point_mm : ndarray of shape (N, 3)
         Where that pixel's line of sight meets the surface: B_k,min.
     distance_um : ndarray of shape (N,)
@@ -89,7 +92,7 @@ def ray_search(
     grid_px: tuple[float, float] = (32.0, 32.0),
     k_stop: int = 15,
     r_max_um: float = 1.0,
-    z_max_mm: float = 0.5,
+    z_max_mm: float = 0.1,
     march: March = REFERENCE,
 ) -> FoundPixels:
     """Find the pixels that see laser rays' incidence points.
@@ -263,15 +266,26 @@ def _pixel_tangents(camera: Camera, pixel: Array) -> tuple[tuple[Any, Any], ...]
 
 
 def _checked(camera: Camera, found: FoundPixels, r_max_um: float, z_max_mm: float) -> FoundPixels:
-    """Step 3.1: the quality check."""
-    depth = (found.seen_point_mm - found.laser_point_mm) @ camera.pose.rotation[:, 2]
+    """Step 3.1: the quality check.
+
+    A point too far along the camera's axis is not used.  It is an undercut if the search did
+    arrive: the points coincide parallel to the sensor, or lie on one line of sight.
+    """
+    delta = (found.seen_point_mm - found.laser_point_mm) @ camera.pose.rotation
+    depth_um = np.abs(delta[:, 2]) * 1e3
+    near = depth_um <= z_max_mm * 1e3
+    apart_px = camera.project(found.seen_point_mm) - camera.project(found.laser_point_mm)
+    um_per_px = camera.pose.to_local(found.laser_point_mm)[:, 2] / camera.matrix[0, 0] * 1e3
+    apart_um = np.linalg.norm(apart_px, axis=1) * um_per_px
+    in_line = apart_um <= r_max_um + _LEAN * depth_um
+    close = found.distance_um <= r_max_um
     missed = np.isnan(found.laser_point_mm[:, 0])
     status = np.select(
         [
             missed,
             ~camera.inside(found.pixel),
-            ~(np.abs(depth) <= z_max_mm),
-            ~(found.distance_um <= r_max_um),
+            ~near & (in_line | close),
+            ~close,
         ],
         [
             SearchStatus.LASER_MISSED,
@@ -281,7 +295,7 @@ def _checked(camera: Camera, found: FoundPixels, r_max_um: float, z_max_mm: floa
         ],
         SearchStatus.FOUND,
     )
-    used = np.isin(status, (SearchStatus.FOUND, SearchStatus.ABOVE_RADIUS))
+    used = near & np.isin(status, (SearchStatus.FOUND, SearchStatus.ABOVE_RADIUS))
     return replace(
         found,
         pixel=np.where(used[:, None], found.pixel, np.nan),

@@ -43,10 +43,12 @@ class SceneSurface:
         return type(direction.x)(dr.select(met.is_valid(), met.t, dr.inf))
 
     def starts_inside(self, origin: Any, direction: Any) -> Any:
-        """True where the first face met is seen from behind."""
+        """True where the first face met is seen from behind, by a ray from among the shapes."""
+        box = self.scene.bbox()
+        among = dr.all((origin >= box.min) & (origin <= box.max))
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
         si = self.scene.ray_intersect(ray)
-        return si.is_valid() & (dr.dot(si.n, ray.d) > 0.0)
+        return among & si.is_valid() & (dr.dot(si.n, ray.d) > 0.0)
 
 
 @dataclass(frozen=True)

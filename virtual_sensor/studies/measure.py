@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor import engine
+from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
@@ -103,7 +104,7 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
     Raises
     ------
     InputError
-        If the scene can't be measured (see `imaging.checks`).
+        If the scene can't be measured (see `imaging.checks`), or its frame stays black.
     """
     started = time.perf_counter()
     report("checking the scene", 0.0)
@@ -135,6 +136,11 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
     at = clock()
     frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
     seconds["render"] = clock() - at
+    if not np.any(frame.radiance > 0.0):
+        raise InputError(
+            f"{scene.path}: no sample of the frame met the laser's light; give a wider or longer"
+            " line (line_radius, line_length), or more samples (spp)"
+        )
     line = line_centres(frame.radiance)
     laser, dots = scene.sensor.laser, None
     if laser.dots_mm.size:
