@@ -8,6 +8,7 @@ from scipy.ndimage import map_coordinates
 
 import virtual_sensor as vs
 from virtual_sensor.imaging.render import render_frame, write_exr
+from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.metrology.dot_peaks import DotStatus, dot_centres
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.optics.ray_search import SearchStatus
@@ -34,6 +35,19 @@ def test_projected_point_is_where_its_dot_is_rendered(size):
     dots = dot_centres(vs.render(scene))
     np.testing.assert_array_equal(dots.status, DotStatus.OK)
     np.testing.assert_allclose(dots.pixel, scene.sensor.camera.project(on_cylinder(y)), atol=0.003)
+
+
+def test_shifted_principal_point_is_where_mitsuba_has_it(tmp_path):
+    """Mitsuba's offset moves the film, not the point: with the wrong sign dots part by 100 px."""
+    text = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    shift = '<float name="principal_point_offset_x" value="0.05"/>'
+    shift += '<float name="principal_point_offset_y" value="-0.02"/>'
+    path = tmp_path / "shifted.xml"
+    path.write_text(text.replace('<float name="near_clip"', shift + '<float name="near_clip"'))
+    scene = vs.load_scene(path, width=1024, height=800, line_radius=0.05, dots="-5, 0, 5")
+    dots = dot_centres(vs.render(scene))
+    expected = scene.sensor.camera.project(on_cylinder(np.array([-5.0, 0.0, 5.0])))
+    np.testing.assert_allclose(dots.pixel, expected, atol=0.003)
 
 
 @pytest.mark.parametrize("temperature", TEMPERATURES)

@@ -13,7 +13,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.optics.ray_search import SearchStatus
-from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
 SHIPPED = ["cold_cylinder", "hot_cylinder", "stepped_shaft"]
 
@@ -264,3 +264,13 @@ def test_unknown_scene_is_refused_with_those_that_exist():
     """A misspelt name is not a path."""
     with pytest.raises(vs.InputError, match=r"hot_cylindre.*cold_cylinder, hot_cylinder"):
         vs.load_scene("hot_cylindre")
+
+
+def test_only_a_closed_cylinder_along_x_is_the_analytic_one(tmp_path):
+    """A disk that is no end face must stay in the way of rays."""
+    text = shipped_text("cold_cylinder")
+    assert isinstance(vs.load_scene("cold_cylinder").surface, Cylinder)
+    path = tmp_path / "other.xml"
+    for end in ('<translate x="85" z="-13.5"/>', '<scale value="13.5"/>'):
+        path.write_text(text.replace(end, '<translate x="80" z="-13.5"/>'), encoding="utf-8")
+        assert isinstance(vs.load_scene(path).surface, SceneSurface)

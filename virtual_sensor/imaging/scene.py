@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import virtual_sensor_plugins as plugins
+from numpy.typing import NDArray
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
@@ -22,6 +23,7 @@ from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 # Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
+_SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 
 # What Mitsuba says of faults that are easily made, and what we say instead.
 _COMPLAINTS = (
@@ -203,8 +205,8 @@ def _camera(path: Path, loaded: Any) -> Camera:
     focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
     shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
     shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
-    # Mitsuba's pixel i reaches from i to i + 1; ours has its centre at i.
-    centre = (width * (0.5 + shift_x) - 0.5, height * (0.5 + shift_y) - 0.5)
+    # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
+    centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
     matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
     to_world = np.array(sensors[0].world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     rotation = plugins.laser_line.orthonormal(to_world[:3, :3]) @ _OURS_FROM_MITSUBAS
@@ -213,15 +215,24 @@ def _camera(path: Path, loaded: Any) -> Camera:
 
 def _surface(loaded: Any) -> Surface:
     """The analytic cylinder, if the part is one along x with end faces; else Mitsuba's shapes."""
-    shapes = loaded.shapes()
-    kinds = sorted(str(shape).split("[", 1)[0] for shape in shapes)
-    if kinds == ["Cylinder", "Disk", "Disk"]:
-        tube = next(s for s in shapes if str(s).startswith("Cylinder"))
-        place = np.array(mi.traverse(tube)["to_world"].matrix, float).reshape(4, 4)
-        radius, axis = np.linalg.norm(place[:3, 0]), place[:3, 2]
-        start, end = place[:3, 3], place[:3, 3] + axis
-        if np.allclose([start[0] + end[0], *axis[1:]], 0.0, atol=1e-4):
-            return Cylinder(
-                round(float(radius), 6), float(abs(axis[0])) / 2.0, float(start[1]), float(start[2])
-            )
+    places: dict[str, list[NDArray[np.float64]]] = {}
+    for shape in loaded.shapes():
+        held = mi.traverse(shape)
+        if "to_world" not in held:
+            return SceneSurface(loaded)
+        place = np.array(held["to_world"].matrix, float).reshape(4, 4)
+        places.setdefault(str(shape).split("[", 1)[0], []).append(place)
+    if {kind: len(each) for kind, each in places.items()} == {"Cylinder": 1, "Disk": 2}:
+        (tube,) = places["Cylinder"]
+        radius, along, start = np.linalg.norm(tube[:3, 0]), tube[:3, 2], tube[:3, 3]
+        ends = sorted((disk[:3, 3] for disk in places["Disk"]), key=lambda end: end @ along)
+        closed = np.allclose(ends, [start, start + along], atol=_SAME_MM) and all(
+            np.allclose(np.linalg.norm(disk[:3, :2], axis=0), radius, atol=_SAME_MM)
+            and np.allclose(disk[0, :2], 0.0, atol=_SAME_MM)
+            for disk in places["Disk"]
+        )
+        middle = start + along / 2.0
+        if closed and np.allclose([middle[0], *along[1:]], 0.0, atol=_SAME_MM):
+            half = float(abs(along[0])) / 2.0
+            return Cylinder(round(float(radius), 6), half, float(middle[1]), float(middle[2]))
     return SceneSurface(loaded)

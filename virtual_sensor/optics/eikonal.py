@@ -92,6 +92,9 @@ class March:
         if self.precision not in ("single", "double"):
             raise InputError(f"precision must be single or double, not '{self.precision}'")
 
+    def __str__(self) -> str:
+        return f"{self.method}, steps of {self.step_mm:g} mm, {self.precision} precision"
+
     @property
     def vector(self) -> Any:
         """Dr.Jit's 3-vector in this precision."""

@@ -93,7 +93,7 @@ def markdown_table(result: Measurement) -> str:
     lines += [
         "",
         f"Made by `virtual-sensor measure` in {figures['seconds']:.0f} s, with {made['threads']}"
-        f" threads ({made['variant']}); the march: {made['march']}.",
+        f" threads ({made['variant']}); the frames' march: {made['march']}.",
     ]
     return "\n".join(lines) + "\n"
 
