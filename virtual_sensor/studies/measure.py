@@ -185,6 +185,7 @@ def summary(result: Measurement) -> dict[str, Any]:
     """The figures that tell whether the measurement is sound, for `summary.json`."""
     scene = (result.hot or result.cold).scene
     exact, rounded = nine_ray_deviations(result), nine_ray_deviations(result, 0.25)
+    sensor_axes = scene.sensor.camera.pose.rotation[:, :2]
     running = engine.activate()
     return {
         "scene": str(scene.path),
@@ -195,6 +196,9 @@ def summary(result: Measurement) -> dict[str, Any]:
         "nine_rays_um": {
             "largest |A - A_m|, cold": _largest(exact.cold_um),
             "largest |A - A_m|, cold, pixels rounded to 0.25": _largest(rounded.cold_um),
+            "the same along a sensor axis": _largest(
+                (rounded.cold_um @ sensor_axes).reshape(-1, 1)
+            ),
             "largest |B - A|": _largest(exact.incidence_um),
             "largest |B - B_m|": _largest(exact.hot_um),
             "largest |B_m - A_m|": _largest(exact.measured_um),
