@@ -27,8 +27,6 @@ class Sight:
         Hit point, world, mm.
     heading : vector
         Unit direction of the camera ray there.
-    path_mm : scalar
-        Length of the ray from the camera.
     hit : mask
     light : Illumination
         The laser's at the points.
@@ -36,7 +34,6 @@ class Sight:
 
     point: Any
     heading: Any
-    path_mm: Any
     hit: Any
     light: Illumination
 

@@ -77,7 +77,7 @@ class Refractive(mi.SamplingIntegrator):
         light = illuminate(
             line_laser, self.field, surface, point, self.march, guess=guess, active=hit
         )
-        return Sight(point, heading, bent.t - line.start + bent.arc, hit, light)
+        return Sight(point, heading, hit, light)
 
     def sample(
         self, scene: mi.Scene, sampler: mi.Sampler, ray: Any, medium: Any = None, active: Any = True

@@ -15,6 +15,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean, round_pixel
 from virtual_sensor.metrology.dot_peaks import dot_centres
 from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
@@ -190,7 +191,7 @@ def summary(result: Measurement) -> dict[str, Any]:
     return {
         "scene": str(scene.path),
         "parameters": scene.parameters,
-        "field": scene.field.source if scene.field else None,
+        "field": _field_summary(scene.field) if scene.field else None,
         "told": result.told,
         "states": {name: _state_summary(state) for name, state in result.states.items()},
         "nine_rays_um": {
@@ -212,6 +213,16 @@ def summary(result: Measurement) -> dict[str, Any]:
             "march": str(scene.integrator.march),
             **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
         },
+    }
+
+
+def _field_summary(field: IndexField) -> dict[str, Any]:
+    jumps = zip(("x-", "x+", "y-", "y+", "z-", "z+"), field.border_jump(), strict=True)
+    return {
+        "source": field.source,
+        "ambient n - 1": field.ambient,
+        "box, mm": field.box.tolist(),
+        "largest jump of n - 1 at the border": {face: float(jump) for face, jump in jumps},
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from virtual_sensor.files import folder_written_whole, written_whole
 from virtual_sensor.imaging.render import write_exr, write_png
-from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.deviation import euclidean, separate_paths
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus
@@ -82,18 +82,18 @@ def markdown_table(result: Measurement) -> str:
         "Frame of {0} x {1} px, {spp} samples a lit pixel": ("{:.1f} s", ("seconds", "render")),
         "Search of {rays} rays": ("{:.2f} s", ("seconds", "search")),
     }
-    camera = result.cold.scene.sensor.camera
+    scene = result.cold.scene
     words = {"spp": figures["parameters"].get("spp", "16"), "rays": result.rays}
     lines = ["| | " + " | ".join(states) + " |", "|---|" + "---|" * len(states)]
     for name, (shape, (group, key)) in rows.items():
         values = [state[group][key] for state in states.values()]
         cells = ("none" if value is None else shape.format(value) for value in values)
-        lines.append(f"| {name.format(*camera.size, **words)} | {' | '.join(cells)} |")
+        lines.append(f"| {name.format(*scene.sensor.camera.size, **words)} | {' | '.join(cells)} |")
     made = figures["made_with"]
     lines += [
         "",
-        f"Made by `virtual-sensor measure` in {figures['seconds']:.0f} s, with {made['threads']}"
-        f" threads ({made['variant']}); the frames' march: {made['march']}.",
+        f"Made by `virtual-sensor measure {scene.path.stem}` in {figures['seconds']:.0f} s, with"
+        f" {made['threads']} threads ({made['variant']}); the frames' march: {made['march']}.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -133,6 +133,13 @@ def _nine_rays_table(result: Measurement) -> dict[str, Any]:
         ):
             table |= vectors(name + suffix, values, axes)
             table[f"{name}{suffix}_norm"] = euclidean(values)
+    if result.hot:
+        A, B = result.cold.newton, result.hot.newton
+        paths = separate_paths(
+            result.hot.scene.sensor.camera, A.laser_point_mm, B.laser_point_mm, A.pixel, B.pixel
+        )
+        table |= vectors("laser_to_object_px", paths.laser_to_object_px, "uv")
+        table |= vectors("object_to_camera_px", paths.object_to_camera_px, "uv")
     return table
 
 
