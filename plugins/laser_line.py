@@ -37,9 +37,8 @@ class LaserLineEmitter(mi.Emitter):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        to_world = np.array(props["to_world"].matrix, dtype=float)
         self.line = LaserLine(
-            pose=Pose(orthonormal(to_world[:3, :3]), to_world[:3, 3]),
+            pose=Pose.from_matrix(props["to_world"].matrix),
             distance_mm=_positive(props, "distance", 300.0),
             length_mm=_positive(props, "length"),
             radius_mm=_positive(props, "radius"),
@@ -120,12 +119,6 @@ class LaserLineEmitter(mi.Emitter):
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
         return f"LaserLine[{self.line}]"
-
-
-def orthonormal(matrix: np.ndarray) -> np.ndarray:
-    """The rotation nearest to a float32 matrix of one, so that inverting is transposing."""
-    u, _, vt = np.linalg.svd(matrix)
-    return u @ vt
 
 
 def _positive(props: mi.Properties, name: str, default: float | None = None) -> float:

@@ -54,20 +54,24 @@ class LitPixels:
     sight: Sight
 
 
-def film_rays(sensor: mi.Sensor, x: Any, y: Any, aperture: Any) -> tuple[Any, Any]:
-    """Camera rays and weights through film positions, in px of the whole film (centres at .5)."""
+def film_place(film: mi.Film, index: Any, within: Any) -> Any:
+    """Place in px on the whole film of points within pixels, both coordinates from 0 to 1."""
+    offset, width = film.crop_offset(), film.crop_size().x
+    corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
+    return corner + mi.Point2f(offset) + within
+
+
+def film_rays(sensor: mi.Sensor, place: Any, aperture: Any) -> tuple[Any, Any]:
+    """Camera rays and their weights through places on the film."""
     film = sensor.film()
-    offset, size = film.crop_offset(), film.crop_size()
-    place = mi.Point2f((x - offset.x) / size.x, (y - offset.y) / size.y)
-    return sensor.sample_ray_differential(0.0, 0.5, place, aperture)
+    in_window = (place - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
+    return sensor.sample_ray_differential(0.0, 0.5, in_window, aperture)
 
 
 def centre_rays(sensor: mi.Sensor, index: Any) -> Any:
     """Camera rays through the centres of pixels."""
-    film = sensor.film()
-    offset, width = film.crop_offset(), film.crop_size().x
-    x, y = mi.Float(index % width) + offset.x + 0.5, mi.Float(index // width) + offset.y + 0.5
-    return film_rays(sensor, x, y, mi.Point2f(0.5))[0]
+    middle = mi.Point2f(0.5)
+    return film_rays(sensor, film_place(sensor.film(), index, middle), middle)[0]
 
 
 def rows(tree: Any, index: Any) -> Any:

@@ -5,17 +5,23 @@ from pathlib import Path
 from typing import Any
 
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
-from virtual_sensor_plugins.lit_pixels import LitPixels, Sight, film_rays, find_lit_pixels, rows
+from virtual_sensor_plugins.lit_pixels import (
+    LitPixels,
+    Sight,
+    film_place,
+    film_rays,
+    find_lit_pixels,
+    rows,
+)
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.optics.eikonal import March, Straight, bend
+from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
 from virtual_sensor.optics.illumination import Illumination, illuminate
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import SceneSurface
 
-_BACK_MM = 0.05  # the last straight piece of a ray, on which Mitsuba's float32 meets the surface
 _LANES = 1 << 17  # samples in flight at once: enough to fill the cores, and progress is seen
 
 
@@ -89,7 +95,7 @@ class Refractive(mi.SamplingIntegrator):
     def radiance(self, scene: mi.Scene, sampler: mi.Sampler, sight: Sight) -> Any:
         """Radiance in W/(mm^2 sr) that leaves the points seen towards the camera."""
         heading = mi.Vector3f(sight.heading)
-        last = mi.RayDifferential3f(mi.Point3f(sight.point) - heading * _BACK_MM, heading)
+        last = mi.RayDifferential3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
         si = scene.ray_intersect(last, sight.hit)
         valid = sight.hit & si.is_valid()
         bsdf, context = si.bsdf(last), mi.BSDFContext()
@@ -153,15 +159,12 @@ class Refractive(mi.SamplingIntegrator):
             sampler.set_samples_per_wavefront(spp)
             shuffled = seed + number * 0x9E3779B9 & 0xFFFFFFFF
             sampler.seed(dr.opaque(mi.UInt32, shuffled), dr.width(index))
-            jitter = sampler.next_2d()
-            offset = film.crop_offset()
-            x = mi.Float(index % width) + offset.x + jitter.x
-            y = mi.Float(index // width) + offset.y + jitter.y
+            place = film_place(film, index, sampler.next_2d())
             aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-            ray, weight = film_rays(sensor, x, y, aperture)
+            ray, weight = film_rays(sensor, place, aperture)
             sight = self.look(scene, ray, guess)
             value = self.radiance(scene, sampler, sight) * weight
-            block.put(mi.Point2f(x, y), ray.wavelengths, value, dr.select(sight.hit, 1.0, 0.0))
+            block.put(place, ray.wavelengths, value, dr.select(sight.hit, 1.0, 0.0))
             dr.eval(block.tensor())
             if progress:
                 dr.sync_thread()

@@ -4,7 +4,7 @@
 >>> scene = vs.load_scene("hot_cylinder", beta=15)
 >>> image = vs.render(scene)
 >>> line = vs.line_centres(image)
->>> points_mm = vs.triangulate(scene.sensor, np.column_stack([line.column, line.row]))
+>>> points_mm = vs.triangulate(scene.sensor, line.pixel)
 
 Names are loaded when first used: those that compute with Dr.Jit start the engine then.
 """

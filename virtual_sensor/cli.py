@@ -95,17 +95,16 @@ def measure(
 
         result = run(load_scene(scene, **_definitions(define)), report)
         bar.update(task, description="writing the results", completed=0.92)
-        save(result, output, overwrite)
+        figures = summary(result)
+        save(result, figures, output, overwrite)
         bar.update(task, description="done", completed=1.0)
-    figures = summary(result)
     table = Table("", "rendered - search, px rms", "at most", "centres", "rendered in")
     for name, state in result.states.items():
-        agreement = state.dots or state.agreement
         table.add_row(
             name,
-            f"{agreement.rms_px:.4f}",
-            f"{agreement.largest_px:.4f}",
-            str(int(np.isfinite(state.centres_px[:, 1]).sum())),
+            f"{state.compared.rms_px:.4f}",
+            f"{state.compared.largest_px:.4f}",
+            str(state.centres),
             f"{state.seconds['render']:.1f} s",
         )
     console.print(table)

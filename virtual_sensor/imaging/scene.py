@@ -209,8 +209,9 @@ def _camera(path: Path, loaded: Any) -> Camera:
     centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
     matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
     to_world = np.array(sensors[0].world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
-    rotation = plugins.laser_line.orthonormal(to_world[:3, :3]) @ _OURS_FROM_MITSUBAS
-    return Camera(matrix, Pose(rotation, to_world[:3, 3]), (width, height))
+    pose = Pose.from_matrix(to_world)
+    pose = replace(pose, rotation=pose.rotation @ _OURS_FROM_MITSUBAS)
+    return Camera(matrix, pose, (width, height))
 
 
 def _surface(loaded: Any) -> Surface:

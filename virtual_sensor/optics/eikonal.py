@@ -23,8 +23,10 @@ from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.steppers import STEPPERS, Vectors
 from virtual_sensor.optics.surfaces import Surface
 
+LAST_PIECE_MM = 0.05
+"""The last, straight piece of a ray onto a surface: so short that Mitsuba's float32 is exact."""
+
 _BORDER_MM = 1e-3  # rays overstep the border by this, so that rounding can't hold them there
-_SURFACE_MM = 0.05  # the last, straight piece onto a surface: so short that float32 is exact
 _OVERLAP_MM = 1e-3  # chords overlap by this, so that no ray slips through between two
 
 
@@ -358,9 +360,9 @@ def _run_straight(
 def _onto_surface(line: Straight, ray: BentRays, surface: Surface, active: Any) -> BentRays:
     """Put rays that are within a micrometre or so of a surface onto it, by a straight piece."""
     T = ray.tangent(line)
-    back = ray.moved(-_SURFACE_MM)
+    back = ray.moved(-LAST_PIECE_MM)
     length = dr.norm(T)
-    met = surface.distance(back.position(line), T / length, 2.0 * _SURFACE_MM, active) / length
+    met = surface.distance(back.position(line), T / length, 2.0 * LAST_PIECE_MM, active) / length
     return dr.select(dr.isfinite(met), back.moved(met), ray)
 
 

@@ -127,7 +127,7 @@ def ray_search(
     if method not in ("paper", "newton"):
         raise InputError(f"ray_search: method must be paper or newton, not '{method}'")
     b = np.atleast_1d(np.asarray(laser_y_mm, float))
-    target = _incidence_points(scene, b, march)
+    target = incidence_points(scene, b, march)
     if method == "paper":
         found = _paper(scene, target, grid_px, k_stop, r_max_um, march)
     else:
@@ -135,8 +135,8 @@ def ray_search(
     return _checked(scene.sensor.camera, found, r_max_um, z_max_mm)
 
 
-def _incidence_points(scene: SearchScene, b: Array, march: March) -> Array:
-    """Step 1: trace the laser's rays to the surface; NaN where they miss."""
+def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:
+    """Step 1: trace laser rays at b (N,) to the surface, (N, 3) in mm; NaN where they miss."""
     origins, directions = scene.sensor.laser.rays(0.0, b)
     line = Straight.through(to_vectors(origins), to_vectors(directions), march)
     ray = bend(scene.field, scene.surface, line, march)

@@ -27,6 +27,13 @@ class Pose:
     rotation: Array
     origin_mm: Array
 
+    @staticmethod
+    def from_matrix(to_world: ArrayLike) -> "Pose":
+        """Pose of a matrix (4, 4) in float32: with the nearest rotation, whose inverse is exact."""
+        matrix = np.asarray(to_world, float)
+        u, _, vt = np.linalg.svd(matrix[:3, :3])
+        return Pose(u @ vt, matrix[:3, 3])
+
     def to_world(self, points_mm: ArrayLike) -> Array:
         """Local points (N, 3) in world coordinates (inverse of equation 4)."""
         return np.asarray(points_mm, float) @ self.rotation.T + self.origin_mm

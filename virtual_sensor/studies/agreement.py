@@ -42,14 +42,12 @@ class Agreement:
     @property
     def rms_px(self) -> float:
         """Root mean square; NaN if there is no column."""
-        return float(np.sqrt(np.mean(self.difference_px**2))) if self.column.size else np.nan
+        return _rms(self.difference_px)
 
     @property
     def largest_px(self) -> float:
         """Largest magnitude; NaN if there is no column."""
-        return (
-            float(np.max(np.abs(self.difference_px), initial=0.0)) if self.column.size else np.nan
-        )
+        return _largest(self.difference_px)
 
 
 def compare(
@@ -131,14 +129,12 @@ class DotAgreement:
     @property
     def rms_px(self) -> float:
         """Root mean square of the distances; NaN if there is no dot."""
-        squares = np.sum(self.difference_px**2, axis=1)
-        return float(np.sqrt(np.nanmean(squares))) if np.isfinite(squares).any() else np.nan
+        return _rms(np.linalg.norm(self.difference_px, axis=1))
 
     @property
     def largest_px(self) -> float:
         """Largest distance; NaN if there is no dot."""
-        squares = np.sum(self.difference_px**2, axis=1)
-        return float(np.sqrt(np.nanmax(squares))) if np.isfinite(squares).any() else np.nan
+        return _largest(np.linalg.norm(self.difference_px, axis=1))
 
 
 def match_dots(dots: DotCentres, found: FoundPixels) -> DotAgreement:
@@ -167,3 +163,15 @@ def _pieces(found: FoundPixels) -> list[tuple[Array, Array]]:
         if len(u) >= 4 and np.all(np.diff(u) > 0.0):
             pieces.append((u, v))
     return pieces
+
+
+def _rms(values: Array) -> float:
+    """Root mean square of those that are not NaN; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+
+
+def _largest(values: Array) -> float:
+    """Largest magnitude of those that are not NaN; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.max(np.abs(known))) if known.size else np.nan

@@ -43,8 +43,6 @@ class State:
     scene : Scene
     frame : Frame
     line : LineCentres
-    points_mm : ndarray of shape (N, 3)
-        Triangulated from `centres_px`, world.
     paper, newton : FoundPixels
         The nine rays, by the paper's search and by Newton's.
     dense : FoundPixels
@@ -60,7 +58,6 @@ class State:
     scene: Scene
     frame: Frame
     line: LineCentres
-    points_mm: Array
     paper: FoundPixels
     newton: FoundPixels
     dense: FoundPixels
@@ -72,6 +69,21 @@ class State:
     def centres_px(self) -> Array:
         """What the image gives, (u, v): the line's centre in each column, or the dots; (N, 2)."""
         return self.dots.pixel if self.dots else self.line.pixel
+
+    @property
+    def centres(self) -> int:
+        """How many of them were found."""
+        return int(np.isfinite(self.centres_px[:, 1]).sum())
+
+    @property
+    def points_mm(self) -> Array:
+        """Triangulated from them, world, mm; (N, 3)."""
+        return triangulate(self.scene.sensor, self.centres_px)
+
+    @property
+    def compared(self) -> Agreement | DotAgreement:
+        """How far they are from the search."""
+        return self.dots or self.agreement
 
 
 @dataclass(frozen=True)
@@ -151,7 +163,6 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
         scene,
         frame,
         line,
-        triangulate(scene.sensor, dots.pixel if dots else line.pixel),
         paper,
         newton,
         dense,

@@ -1,6 +1,7 @@
 """One page of pictures of a measurement: for people who would rather look than read."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,23 +9,23 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from virtual_sensor.files import written_whole
-from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
-from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.measure import (
     NINE_RAYS_MM,
     Measurement,
-    State,
     nine_ray_deviations,
-    summary,
 )
+
+Array = NDArray[np.float64]
 
 _COLOURS = {"cold": "#1f5fa8", "hot": "#c8321e"}
 _MARGIN_PX = 12
 
 
-def draw_report(result: Measurement, path: Path) -> None:
-    """Draw the page as a PNG."""
+def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> None:
+    """Draw the page as a PNG; `figures` is the measurement's summary."""
     figure = Figure(figsize=(13.5, 9.5), dpi=110, layout="constrained")
     axes = figure.subplot_mosaic(
         [
@@ -43,7 +44,7 @@ def draw_report(result: Measurement, path: Path) -> None:
     _height(axes["height"], result)
     _nine_rays(axes["nine"], result)
     _residual(axes["residual"], result)
-    _text(axes["text"], result)
+    _text(axes["text"], result, figures)
     with written_whole(path) as temporary:
         figure.savefig(temporary, format="png")
 
@@ -100,33 +101,30 @@ def _air(axes: Axes, result: Measurement, across: bool) -> None:
 
 
 def _height(axes: Axes, result: Measurement) -> None:
-    """How far the measured section is from the true one, across the whole line."""
+    """How far the measured section is from the true one, across the whole line.
+
+    The true section is where the straight sheet meets the surface.
+    """
+    half = 0.55 * result.cold.scene.sensor.laser.length_mm
+    section = incidence_points(result.cold.scene, np.linspace(-half, half, 801))
+    section = section[np.isfinite(section[:, 0])]
+    section = section[np.argsort(section[:, 1])]
+
+    def error(points_mm: Array) -> tuple[Array, Array]:
+        known = points_mm[np.isfinite(points_mm[:, 0])]
+        true = np.interp(known[:, 1], section[:, 1], section[:, 2], left=np.nan, right=np.nan)
+        return known[:, 1], np.asarray((known[:, 2] - true) * UM_PER_MM)
+
     for name, state in result.states.items():
-        y, error = _section_error(state, state.points_mm[np.isfinite(state.points_mm[:, 0])])
         style = "+" if state.dots else "-"
-        axes.plot(y, error, style, color=_COLOURS[name], lw=1.2, label=f"{name}, rendered")
-        searched = triangulate(state.scene.sensor, state.dense.pixel)
-        y, error = _section_error(state, searched[np.isfinite(searched[:, 0])])
-        axes.plot(y[::8], error[::8], "o", ms=2.5, mfc="none", color=_COLOURS[name])
+        y, error_um = error(state.points_mm)
+        axes.plot(y, error_um, style, color=_COLOURS[name], lw=1.2, label=f"{name}, rendered")
+        y, error_um = error(triangulate(state.scene.sensor, state.dense.pixel))
+        axes.plot(y[::8], error_um[::8], "o", ms=2.5, mfc="none", color=_COLOURS[name])
     axes.plot([], [], "o", ms=2.5, mfc="none", color="k", label="ray search")
     axes.axhline(0.0, color="0.7", lw=0.6)
     axes.set(xlabel="y in mm", ylabel="measured - true z in µm", title="Error of the section")
     axes.legend(fontsize=8)
-
-
-def _section_error(
-    state: State, measured_mm: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Height of measured points over the true section in the laser plane, in um, by y.
-
-    The true section is where the straight sheet meets the surface: the cold incidence points.
-    """
-    half = 0.55 * state.scene.sensor.laser.length_mm
-    cold = ray_search(state.scene.cold(), np.linspace(-half, half, 801), "newton").laser_point_mm
-    cold = cold[np.isfinite(cold[:, 0])]
-    order = np.argsort(cold[:, 1])
-    height = np.interp(measured_mm[:, 1], cold[order, 1], cold[order, 2], left=np.nan, right=np.nan)
-    return measured_mm[:, 1], np.asarray((measured_mm[:, 2] - height) * 1e3)
 
 
 def _nine_rays(axes: Axes, result: Measurement) -> None:
@@ -147,8 +145,8 @@ def _nine_rays(axes: Axes, result: Measurement) -> None:
 
 def _residual(axes: Axes, result: Measurement) -> None:
     for name, state in result.states.items():
-        seen = state.dots or state.agreement
-        label = f"{name}: rms {seen.rms_px:.4f} px, at most {seen.largest_px:.4f} px"
+        rms, largest = state.compared.rms_px, state.compared.largest_px
+        label = f"{name}: rms {rms:.4f} px, at most {largest:.4f} px"
         if state.dots:
             u, dv = state.dots.searched[:, 0], state.dots.difference_px[:, 1]
             axes.plot(u, dv, "o", ms=3, color=_COLOURS[name], label=label)
@@ -163,14 +161,14 @@ def _residual(axes: Axes, result: Measurement) -> None:
     axes.legend(fontsize=8)
 
 
-def _text(axes: Axes, result: Measurement) -> None:
-    """The figures of `summary.json` that a reader asks for first."""
-    figures = summary(result)
+def _text(axes: Axes, result: Measurement, figures: dict[str, Any]) -> None:
+    """The figures that a reader asks for first."""
     lines = ["Nine rays:"]
     lines += [f"  {name}: {um:.3g} µm" for name, um in figures["nine_rays_um"].items() if um]
     for name, state in result.states.items():
-        found = int(np.isfinite(state.centres_px[:, 1]).sum())
-        lines.append(f"{name}: {found} centres, rendered in {state.seconds['render']:.1f} s")
+        lines.append(
+            f"{name}: {state.centres} centres, rendered in {state.seconds['render']:.1f} s"
+        )
     lines += [f"whole measurement: {result.seconds:.1f} s", *result.told]
     text = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5)
     text.set_in_layout(False)

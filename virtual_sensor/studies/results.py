@@ -15,21 +15,23 @@ from virtual_sensor.studies.measure import (
     Measurement,
     State,
     nine_ray_deviations,
-    summary,
 )
 from virtual_sensor.studies.report import draw_report
 from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
 
 
-def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
+def save(
+    result: Measurement, figures: dict[str, Any], folder: Path, overwrite: bool = False
+) -> None:
     """Write frames, centres, points, searches, summary and picture; all of them or none.
+
+    `figures` is the measurement's summary.
 
     Raises
     ------
     InputError
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
-    figures = summary(result)
     white = max(float(state.frame.radiance.max()) for state in result.states.values())
     with folder_written_whole(folder, overwrite) as place:
         for name, state in result.states.items():
@@ -54,16 +56,15 @@ def save(result: Measurement, folder: Path, overwrite: bool = False) -> None:
             write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
         write_csv(place / "nine_rays.csv", _nine_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
-        draw_report(result, place / "report.png")
+        draw_report(result, figures, place / "report.png")
         with written_whole(place / "table.md") as temporary:
-            temporary.write_text(markdown_table(result), encoding="utf-8")
+            temporary.write_text(markdown_table(result, figures), encoding="utf-8")
         with written_whole(place / "summary.json") as temporary:
             temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
-def markdown_table(result: Measurement) -> str:
+def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
     """Accuracy and speed of a measurement, as the README shows them."""
-    figures = summary(result)
     states = figures["states"]
     agreement = "rendered line minus search, px"
     rows = {
