@@ -9,10 +9,18 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from virtual_sensor import engine
+from virtual_sensor.cli import field
+from virtual_sensor.cli.shared import (
+    Definitions,
+    Overwrite,
+    SceneArgument,
+    console,
+    definitions,
+    progress,
+)
 from virtual_sensor.errors import EngineError, InputError
 from virtual_sensor.files import check_output
 
@@ -23,25 +31,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-# Paths and messages may hold [brackets] and :colons:, which rich would take for its own.
-console = Console(markup=False, emoji=False, highlight=False)
-
-SceneArgument = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE",
-        help="A scene file, or one that comes along: hot_cylinder, cold_cylinder, stepped_shaft.",
-    ),
-]
-Definitions = Annotated[
-    list[str] | None,
-    typer.Option(
-        "-D",
-        metavar="NAME=VALUE",
-        help="Set a parameter of the scene; repeatable. A wrong name is answered with all names.",
-    ),
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
+app.add_typer(field.app, name="field")
 
 
 def _tell_version(asked: bool) -> None:
@@ -87,13 +77,13 @@ def measure(
     from virtual_sensor.studies.results import save
 
     check_output(output, overwrite, folder=True)
-    with _progress() as bar:
+    with progress() as bar:
         task = bar.add_task("loading the scene", total=1.0)
 
         def report(stage: str, fraction: float) -> None:
             bar.update(task, description=stage, completed=0.9 * fraction)
 
-        result = run(load_scene(scene, **_definitions(define)), report)
+        result = run(load_scene(scene, **definitions(define)), report)
         bar.update(task, description="writing the results", completed=0.92)
         figures = summary(result)
         save(result, figures, output, overwrite)
@@ -165,7 +155,7 @@ def search(
         raise InputError("-y and --rays: choose one of them")
     if output:
         check_output(output, overwrite)
-    columns = run(load_scene(scene, **_definitions(define)), method, y, rays)
+    columns = run(load_scene(scene, **definitions(define)), method, y, rays)
     if output:
         write_csv(output, columns)
         found = np.sum(columns["status"] == "found")
@@ -192,26 +182,6 @@ def doctor() -> None:
     diagnosis = diagnose()
     console.print(report(diagnosis), soft_wrap=True)
     raise typer.Exit(0 if diagnosis.ok else 1)
-
-
-def _definitions(define: list[str] | None) -> dict[str, str]:
-    pairs = {}
-    for text in define or []:
-        name, equals, value = text.partition("=")
-        if not (name and equals):
-            raise InputError(f"-D {text}: write it as NAME=VALUE, such as -D beta=15")
-        pairs[name] = value
-    return pairs
-
-
-def _progress() -> Progress:
-    columns = (
-        TextColumn("{task.description:<36}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 def main() -> None:

@@ -1,0 +1,51 @@
+"""What the commands share: the console, a progress bar, options."""
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from virtual_sensor.errors import InputError
+
+# Paths and messages may hold [brackets] and :colons:, which rich would take for its own.
+console = Console(markup=False, emoji=False, highlight=False)
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A scene file, or one that comes along: hot_cylinder, cold_cylinder, stepped_shaft.",
+    ),
+]
+Definitions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        metavar="NAME=VALUE",
+        help="Set a parameter of the scene; repeatable. A wrong name is answered with all names.",
+    ),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
+
+
+def definitions(define: list[str] | None) -> dict[str, str]:
+    """The values of `-D` by their names."""
+    pairs = {}
+    for text in define or []:
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise InputError(f"-D {text}: write it as NAME=VALUE, such as -D beta=15")
+        pairs[name] = value
+    return pairs
+
+
+def progress() -> Progress:
+    """A bar for long work; none where the output is no terminal."""
+    columns = (
+        TextColumn("{task.description:<36}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, console=console, disable=not console.is_terminal)
