@@ -157,7 +157,9 @@ def _spread(
 def _reached(
     emitter: LaserLineEmitter, a: Any, b: Any, margin_mm: tuple[float, float]
 ) -> NDArray[np.bool_]:
-    return np.asarray(emitter.reaches(mi.Float(a), mi.Float(b), margin_mm).numpy(), bool)
+    # Opaque, since it is another number for any air, and the kernel is to serve them all.
+    margin = (dr.opaque(mi.Float, margin_mm[0]), dr.opaque(mi.Float, margin_mm[1]))
+    return np.asarray(emitter.reaches(mi.Float(a), mi.Float(b), margin).numpy(), bool)
 
 
 def _grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:

@@ -32,6 +32,7 @@ class Refractive(mi.SamplingIntegrator):
     Property         Default     Meaning
     ===============  ==========  ==================================================================
     field            (none)      NetCDF file of the air; without one, light runs straight
+    time             ""          Flow time, s, in a field with a time axis; empty: its last
     wavelength       532         Vacuum wavelength of the light, nm
     way              "exact"     Each sample's rays are marched, its laser ray found by Newton
     step             2           Step of the march, mm
@@ -48,7 +49,8 @@ class Refractive(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         name = str(props.get("field", ""))
-        wavelength = float(props.get("wavelength", 532.0))
+        time_s = _instant(str(props.get("time", "")))
+        self.wavelength_nm = float(props.get("wavelength", 532.0))
         way = str(props.get("way", "exact"))
         if way != "exact":
             raise InputError(f'refractive: \'way\' must be "exact", not "{way}"')
@@ -60,16 +62,29 @@ class Refractive(mi.SamplingIntegrator):
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
+        if time_s is not None and not name:
+            raise InputError("refractive: 'time' is one of a field's; give the 'field', or no time")
         self.field_file = _beside_scene(name) if name else None
-        self.field = (
-            IndexField.read(self.field_file, wavelength_nm=wavelength) if self.field_file else None
-        )
+        self.field = self._air(self.field_file, time_s) if self.field_file else None
 
-    def without_field(self) -> "Refractive":
-        """The same integrator in homogeneous air."""
+    def _air(self, file: Path, time_s: float | None) -> IndexField:
+        return IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
+
+    def at(self, time_s: float) -> "Refractive":
+        """The same integrator in the air of another instant of its field's file."""
+        if self.field_file is None:
+            raise InputError("refractive: there is no 'field' to have instants; give it one")
+        other = self.with_field(self._air(self.field_file, time_s))
+        other.field_file = self.field_file
+        return other
+
+    def with_field(self, field: IndexField | None) -> "Refractive":
+        """The same integrator in other air; None: homogeneous, where light runs straight."""
         march = self.march
         choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
-        return mi.load_dict({"type": "refractive", **choices})
+        other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
+        other.field = field
+        return other
 
     def look(self, scene: mi.Scene, ray: Any, guess: Any = None, active: Any = True) -> Sight:
         """Follow camera rays to the surface and find the laser's light there."""
@@ -188,11 +203,21 @@ def laser_of(scene: mi.Scene) -> LaserLineEmitter:
     return found[0]
 
 
+def _instant(text: str) -> float | None:
+    """A flow time in s; None of an empty text."""
+    try:
+        return float(text) if text else None
+    except ValueError:
+        raise InputError(
+            f"refractive: 'time' must be a flow time in s, or empty for the last, not \"{text}\""
+        ) from None
+
+
 def _beside_scene(name: str) -> Path:
     """A file's path where the scene says so, or in the scene's own folder."""
     resolver = mi.file_resolver()
     found = Path(str(resolver.resolve(name)))
-    return found if found.is_file() else Path(str(resolver[0])) / name
+    return (found if found.is_file() else Path(str(resolver[0])) / name).absolute()
 
 
 def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:

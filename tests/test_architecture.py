@@ -229,7 +229,7 @@ def test_what_a_scene_refers_to_is_shipped(name):
     for element in scene.iter("string"):
         if element.get("name") in ("field", "filename"):
             file = element.get("value")
-            for parameter, value in values.items():
+            for parameter, value in reversed(values.items()):  # a default may use earlier ones
                 file = file.replace(f"${parameter}", value)
             assert path.parent / file in [f for files in shipped().values() for f in files]
 

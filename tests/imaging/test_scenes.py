@@ -10,8 +10,9 @@ import pytest
 from virtual_sensor_scenes.make_stepped_shaft import profile, revolved
 
 import virtual_sensor as vs
-from virtual_sensor.engine import mi
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
@@ -95,6 +96,106 @@ def test_air_is_the_scenes():
     assert hot.field.ambient == pytest.approx(vs.air_refractivity(), rel=1e-3)
     assert hot.cold().field is None
     assert vs.load_scene("cold_cylinder").field is None
+
+
+@pytest.fixture
+def gusty(tmp_path):
+    """Field file of two instants, hot at 1 s and hotter at 3 s."""
+    x, y = np.meshgrid(np.linspace(-90, 90, 9), np.linspace(-20, 20, 21), indexing="ij")
+    shape = np.exp(-((x / 30) ** 2) - (y / 6) ** 2)[..., None]
+    fading = np.linspace(1.0, 0.0, 9) ** 2
+    kelvin = 293.15 + np.array([400.0, 800.0])[:, None, None, None] * shape * fading
+    origin, spacing = np.array([-90.0, -20.0, -16.0]), np.array([22.5, 2.0, 14.5])
+    path = tmp_path / "gusty.nc"
+    write_quantity(
+        path, GriddedQuantity("temperature", kelvin, origin, spacing, np.array([1.0, 3.0]))
+    )
+    return path
+
+
+def test_a_time_picks_an_instant_of_the_field(gusty):
+    """The last without one; and from a loaded scene any other, with all else as it was."""
+    last, first, between = (
+        vs.load_scene("hot_cylinder", field=gusty, **time)
+        for time in ({}, {"time": 1}, {"time": "2.0"})
+    )
+    p = [[0.0, 0.0, 5.0], [3.0, 2.0, 40.0]]
+    n_last, n_first, n_between = (s.field.refractivity(p) for s in (last, first, between))
+    assert (n_last < n_between).all()
+    assert (n_between < n_first).all()
+    other = last.at(2.0)
+    np.testing.assert_array_equal(other.field.refractivity(p), n_between)
+    np.testing.assert_array_equal(other.at(1.0).field.refractivity(p), n_first)
+    np.testing.assert_array_equal(last.field.refractivity(p), n_last)
+    assert other.mitsuba is last.mitsuba
+    assert (other.sensor, other.surface) == (last.sensor, last.surface)
+    assert other.integrator.march == last.integrator.march
+    assert other.parameters == between.parameters | {"time": "2"}
+
+
+def test_another_instant_runs_the_same_kernels(gusty):
+    """What changes with the air is data; a kernel compiled for each instant would cost seconds."""
+    scene = vs.load_scene(
+        "hot_cylinder", field=gusty, width=128, height=128, line_radius=0.5, spp=1
+    )
+
+    def seen(time_s):
+        now = scene.at(time_s)
+        return vs.render(now), vs.ray_search(now, [0.0, -4.0], "newton").pixel
+
+    one, pixel_of_one = seen(1.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        other, pixel_of_other = seen(2.7)
+        kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    large = [k for k in kernels if k["operation_count"] > 50]  # copies are of NumPy's alignment
+    assert large
+    assert all(k["cache_hit"] for k in large)
+    assert np.abs(other - one).max() > 0.01 * one.max()
+    assert np.abs(pixel_of_other - pixel_of_one).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"time": "late"}, "'time' must be a flow time in s, or empty for the last, not \"late\""),
+        ({"time": 3.5}, "gusty.nc: it has no instant at 3.5 s; give a time from 1 to 3 s"),
+        ({"time": "nan"}, "gusty.nc: it has no instant at nan s; give a time from 1 to 3 s"),
+        (
+            {"time": 1, "field": "fields/hot_cylinder_1250C_quarter.nc"},
+            "one instant without a time",
+        ),
+        ({"time": 1, "field": ""}, "'time' is one of a field's; give the 'field', or no time"),
+    ],
+)
+def test_a_time_that_the_field_has_not_is_refused(gusty, parameters, expected):
+    """With the scene, the line in it, the field's file and its range."""
+    with pytest.raises(vs.InputError, match=re.escape(expected)) as refusal:
+        vs.load_scene("hot_cylinder", **({"field": gusty} | parameters))
+    assert re.search(r"hot_cylinder\.xml, line \d+: ", str(refusal.value))
+
+
+def test_only_a_field_file_has_instants(gusty):
+    """In homogeneous air, or air from elsewhere, there is nothing to choose from."""
+    scene = vs.load_scene("hot_cylinder", field=gusty)
+    with pytest.raises(
+        vs.InputError, match=r"hot_cylinder\.xml: .*gusty\.nc: it has no instant at 9"
+    ):
+        scene.at(9.0)
+    with pytest.raises(vs.InputError, match=r"hot_cylinder\.xml: refractive: there is no 'field'"):
+        scene.cold().at(1.0)
+
+
+def test_a_field_of_ones_own_is_named_from_where_one_stands(gusty, monkeypatch):
+    """-D field=FILE, from the file's folder; without it, temperature chooses among the shipped."""
+    monkeypatch.chdir(gusty.parent)
+    scene = vs.load_scene("hot_cylinder", field="gusty.nc")
+    assert scene.integrator.field_file == gusty
+    monkeypatch.chdir("/")
+    assert scene.at(1.0).field.shape == scene.field.shape
+    shipped = vs.load_scene("hot_cylinder")
+    assert shipped.integrator.field_file.name == "hot_cylinder_1250C_quarter.nc"
+    assert shipped.parameters["field"] == "fields/hot_cylinder_1250C_quarter.nc"
 
 
 def test_cylinder_is_recognised():

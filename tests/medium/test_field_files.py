@@ -1,4 +1,4 @@
-"""Field files: the shipped one, round trips, and every way in which a file can be wrong."""
+"""Field files: the shipped one, what can be in one, and every way in which it can be wrong."""
 
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from scipy.io import netcdf_file
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import air_refractivity
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.netcdf import field_times
 
 SHIPPED = Path(__file__).parents[2] / "scenes" / "fields" / "hot_cylinder_1250C_quarter.nc"
 SHAPE = (5, 4, 6)
@@ -33,7 +34,7 @@ def write_nc(path, **changes):
             coordinate = nc.createVariable(axis, "f8", (axis,))
             coordinate[:] = nodes
             if spec["coordinate_units"]:
-                coordinate.units = spec["coordinate_units"]
+                coordinate.units = "s" if axis == "time" else spec["coordinate_units"]
         for name in np.atleast_1d(spec["name"]):
             variable = nc.createVariable(str(name), spec["type"], spec["dimensions"])
             variable[:] = spec["values"]
@@ -83,45 +84,6 @@ def test_the_shipped_field_refracts_only_where_the_plume_leaves(shipped):
     jump = shipped.border_jump()
     assert jump[5] > 5e-5
     assert (jump[:5] < 2e-6).all()
-
-
-@pytest.mark.parametrize("mirror", [(False, False, False), (False, True, True)])
-def test_a_written_field_comes_back_bit_for_bit(path, mirror):
-    """Values in full float64, with ambient, mirror planes and the source."""
-    rng = np.random.default_rng(1)
-    field = IndexField.from_arrays(
-        1e-4 * rng.random(SHAPE),
-        [-1.7, 0.1, 1e-5],
-        [0.3, 1.0 / 3.0, 2.0],
-        ambient=2.7e-4,
-        mirror=mirror,
-        source="a test, 20 °C",
-    )
-    field.write(path)
-    back = IndexField.read(path)
-    np.testing.assert_array_equal(back.nodes, field.nodes)
-    np.testing.assert_array_equal(back.origin, field.origin)
-    np.testing.assert_allclose(back.spacing, field.spacing, rtol=1e-15)
-    assert (back.ambient, back.mirror, back.source) == (field.ambient, mirror, field.source)
-    assert [p.name for p in path.parent.iterdir()] == ["field.nc"]
-
-
-def test_a_failed_write_leaves_the_old_file(path, monkeypatch):
-    """The disk fills up halfway: the file of before stays whole, and no debris beside it."""
-    field = IndexField.from_arrays(np.zeros(SHAPE), 3 * [0.0], 3 * [1.0])
-    field.write(path)
-    before = path.read_bytes()
-
-    def half_written(self, data):
-        with self.open("wb") as file:
-            file.write(data[: len(data) // 2])
-        raise OSError("No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", half_written)
-    with pytest.raises(InputError, match="No space"):
-        field.write(path)
-    assert path.read_bytes() == before
-    assert [p.name for p in path.parent.iterdir()] == ["field.nc"]
 
 
 def test_temperature_becomes_refractivity_by_density(path):
@@ -183,17 +145,24 @@ def test_density_and_refractivity_are_read_too(path, name, units, value, ambient
 
 
 def test_a_time_axis_of_one_is_no_hindrance(path):
-    """Solvers write one; time-dependent fields are refused below."""
+    """Solvers write one, with a coordinate or without; only with one it can be asked for."""
     coordinates = {"time": [2.0]} | {a: np.arange(n) for a, n in zip("xyz", SHAPE, strict=True)}
-    field = IndexField.read(
-        write_nc(
-            path,
-            coordinates=coordinates,
-            dimensions=("time", "x", "y", "z"),
-            values=np.full((1, *SHAPE), 400.0),
-        )
-    )
-    assert field.shape == SHAPE
+    timed = {
+        "coordinates": coordinates,
+        "dimensions": ("time", "x", "y", "z"),
+        "values": np.full((1, *SHAPE), 400.0),
+    }
+    write_nc(path, **timed)
+    assert IndexField.read(path).shape == SHAPE
+    assert IndexField.read(path, time_s=2.0).shape == SHAPE
+    np.testing.assert_array_equal(field_times(path), [2.0])
+    with pytest.raises(InputError, match="give a time from 2 to 2 s"):
+        IndexField.read(path, time_s=1.0)
+
+    with netcdf_file(path, "a") as nc:
+        nc.variables["time"].units = "days since 1970-01-01"
+    assert field_times(path) is None
+    assert IndexField.read(path).shape == SHAPE
 
 
 def test_the_solid_of_a_file_is_filled(path):
@@ -241,8 +210,10 @@ COLD[1, 2, 3] = 0.0
         ({"coordinates": {"lat": [0.0, 1.0]} | AXES, "dimensions": ("lat", "y", "z"),
           "values": 400.0}, r"dimensions \(lat, y, z\), not \(x, y, z\)"),
         ({"dimensions": ("z", "y", "x"), "values": 400.0}, r"dimensions \(z, y, x\), not"),
+        ({"coordinates": {"time": [1.0, 1.0]} | AXES, "dimensions": ("time", "x", "y", "z"),
+          "values": 400.0}, "'time' must hold .* ascending"),
         ({"coordinates": {"time": [0.0, 1.0]} | AXES, "dimensions": ("time", "x", "y", "z"),
-          "values": 400.0}, "has 2 times"),
+          "values": 400.0, "solid": np.zeros((2, *SHAPE))}, "'solid' changes with time"),
         ({"coordinates": {"x": [0.0, 1.0]}, "dimensions": ("x",), "values": 400.0},
          "no coordinate variable 'y'"),
         ({"name": "pressure"}, "exactly one of .* it holds pressure$"),
@@ -302,10 +273,3 @@ def test_a_missing_file_is_answered_with_those_there(tmp_path):
         IndexField.read(tmp_path / "two.nc")
     with pytest.raises(InputError, match=r"no \.nc file is there"):
         IndexField.read(tmp_path / "nowhere" / "two.nc")
-
-
-def test_a_missing_folder_is_named(tmp_path):
-    """Folders are not made behind the user's back."""
-    field = IndexField.from_arrays(np.zeros(SHAPE), 3 * [0.0], 3 * [1.0])
-    with pytest.raises(InputError, match="there is no folder"):
-        field.write(tmp_path / "nowhere" / "field.nc")

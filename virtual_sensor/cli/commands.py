@@ -172,6 +172,65 @@ def search(
 
 @app.command(
     epilog="Examples:\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc --start 4 --duration 2 --frames 21"
+    " -o sway_4s\n\n"
+    "    virtual-sensor burst stepped_shaft -D field=plume.nc -D width=1024 -D height=1024"
+)
+def burst(
+    scene: SceneArgument,
+    define: Definitions = None,
+    start: Annotated[
+        float | None,
+        typer.Option(help="Flow time of the first frame, s; by default the field's last second."),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="From the first frame to the last, s.")] = 1.0,
+    frames: Annotated[int, typer.Option(help="Number of frames.")] = 11,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
+        "sway"
+    ),
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure a burst of frames in moving air: how much the line and the measured points sway.
+
+    The scene's field must have a time axis. `sway.csv` has the standard deviation per image column.
+    """
+    from virtual_sensor.imaging.scene import load_scene
+    from virtual_sensor.studies.burst import burst as run
+    from virtual_sensor.studies.burst import summary
+    from virtual_sensor.studies.burst_results import save_burst
+
+    check_output(output, overwrite, folder=True)
+    with progress() as bar:
+        task = bar.add_task("loading the scene", total=1.0)
+
+        def report(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, completed=0.95 * fraction)
+
+        result = run(load_scene(scene, **definitions(define)), start, duration, frames, report)
+        bar.update(task, description="writing the results", completed=0.95)
+        figures = summary(result)
+        save_burst(result, figures, output, overwrite)
+        bar.update(task, description="done", completed=1.0)
+    table = Table("standard deviation", "median", "largest")
+    for group in ("line", "nine rays"):
+        place = "along the line" if group == "line" else "of the nine rays"
+        for name, value in figures[f"standard deviation {place}"].items():
+            if value.get("median") is not None:
+                row = (f"{value['median']:.3g}", f"{value['largest']:.3g}")
+                table.add_row(f"{group}: {name}", *row)
+    console.print(table)
+    for text in result.told:
+        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    console.print(
+        f"{frames} frames, {figures['seconds per frame']:.1f} s each; results in {output}, look at"
+        f" {output / 'report.png'} first",
+        soft_wrap=True,
+    )
+
+
+@app.command(
+    epilog="Examples:\n\n"
     "    virtual-sensor doctor\n\n"
     "    virtual-sensor --variant cuda_ad_mono doctor"
 )
@@ -193,3 +252,7 @@ def main() -> None:
         told = Console(stderr=True, markup=False, emoji=False, highlight=False)
         told.print(f"Error: {error}", style="red", soft_wrap=True)
         sys.exit(2)
+    except RuntimeError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):  # Dr.Jit's loops wrap a Ctrl-C
+            raise
+        sys.exit(130)

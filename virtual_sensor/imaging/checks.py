@@ -1,5 +1,7 @@
 """Is the scene one that can be measured?  Asked before any light is followed through the field."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,9 +20,46 @@ JUMP_TOLD_PX = 0.003
 JUMP_REFUSED_PX = 0.1
 """...and one that moves it by more than this is refused."""
 
+FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
+"""Of a field's box, in the order of `IndexField.border_jump`."""
+
 _INSIDE_MM = 1e-4
 _ELEMENT = {"camera": "<sensor>", "laser": '<emitter type="laser_line">'}
 _FIELD = '<integrator type="refractive">: the field'
+
+
+@dataclass(frozen=True)
+class LitLine:
+    """Where straight light draws the laser line: y (N,) of its rays and points (N, 3) on the part.
+
+    In mm, the points in the world frame.
+    """
+
+    y_mm: Array
+    points_mm: Array
+
+
+@dataclass(frozen=True)
+class BorderCrossing:
+    """Where light enters a field, and what the jump of n there does to the image.
+
+    Attributes
+    ----------
+    face : ndarray of int of shape (N,)
+        Index into `FACES`; -1 for rays that start inside the field.
+    place_mm : ndarray of shape (N, 3)
+        Where the ray enters, world.
+    jump : ndarray of shape (N,)
+        abs(n - n_ambient) there; 0 for rays that start inside.
+    shift_px : ndarray of shape (N,)
+        By how much the refraction at this jump would move the point that the ray ends at, as the
+        camera sees it.
+    """
+
+    face: NDArray[np.int64]
+    place_mm: Array
+    jump: Array
+    shift_px: Array
 
 
 def check_scene(scene: Scene) -> list[str]:
@@ -36,13 +75,31 @@ def check_scene(scene: Scene) -> list[str]:
     InputError
         Naming the file, the element and the remedy.
     """
+    line = lit_line(scene)
+    try:
+        return _check_border(scene.field, scene.sensor, line) if scene.field else []
+    except InputError as error:
+        raise InputError(f"{scene.path}: {error}") from None
+
+
+def lit_line(scene: Scene) -> LitLine:
+    """Find the laser line on the part by straight light, and check all but the field's border.
+
+    Raises
+    ------
+    InputError
+        If the sensor can't measure, the camera or the laser stands where it can't, no point of the
+        line is in the picture, or the field does not hold all of it.
+    """
     try:
         check_geometry(scene.sensor)
         _check_places(scene)
-        y, line = _line_on_part(scene)
-        return _check_field(scene.field, scene.sensor, y, line) if scene.field else []
+        line = _line_on_part(scene)
+        if scene.field:
+            _check_cover(scene.field, line)
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
+    return line
 
 
 def _check_places(scene: Scene) -> None:
@@ -61,8 +118,8 @@ def _check_places(scene: Scene) -> None:
             )
 
 
-def _line_on_part(scene: Scene) -> tuple[Array, Array]:
-    """Laser rays' y (N,) and points (N, 3) on the part, by straight light; some in the picture."""
+def _line_on_part(scene: Scene) -> LitLine:
+    """Trace the laser's rays to the part; some of the points must be in the picture."""
     laser = scene.sensor.laser
     y = laser.dots_mm if laser.dots_mm.size else np.linspace(-0.5, 0.5, 33) * laser.length_mm
     found = ray_search(scene.cold(), y, k_stop=1, method="paper", r_max_um=np.inf)
@@ -86,57 +143,76 @@ def _line_on_part(scene: Scene) -> tuple[Array, Array]:
                 " alpha) or widen its fov"
             )
         )
-    return y[met], found.laser_point_mm[met]
+    return LitLine(y[met], found.laser_point_mm[met])
 
 
-def _check_field(field: IndexField, sensor: SensorModel, y_mm: Array, line_mm: Array) -> list[str]:
-    """The field must hold the lit part of the surface and fade where light enters."""
+def _check_cover(field: IndexField, line: LitLine) -> None:
+    """The field must hold the lit part of the surface."""
     low, high = field.box
-    outside = np.any((line_mm < low) | (line_mm > high), axis=1)
+    outside = np.any((line.points_mm < low) | (line.points_mm > high), axis=1)
     if outside.any():
-        x, y, z = line_mm[outside][0]
+        x, y, z = line.points_mm[outside][0]
         raise InputError(
             f"{_FIELD} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
             f" laser meets the part at {_point((x, y, z))} mm; give a larger field"
         )
+
+
+def _check_border(field: IndexField, sensor: SensorModel, line: LitLine) -> list[str]:
+    """The field must fade where light enters it."""
     told = []
-    laser_mm, _ = sensor.laser.rays(0.0, y_mm)
-    for name, origin_mm in (("camera", sensor.camera.pose.origin_mm), ("laser", laser_mm)):
-        shift_px, jump, place = _border_shift(field, sensor, origin_mm, line_mm)
+    for name, crossing in border_crossings(field, sensor, line).items():
+        worst = int(np.argmax(crossing.shift_px))
         text = (
             f"{_FIELD} does not fade to ambient where the {name}'s light enters it, at"
-            f" {_point(place)} mm: a jump of {jump:.1e} in n - 1, which moves the image by about"
-            f" {shift_px:.2g} px"
+            f" {_point(crossing.place_mm[worst])} mm: a jump of {crossing.jump[worst]:.1e} in"
+            f" n - 1, which moves the image by about {crossing.shift_px[worst]:.2g} px"
         )
-        if shift_px > JUMP_REFUSED_PX:
+        if crossing.shift_px[worst] > JUMP_REFUSED_PX:
             raise InputError(f"{text}; give a field that reaches further out")
-        if shift_px > JUMP_TOLD_PX:
+        if crossing.shift_px[worst] > JUMP_TOLD_PX:
             told.append(text)
     return told
 
 
-def _border_shift(
-    field: IndexField, sensor: SensorModel, origin_mm: Array, line_mm: Array
-) -> tuple[float, float, Array]:
-    """Largest shift in px that refraction at the field's border would give, its jump and place.
+def border_crossings(
+    field: IndexField, sensor: SensorModel, line: LitLine
+) -> dict[str, BorderCrossing]:
+    """Where the camera's and the laser's light enters a field on its straight way to the line.
 
-    Snell's law for a small jump: the ray turns by jump * tan(angle of incidence).
+    Returns
+    -------
+    dict
+        `BorderCrossing` by "camera" and "laser", one row per point of the line.
     """
+    laser_mm, _ = sensor.laser.rays(0.0, line.y_mm)
+    return {
+        name: _border_crossing(field, sensor, origin_mm, line.points_mm)
+        for name, origin_mm in (("camera", sensor.camera.pose.origin_mm), ("laser", laser_mm))
+    }
+
+
+def _border_crossing(
+    field: IndexField, sensor: SensorModel, origin_mm: Array, line_mm: Array
+) -> BorderCrossing:
+    """Snell's law for a small jump: the ray turns by jump * tan(angle of incidence)."""
     ray = line_mm - origin_mm
     distance = np.linalg.norm(ray, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        faces = (np.where(ray >= 0.0, field.box[0], field.box[1]) - origin_mm) / ray
-    axis = np.nanargmax(faces, axis=1)
-    along = np.clip(np.nanmax(faces, axis=1), 0.0, 1.0)
+        entered = (np.where(ray >= 0.0, field.box[0], field.box[1]) - origin_mm) / ray
+    axis = np.nanargmax(entered, axis=1)
+    along = np.clip(np.nanmax(entered, axis=1), 0.0, 1.0)
     place = origin_mm + along[:, None] * ray
     inner = np.clip(place, field.box[0] + _INSIDE_MM, field.box[1] - _INSIDE_MM)
-    jump = np.where(along > 0.0, np.abs(field.refractivity(inner) - field.ambient), 0.0)
-    cosine = np.abs(ray[np.arange(len(ray)), axis]) / distance
+    outside = along > 0.0
+    jump = np.where(outside, np.abs(field.refractivity(inner) - field.ambient), 0.0)
+    across = ray[np.arange(len(ray)), axis]
+    cosine = np.abs(across) / distance
     turn = jump * np.sqrt(1.0 - cosine**2) / np.maximum(cosine, 1e-3)
     depth = sensor.camera.pose.to_local(line_mm)[:, 2]
     shift = turn * (1.0 - along) * distance * sensor.camera.matrix[0, 0] / depth
-    worst = int(np.argmax(shift))
-    return float(shift[worst]), float(jump[worst]), place[worst]
+    face = np.where(outside, 2 * axis + (across < 0.0), -1)
+    return BorderCrossing(face, place, jump, shift)
 
 
 def _point(xyz: Array | tuple[float, ...]) -> str:

@@ -84,7 +84,26 @@ class Scene:
 
     def cold(self) -> "Scene":
         """The same scene in homogeneous air."""
-        return replace(self, integrator=self.integrator.without_field())
+        return self.with_field(None)
+
+    def with_field(self, field: IndexField | None) -> "Scene":
+        """The same scene in other air; None: homogeneous, where light runs straight."""
+        return replace(self, integrator=self.integrator.with_field(field))
+
+    def at(self, time_s: float) -> "Scene":
+        """The same scene in the air of another instant, s, of its field's file.
+
+        Raises
+        ------
+        InputError
+            If it has no field file, or the file does not hold that instant.
+        """
+        try:
+            integrator = self.integrator.at(time_s)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
+        time = {"time": f"{time_s:.9g}"} if "time" in self.parameters else {}
+        return replace(self, integrator=integrator, parameters=self.parameters | time)
 
 
 def shipped_scenes() -> Path:
@@ -154,7 +173,11 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
     if unknown:
         names = ", ".join(sorted(defaults)) or "none"
         raise InputError(f"{path}: no parameter '{unknown[0]}'; the scene has: {names}")
-    values = defaults | given
+    values: dict[str, str] = {}
+    for name, value in (defaults | given).items():  # a default may use those before it
+        for earlier in sorted(values, key=len, reverse=True):
+            value = value.replace(f"${earlier}", values[earlier])
+        values[name] = value
     if "temperature" in values:
         try:
             below = float(values["temperature"]) < _ABSOLUTE_ZERO_C

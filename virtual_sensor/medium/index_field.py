@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.netcdf import FieldFile, read_field_file, write_field_file
+from virtual_sensor.medium.netcdf import GriddedQuantity, naming, read_field_file, write_quantity
 from virtual_sensor.medium.spline import MIN_NODES, bspline_coefficients
 
 SMOOTHING_SWEEPS = 40  # inside the solid; the air near it sees two nodes
@@ -121,8 +121,9 @@ class IndexField:
         *,
         wavelength_nm: float = 532.0,
         mirror: Sequence[bool] | None = None,
+        time_s: float | None = None,
     ) -> IndexField:
-        """Read a NetCDF-3 file of temperature, density or refractivity.
+        """Read one instant of a NetCDF-3 file of temperature, density or refractivity.
 
         Parameters
         ----------
@@ -132,14 +133,17 @@ class IndexField:
             Vacuum wavelength at which temperature or density become n - 1.
         mirror : sequence of three bool, optional
             Overrides what the file says about mirror planes.
+        time_s : float, optional
+            Flow time, s, of a file with a time axis; between its instants the stored quantity is
+            interpolated linearly. The last instant by default.
 
         Raises
         ------
         InputError
             If the file cannot be used; the message names the file, the element and the remedy.
         """
-        try:
-            f = read_field_file(path, wavelength_nm, mirror)
+        f = read_field_file(path, wavelength_nm, mirror, time_s)
+        with naming(path):
             return cls.from_arrays(
                 f.refractivity,
                 f.origin_mm,
@@ -149,8 +153,6 @@ class IndexField:
                 solid=f.solid,
                 source=f.source,
             )
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
 
     def write(self, path: str | Path) -> None:
         """Write the field as a NetCDF-3 file that `read` takes back, all of it or nothing.
@@ -158,14 +160,18 @@ class IndexField:
         Raises
         ------
         InputError
-            If the folder does not exist.
+            If the folder does not exist, or n - 1 is 0.9 or more.
         """
-        write_field_file(
-            path,
-            FieldFile(
-                self.nodes, self.origin, self.spacing, self.ambient, self.mirror, None, self.source
-            ),
+        quantity = GriddedQuantity(
+            "refractivity",
+            self.nodes,
+            self.origin,
+            self.spacing,
+            ambient={"ambient_refractivity": self.ambient},
+            mirror=self.mirror,
+            attributes={"source": self.source} if self.source else {},
         )
+        write_quantity(path, quantity, packed=False)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -4,24 +4,30 @@ A file has the dimensions ``(x, y, z)``, coordinate variables of those names in 
 and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (kg/m3) or
 ``refractivity`` (1, that is n - 1), packed or not. Everything has a ``units`` attribute. Optional:
 
-- a dimension ``time`` of length 1;
-- a variable ``solid`` (x, y, z), 1 inside the solid: its nodes are filled from the air around;
+- a dimension ``time`` of that variable, with a coordinate variable ``time`` in s, ascending:
+  instants of the flow. Between two of them the stored quantity is interpolated linearly. A single
+  instant needs no coordinate;
+- a variable ``solid`` (x, y, z), 1 inside the solid: its nodes are filled from the air around, and
+  whatever the file has there, fill values or NaN, is not looked at;
 - the surrounding air, as attributes of the variable or of the file: ``ambient_temperature`` (in the
   variable's units), ``ambient_pressure`` (Pa) and ``ambient_relative_humidity`` (0 to 1) go with a
   temperature, ``ambient_density`` with a density, ``ambient_refractivity`` with a refractivity.
   Without them it is dry air at 20 degC and 1 atm;
-- ``mirror_planes`` of the file, such as ``"x=0 y=0"``: planes through an axis's first node about
-  which the field is even. The fields shipped first say "mirror at x=0" in their title instead.
+- ``mirror_planes`` of the file, such as ``"x=0 y=0"`` or ``"none"``: planes through an axis's first
+  node about which the field is even. The fields shipped first say "mirror at x=0" in their title
+  instead.
+
+Written are mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
+``add_offset`` span the range of the values in the air, with a ``_FillValue`` in the solid.
 """
 
 from __future__ import annotations
 
 import io
-import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.io import netcdf_file
@@ -34,10 +40,20 @@ from virtual_sensor.medium.air import (
     air_refractivity,
     refractivity_of_density,
 )
+from virtual_sensor.medium.netcdf_elements import (
+    AXES,
+    number,
+    on_grid,
+    open_netcdf,
+    read_axis,
+    read_mirror,
+    read_solid,
+    read_times,
+    text,
+    units_of,
+)
 
-AXES = ("x", "y", "z")
-MM = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "m": 1e3, "meter": 1e3, "metre": 1e3}
-# What must be added to a value in these units to have it in K, kg/m3, 1.
+# What must be added to a value in these units to have it in K, kg/m3, 1; the first is written.
 UNITS = {
     "temperature": {"K": 0.0, "kelvin": 0.0, "degC": ZERO_CELSIUS_K, "Celsius": ZERO_CELSIUS_K},
     "density": dict.fromkeys(("kg/m3", "kg/m^3", "kg m-3", "kg m^-3"), 0.0),
@@ -49,14 +65,55 @@ LIMITS = {
     "density": (0.0, 100.0, " kg/m3"),
     "refractivity": (-1.0, 0.9, ""),
 }
+AMBIENT = {
+    "temperature": ("ambient_temperature", "ambient_pressure", "ambient_relative_humidity"),
+    "density": ("ambient_density",),
+    "refractivity": ("ambient_refractivity",),
+}
 AMBIENT_TEMPERATURE_K = 293.15
 AMBIENT_DENSITY = 1.2041  # kg/m^3, dry air at 20 degC and 1 atm as an ideal gas
-UNEVEN = 1e-4  # of the spacing
+PACKED_MAX = 32767  # and its negative; the one integer left, -32768, fills the solid
+TIME_DOUBT = 1e-6  # of the time itself: a float32 coordinate's rounding is no other instant
+
+
+@dataclass(frozen=True)
+class GriddedQuantity:
+    """What goes into a field file.
+
+    Attributes
+    ----------
+    kind : str
+        "temperature" (K), "density" (kg/m3) or "refractivity" (n - 1).
+    values : ndarray of shape (nx, ny, nz), or (nt, nx, ny, nz) with `time_s`
+        At the nodes; may be NaN inside the solid, and only there.
+    origin_mm, spacing_mm : ndarray of shape (3,)
+        World position of node [0, 0, 0], and the distance of nodes, mm.
+    time_s : ndarray of shape (nt,) or None
+        Flow time of the instants, s, ascending.
+    ambient : dict
+        The surrounding air, by the attributes' names in this module's docstring; units as `values`.
+    mirror : tuple of three bool
+        Whether the field is even about the plane through an axis's first node.
+    solid : ndarray of bool of shape (nx, ny, nz) or None
+        True inside the solid.
+    attributes : dict
+        Where the field comes from, as attributes of the file: title, source, comment, history ...
+    """
+
+    kind: str
+    values: np.ndarray
+    origin_mm: np.ndarray
+    spacing_mm: np.ndarray
+    time_s: np.ndarray | None = None
+    ambient: dict[str, float] = field(default_factory=dict)
+    mirror: tuple[bool, ...] = (False, False, False)
+    solid: np.ndarray | None = None
+    attributes: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class FieldFile:
-    """What a field file says, in the units of this house.
+    """What a field file says of one instant, in the units of this house.
 
     Attributes
     ----------
@@ -84,9 +141,12 @@ class FieldFile:
 
 
 def read_field_file(
-    path: str | Path, wavelength_nm: float, mirror: Sequence[bool] | None = None
+    path: str | Path,
+    wavelength_nm: float,
+    mirror: Sequence[bool] | None = None,
+    time_s: float | None = None,
 ) -> FieldFile:
-    """Read a field file.
+    """Read one instant of a field file.
 
     A temperature becomes n - 1 as in the paper: that of the surrounding air (Ciddor) times the
     ratio of ideal-gas densities at equal pressure, T_ambient / T. A refractivity is taken as it is,
@@ -100,121 +160,168 @@ def read_field_file(
         Vacuum wavelength, nm.
     mirror : sequence of three bool, optional
         Overrides what the file says about mirror planes.
+    time_s : float, optional
+        Flow time, s, between the first and the last instant of the file; the last by default.
 
     Raises
     ------
     InputError
-        If the file is missing, damaged, or not as this module's docstring describes it.
+        If the file is missing, damaged, or not as this module's docstring describes it, or the time
+        is not in its range.
     """
-    nc = _open(Path(path))
-    origin, spacing, scale = np.transpose([_read_axis(nc, axis) for axis in AXES])
-    solid = _read_solid(nc)
-    refractivity, ambient = _read_refractivity(nc, solid, wavelength_nm)
-    if mirror is None:
-        mirror = _read_mirror(nc, origin, spacing, scale)
-    source = _text(nc, "source")
+    with naming(path):
+        nc = open_netcdf(Path(path))
+        origin, spacing, scale = np.transpose([read_axis(nc, axis) for axis in AXES])
+        solid = read_solid(nc)
+        refractivity, ambient = _read_refractivity(nc, solid, wavelength_nm, time_s)
+        if mirror is None:
+            mirror = read_mirror(nc, origin, spacing, scale)
+        source = text(nc, "source")
     return FieldFile(refractivity, origin, spacing, ambient, tuple(mirror), solid, source)
 
 
-def write_field_file(path: str | Path, field: FieldFile) -> None:
-    """Write a field as ``refractivity``, in float64; all of the file appears at once or not at all.
+def field_times(path: str | Path) -> np.ndarray | None:
+    """Flow times of a field file's instants.
+
+    Returns
+    -------
+    ndarray of shape (nt,) or None
+        In s, ascending; None of a file without a time axis.
 
     Raises
     ------
     InputError
-        If the folder does not exist.
+        If the file is missing or damaged, or its time axis is unfit.
+    """
+    with naming(path):
+        nc = open_netcdf(Path(path))
+        return read_times(nc, _kind(nc))
+
+
+def write_quantity(path: str | Path, quantity: GriddedQuantity, packed: bool = True) -> None:
+    """Write a field file, all of it or nothing.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; one that exists is replaced.
+    quantity : GriddedQuantity
+        What goes into it.
+    packed : bool
+        In 16-bit integers that span the range of the values in the air, else in float64.
+
+    Raises
+    ------
+    InputError
+        If the folder does not exist, or the quantity is not as its docstring describes it.
     """
     path = Path(path)
-    if not path.parent.is_dir():
-        raise InputError(f"{path}: there is no folder {path.parent}; create it first")
+    with naming(path):
+        if not path.parent.is_dir():
+            raise InputError(f"there is no folder {path.parent}; create it first")
+        values, solid = _checked(quantity)
+    kind = quantity.kind
 
     buffer = io.BytesIO()
     nc = netcdf_file(buffer, "w", version=2)  # 64-bit offsets
-    nc.title = "Refractivity n - 1 on a regular grid"
-    if field.source:
-        nc.source = field.source.encode()
-    planes = [f"{AXES[i]}={float(field.origin_mm[i])}" for i in range(3) if field.mirror[i]]
-    if planes:
-        nc.mirror_planes = " ".join(planes)
+    planes = [f"{AXES[i]}={float(quantity.origin_mm[i])}" for i in range(3) if quantity.mirror[i]]
+    described = {"title": f"Air {kind} on a regular grid"} | quantity.attributes
+    for name, words in (described | {"mirror_planes": " ".join(planes) or "none"}).items():
+        setattr(nc, name, str(words).encode())
 
-    for i, axis in enumerate(AXES):
-        size = field.refractivity.shape[i]
-        nc.createDimension(axis, size)
-        coordinate = nc.createVariable(axis, "f8", (axis,))
-        coordinate[:] = field.origin_mm[i] + field.spacing_mm[i] * np.arange(size)
-        coordinate.units = "mm"
-    variable = nc.createVariable("refractivity", "f8", AXES)
-    variable[:] = field.refractivity
-    variable.units = "1"
-    variable.ambient_refractivity = np.float64(field.ambient)
+    coordinates = {
+        axis: (quantity.origin_mm[i] + quantity.spacing_mm[i] * np.arange(size), "mm")
+        for i, (axis, size) in enumerate(zip(AXES, values.shape[-3:], strict=True))
+    }
+    if quantity.time_s is not None:
+        coordinates = {"time": (np.asarray(quantity.time_s), "s")} | coordinates
+    for name, (nodes, units) in coordinates.items():
+        nc.createDimension(name, len(nodes))
+        coordinate = nc.createVariable(name, "f8", (name,))
+        coordinate[:] = nodes
+        coordinate.units = units
+
+    variable = nc.createVariable(kind, "i2" if packed else "f8", tuple(coordinates))
+    variable.units = next(iter(UNITS[kind]))
+    for name, value in quantity.ambient.items():
+        setattr(variable, name, np.float64(value))
+    if packed:
+        low, high = np.nanmin(values), np.nanmax(values)
+        offset, step = (low + high) / 2.0, (high - low) / (2 * PACKED_MAX) or 1.0
+        integers = np.rint((values - offset) / step)
+        variable[:] = np.where(np.isnan(integers), -PACKED_MAX - 1, integers).astype(np.int16)
+        variable.scale_factor, variable.add_offset = np.float64(step), np.float64(offset)
+        variable._FillValue = np.int16(-PACKED_MAX - 1)
+    else:
+        variable[:] = values
+    if solid is not None:
+        mask = nc.createVariable("solid", "i1", AXES)
+        mask[:] = solid
+        mask.units = "1"
     nc.flush()
 
     with written_whole(path) as unfinished:
         unfinished.write_bytes(buffer.getvalue())
 
 
-def _open(path: Path) -> netcdf_file:
-    """Read and parse the whole file."""
-    if not path.is_file():
-        present = sorted(p.name for p in path.parent.glob("*.nc"))
-        beside = f"in that folder: {', '.join(present)}" if present else "no .nc file is there"
-        raise InputError(f"there is no such file; {beside}")
-    content = path.read_bytes()
-    if content.startswith(b"\x89HDF") or content.startswith(b"CDF\x05"):
-        raise InputError(
-            "is NetCDF-4 or CDF-5, and only NetCDF-3 is read; convert it with "
-            '`nccopy -3 in.nc out.nc`, or in xarray .to_netcdf(..., format="NETCDF3_64BIT")'
-        )
-    if not content.startswith((b"CDF\x01", b"CDF\x02")):
-        raise InputError("is not a NetCDF-3 file (it does not begin with 'CDF')")
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Let errors about what is in a file begin with its name."""
     try:
-        return netcdf_file(io.BytesIO(content), "r", mmap=False)
-    except (ValueError, IndexError, KeyError, TypeError) as error:
-        raise InputError(f"is truncated or damaged ({error}); copy it again") from error
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
 
 
-def _text(owner: Any, name: str) -> str:
-    """Return a text attribute of the file or of a variable, empty if there is none."""
-    value = owner._attributes.get(name, b"")
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-
-
-def _number(owner: Any, name: str, default: float) -> float:
-    """Return a numeric attribute; a float32 stands for the shortest decimal that rounds to it."""
-    value = owner._attributes.get(name, default)
-    try:
-        return float(str(np.ravel(value)[0]))
-    except ValueError:
-        raise InputError(f"attribute '{name}' must be a number, not {value!r}") from None
-
-
-def _units(nc: netcdf_file, name: str, known: dict[str, float]) -> float:
-    """Look a variable's units up in the table `known`."""
-    units = _text(nc.variables[name], "units")
-    if units not in known:
-        found = f"has units '{units}'" if units else "has no attribute 'units'"
-        raise InputError(f"variable '{name}' {found}; give one of: {', '.join(known)}")
-    return known[units]
-
-
-def _read_axis(nc: netcdf_file, axis: str) -> tuple[float, float, float]:
-    """Read first coordinate and spacing in mm, and the coordinate's unit in mm."""
-    if axis not in nc.variables or nc.variables[axis].dimensions != (axis,):
-        raise InputError(f"there is no coordinate variable '{axis}' along a dimension '{axis}'")
-    scale = _units(nc, axis, MM)
-    nodes = scale * np.asarray(nc.variables[axis].data, dtype=np.float64)
-    if len(nodes) < 2 or not np.isfinite(nodes).all():
-        raise InputError(f"coordinate '{axis}' needs at least two nodes, all of them finite")
-    steps = np.diff(nodes)
-    if (steps <= 0.0).any():
-        raise InputError(f"coordinate '{axis}' does not ascend; reverse it (`ncpdq -a -{axis}`)")
-    spacing = (nodes[-1] - nodes[0]) / len(steps)
-    if (abs(steps - spacing) > UNEVEN * spacing).any():
+def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
+    """Values with NaN in all of the solid, and its mask, if all is fit to be written."""
+    kind, times = quantity.kind, quantity.time_s
+    if kind not in UNITS:
+        raise InputError(f"kind '{kind}': give one of {', '.join(UNITS)}")
+    if unknown := quantity.ambient.keys() - set(AMBIENT[kind]):
         raise InputError(
-            f"coordinate '{axis}' is unevenly spaced ({steps.min():g} to {steps.max():g} mm); "
-            "interpolate the field to a regular grid"
+            f"ambient '{sorted(unknown)[0]}' does not go with a {kind}; give "
+            f"{', '.join(AMBIENT[kind])}"
         )
-    return nodes[0], spacing, scale
+    values = np.array(quantity.values, dtype=np.float64)
+    if values.ndim != (3 if times is None else 4):
+        raise InputError(
+            f"values of the shape {values.shape}; give (nx, ny, nz), with time_s (nt, nx, ny, nz)"
+        )
+    if times is not None:
+        instants = np.asarray(times, dtype=np.float64)
+        ascending = np.isfinite(instants).all() and (np.diff(instants) > 0.0).all()
+        if instants.shape != values.shape[:1] or not ascending:
+            raise InputError(
+                f"time_s must hold the {values.shape[0]} instants of the values, finite, ascending"
+            )
+    solid = None
+    if quantity.solid is not None:
+        solid = np.asarray(quantity.solid, dtype=bool)
+        if solid.shape != values.shape[-3:] or solid.all():
+            raise InputError(f"solid must have the shape {values.shape[-3:]} and leave some air")
+        values[..., solid] = np.nan
+    missing = np.isnan(values) if solid is None else np.isnan(values) & ~solid
+    if missing.any():
+        raise InputError(
+            f"{missing.sum()} nodes in the air have no value, the first is "
+            f"{np.argwhere(missing)[0].tolist()}; fill them, or mark what is solid"
+        )
+    _check_limits(kind, values)
+    return values, solid
+
+
+def _check_limits(kind: str, values: np.ndarray) -> None:
+    """Refuse values that can't be such a field's; NaN passes."""
+    low, high, unit = LIMITS[kind]
+    wrong = (values <= low) | (values >= high)
+    if wrong.any():
+        raise InputError(
+            f"variable '{kind}' is {values[wrong][0]:g}{unit} at node "
+            f"{np.argwhere(wrong)[0].tolist()}, outside {low:g} to {high:g}{unit}; "
+            "check its units and packing"
+            + (" (n - 1 is wanted, not n)" if kind == "refractivity" else "")
+        )
 
 
 def _kind(nc: netcdf_file) -> str:
@@ -229,64 +336,53 @@ def _kind(nc: netcdf_file) -> str:
     return found[0]
 
 
-def _on_grid(nc: netcdf_file, name: str) -> np.ndarray:
-    """Return the raw data of a variable as (nx, ny, nz)."""
-    variable = nc.variables[name]
-    dimensions, data = variable.dimensions, variable.data
-    if "time" in dimensions:
-        along = dimensions.index("time")
-        if data.shape[along] != 1:
-            raise InputError(
-                f"variable '{name}' has {data.shape[along]} times; fields that change with time "
-                "are not read yet: take one out with `ncks -d time,0`"
-            )
-        data = np.squeeze(data, axis=along)
-        dimensions = tuple(d for d in dimensions if d != "time")
-    if dimensions != AXES:
+def _read_values(nc: netcdf_file, kind: str, time_s: float | None) -> np.ndarray:
+    """Read the quantity at one instant, in the variable's units; NaN where missing."""
+    variable, times = nc.variables[kind], read_times(nc, kind)
+    scale, shift = number(variable, "scale_factor", 1.0), number(variable, "add_offset", 0.0)
+
+    def stored(instant: int) -> np.ndarray:
+        raw = on_grid(nc, kind, instant)
+        values = raw.astype(np.float64) * scale + shift
+        for fill in ("_FillValue", "missing_value"):
+            if fill in variable._attributes:
+                values[raw == variable._attributes[fill]] = np.nan
+        return values
+
+    if time_s is None:
+        return stored(-1)
+    if times is None:
         raise InputError(
-            f"variable '{name}' has the dimensions ({', '.join(dimensions)}), not (x, y, z); "
-            "reorder them (`ncpdq -a x,y,z`)"
+            f"it holds one instant without a time axis, so not that at {time_s:g} s; leave the time"
+            " out"
         )
-    return data
-
-
-def _read_solid(nc: netcdf_file) -> np.ndarray | None:
-    """Read the solid's mask, if there is one."""
-    if "solid" not in nc.variables:
-        return None
-    flags = _on_grid(nc, "solid")
-    if not np.isin(flags, (0, 1)).all():
-        raise InputError("variable 'solid' must be 0 in the air and 1 in the solid everywhere")
-    return flags == 1
+    doubt = TIME_DOUBT * abs(times).max()
+    if not times[0] - doubt <= time_s <= times[-1] + doubt:
+        raise InputError(
+            f"it has no instant at {time_s:g} s; give a time from {times[0]:g} to {times[-1]:g} s"
+        )
+    place = float(np.interp(time_s, times, np.arange(len(times))))
+    before = int(place)
+    values = stored(before)
+    if place > before:
+        values += (place - before) * (stored(before + 1) - values)
+    return values
 
 
 def _read_refractivity(
-    nc: netcdf_file, solid: np.ndarray | None, wavelength_nm: float
+    nc: netcdf_file, solid: np.ndarray | None, wavelength_nm: float, time_s: float | None
 ) -> tuple[np.ndarray, float]:
     """Read n - 1 at the nodes, NaN where missing or solid, and of the surrounding air."""
     kind = _kind(nc)
-    variable, raw = nc.variables[kind], _on_grid(nc, kind)
-    offset = _units(nc, kind, UNITS[kind])
-    scale, shift = _number(variable, "scale_factor", 1.0), _number(variable, "add_offset", 0.0)
-    values = raw.astype(np.float64) * scale + shift + offset
-    for fill in ("_FillValue", "missing_value"):
-        if fill in variable._attributes:
-            values[raw == variable._attributes[fill]] = np.nan
+    variable = nc.variables[kind]
+    offset = units_of(nc, kind, UNITS[kind])
+    values = _read_values(nc, kind, time_s) + offset
     if solid is not None:
         values[solid] = np.nan
-
-    low, high, unit = LIMITS[kind]
-    wrong = (values <= low) | (values >= high)
-    if wrong.any():
-        raise InputError(
-            f"variable '{kind}' is {values[wrong][0]:g}{unit} at node "
-            f"{np.argwhere(wrong)[0].tolist()}, outside {low:g} to {high:g}{unit}; "
-            "check its units and packing"
-            + (" (n - 1 is wanted, not n)" if kind == "refractivity" else "")
-        )
+    _check_limits(kind, values)
 
     def ambient(name: str, default: float) -> float:
-        return _number(variable if name in variable._attributes else nc, name, default)
+        return number(variable if name in variable._attributes else nc, name, default)
 
     if kind == "temperature":
         T = ambient("ambient_temperature", AMBIENT_TEMPERATURE_K - offset) + offset
@@ -298,30 +394,3 @@ def _read_refractivity(
         K = float(refractivity_of_density(1.0, wavelength_nm))  # m^3/kg
         return K * values, K * ambient("ambient_density", AMBIENT_DENSITY)
     return values, ambient("ambient_refractivity", float(air_refractivity(wavelength_nm)))
-
-
-def _read_mirror(
-    nc: netcdf_file, origin: np.ndarray, spacing: np.ndarray, scale: np.ndarray
-) -> list[bool]:
-    """Read which axes have a mirror plane at their first node."""
-    mirror = [False, False, False]
-    planes = _text(nc, "mirror_planes")
-    if not planes:
-        tail = _text(nc, "title").partition("mirror at ")[2]
-        planes = " ".join(re.findall(r"\b[xyz]=-?[\d.]+", tail))
-    for plane in planes.split():
-        name, _, number = plane.partition("=")
-        try:
-            axis = AXES.index(name)
-            position = scale[axis] * float(number)
-        except ValueError:
-            raise InputError(
-                f"attribute 'mirror_planes': cannot read '{plane}'; write it like 'x=0 y=0'"
-            ) from None
-        if abs(position - origin[axis]) > UNEVEN * spacing[axis]:
-            raise InputError(
-                f"the mirror plane {plane} is not at the first node of {name}, "
-                f"{origin[axis]:g} mm; cut the field there"
-            )
-        mirror[axis] = True
-    return mirror

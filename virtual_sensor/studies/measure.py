@@ -198,7 +198,6 @@ def summary(result: Measurement) -> dict[str, Any]:
     scene = (result.hot or result.cold).scene
     exact, rounded = nine_ray_deviations(result), nine_ray_deviations(result, 0.25)
     sensor_axes = scene.sensor.camera.pose.rotation[:, :2]
-    running = engine.activate()
     return {
         "scene": str(scene.path),
         "parameters": scene.parameters,
@@ -216,14 +215,20 @@ def summary(result: Measurement) -> dict[str, Any]:
             "largest |B_m - A_m|": _largest(exact.measured_um),
         },
         "seconds": round(result.seconds, 2),
-        "made_with": {
-            "variant": running.variant,
-            "llvm": str(running.llvm.path) if running.llvm else None,
-            "threads": running.threads,
-            "python": platform.python_version(),
-            "march": str(scene.integrator.march),
-            **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
-        },
+        "made_with": made_with(scene),
+    }
+
+
+def made_with(scene: Scene) -> dict[str, Any]:
+    """The engine, the march and the versions that results come from."""
+    running = engine.activate()
+    return {
+        "variant": running.variant,
+        "llvm": str(running.llvm.path) if running.llvm else None,
+        "threads": running.threads,
+        "python": platform.python_version(),
+        "march": str(scene.integrator.march),
+        **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
     }
 
 

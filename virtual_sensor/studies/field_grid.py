@@ -1,0 +1,236 @@
+"""How fine a field's grid is: its narrowest structures in nodes, and what fewer nodes lose."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.spline import MIN_NODES
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+WALL_NODES = 4
+"""Air within so many nodes of the solid is the wall layer: there a spline feels the fill inside."""
+
+_NOTABLE = 0.1  # of the largest difference from ambient: what is less is no structure to resolve
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The narrowest rise or dip of n - 1 along one axis.
+
+    Attributes
+    ----------
+    axis : str
+    at_wall : bool
+        Whether its peak lies in the wall layer or in the air beyond.
+    half_width_mm, nodes : float
+        From its peak to where half of the difference from ambient is left, in mm and in spacings of
+        the grid.
+    place_mm : ndarray of shape (3,)
+        Of the peak, world.
+    """
+
+    axis: str
+    at_wall: bool
+    half_width_mm: float
+    nodes: float
+    place_mm: Array
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """What is lost with fewer nodes, and by Richardson's extrapolation what the present ones lose.
+
+    With an error C h^p the changes are C h^p (2^p - 1) and C h^p (4^p - 1).
+
+    Attributes
+    ----------
+    twice, fourfold : float
+        Change with every second and with every fourth node; NaN if there are too few nodes.
+    """
+
+    twice: float
+    fourfold: float
+
+    @property
+    def order(self) -> float:
+        """The observed p; NaN if the two changes don't tell."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.log2(np.divide(self.fourfold, self.twice) - 1.0))
+
+    @property
+    def present(self) -> float:
+        """Error of the present grid, with p between 1 and a cubic spline's gradient's 3."""
+        order = np.clip(np.nan_to_num(self.order, nan=1.0, posinf=3.0, neginf=1.0), 1.0, 3.0)
+        return float(self.twice / (2.0**order - 1.0))
+
+    @property
+    def converges(self) -> bool:
+        """False where structures are as narrow as the grid, such as kinks and noise."""
+        return not self.fourfold < 3.0 * self.twice
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What a field loses when it is stored with fewer nodes along some axes.
+
+    Attributes
+    ----------
+    axes : str
+        Such as "y", or "xyz" for all together.
+    largest : float
+        Change of n - 1 with every second node: largest, in the air beyond the wall layer.
+    rms : Convergence
+        Root mean square of the same.
+    pixel : Convergence or None
+        Largest shift of the rays' pixels, px; None without a scene.
+    """
+
+    axes: str
+    largest: float
+    rms: Convergence
+    pixel: Convergence | None
+
+
+def beyond_wall(field: IndexField, solid: Mask | None) -> Mask:
+    """Nodes (nx, ny, nz) in the air beyond the wall layer."""
+    if solid is None or not solid.any():
+        return np.ones(field.shape, bool)
+    return np.asarray(ndimage.distance_transform_edt(~solid) > WALL_NODES)
+
+
+def narrowest_structures(field: IndexField, solid: Mask | None) -> list[Structure]:
+    """Find the narrowest structure along each axis, in the wall layer and beyond it."""
+    difference = np.abs(field.nodes - field.ambient)
+    beyond = beyond_wall(field, solid)
+    air = np.ones(field.shape, bool) if solid is None else ~solid
+    found = [
+        _narrowest(field, np.where(air, difference, np.nan), peaks, axis, at_wall)
+        for at_wall, peaks in ((False, beyond), (True, air & ~beyond))
+        for axis in range(3)
+    ]
+    return [structure for structure in found if structure]
+
+
+def _narrowest(
+    field: IndexField, difference: Array, peaks: Mask, axis: int, at_wall: bool
+) -> Structure | None:
+    """Find the narrowest structure along an axis among those whose peak is in a mask."""
+    allowed = np.where(peaks, difference, -np.inf)
+    if not allowed.max() > 0.0:
+        return None
+    lines, heights = (np.moveaxis(a, axis, 0) for a in (difference, allowed))
+    shape, unfolded = lines.shape[1:], 0
+    if field.mirror[axis]:
+        unfolded = len(lines) - 1
+        lines, heights = (np.concatenate([a[:0:-1], a]) for a in (lines, heights))
+    lines, heights = (a.reshape(len(a), -1) for a in (lines, heights))
+    peak = heights.argmax(axis=0)
+    height = heights.max(axis=0)
+    # A wall layer's flank that reaches into the mask is no structure of its own.
+    beside = np.pad(lines, ((1, 1), (0, 0)), constant_values=np.nan)
+    column = np.arange(len(peak))
+    is_peak = ~(beside[peak, column] > height) & ~(beside[peak + 2, column] > height)
+    is_peak &= height >= _NOTABLE * allowed.max()
+    sides = np.stack(
+        [_to_half(lines, peak, height), _to_half(lines[::-1], len(lines) - 1 - peak, height)]
+    )
+    known = np.isfinite(sides)
+    width = np.where(known, sides, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    width[~is_peak | ~known.any(axis=0)] = np.inf
+    best = int(width.argmin())
+    if not np.isfinite(width[best]):
+        return None
+    node = np.insert(np.array(np.unravel_index(best, shape)), axis, abs(peak[best] - unfolded))
+    return Structure(
+        "xyz"[axis],
+        at_wall,
+        float(width[best] * field.spacing[axis]),
+        float(width[best]),
+        field.origin + node * field.spacing,
+    )
+
+
+def _to_half(lines: Array, peak: NDArray[np.int64], height: Array) -> Array:
+    """Nodes from each line's peak upward to half its height; infinite if it ends before that."""
+    number = np.arange(len(lines))[:, None]
+    ended = ~(lines >= 0.5 * height) & (number > peak)
+    there, column = ended.argmax(axis=0), np.arange(lines.shape[1])
+    inner, outer = lines[there - 1, column], lines[there, column]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = there - 1 + (inner - 0.5 * height) / (inner - outer) - peak
+    return np.where(ended.any(axis=0) & np.isfinite(outer), way, np.inf)
+
+
+def grid_losses(
+    field: IndexField,
+    solid: Mask | None,
+    filled: bool,
+    pixels: Callable[[IndexField], Array] | None,
+    report: Callable[[float], None] = lambda fraction: None,
+) -> list[Loss]:
+    """Store a field with every second and fourth node along each axis and along all; see the loss.
+
+    Parameters
+    ----------
+    field : IndexField
+    solid : ndarray of bool of shape (nx, ny, nz) or None
+        Of the part, as far as it is known.
+    filled : bool
+        Whether the solid's nodes come from the air around, as they will again with fewer nodes; or
+        from the file.
+    pixels : callable or None
+        Gives the pixels (N, 2) of some rays through a field.
+    report : callable
+        Is told the fraction done.
+    """
+    steps = {k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (2, 4)}
+    # Cut to whole cells of the widest grid, so that all the fields have the same box.
+    kept = tuple(
+        slice((n - 1) // k * k + 1)
+        for n, k in zip(field.shape, np.max(list(steps.values()), axis=0), strict=True)
+    )
+    solid = None if solid is None else solid[kept]
+
+    def every(step: list[int]) -> IndexField:
+        nodes = tuple(slice(None, None, k) for k in step)
+        return IndexField.from_arrays(
+            field.nodes[kept][nodes],
+            field.origin,
+            field.spacing * step,
+            ambient=field.ambient,
+            mirror=field.mirror,
+            solid=solid[nodes] if filled and solid is not None else None,
+        )
+
+    whole = every([1, 1, 1])
+    compared = beyond_wall(whole, solid)
+    points = whole.origin + np.argwhere(compared) * whole.spacing
+    values = whole.nodes[compared]
+    nothing = np.full((1, 2), np.nan)
+    pixels_of = pixels or (lambda other: nothing)
+    through_whole = pixels_of(whole)
+
+    def change(axes: str, k: int) -> tuple[float, float, float]:
+        """Return largest and rms change of n - 1, and the largest shift in px."""
+        step = [s if axis in axes else 1 for axis, s in zip("xyz", steps[k], strict=True)]
+        if max(step) < k:
+            return np.nan, np.nan, np.nan
+        thinned = every(step)
+        delta = np.abs(thinned.refractivity(points) - values)
+        shift = np.linalg.norm(pixels_of(thinned) - through_whole, axis=1)
+        furthest = np.fmax.reduce(shift)  # NaN only if no ray is found
+        return float(delta.max()), float(np.sqrt(np.mean(delta**2))), float(furthest)
+
+    losses = []
+    for number, axes in enumerate(("x", "y", "z", "xyz")):
+        report(number / 4.0)
+        twice, fourfold = change(axes, 2), change(axes, 4)
+        pixel = Convergence(twice[2], fourfold[2]) if pixels else None
+        losses.append(Loss(axes, twice[0], Convergence(twice[1], fourfold[1]), pixel))
+    return losses

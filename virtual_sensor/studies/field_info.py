@@ -1,0 +1,262 @@
+"""What a field file holds, whether it suits a scene, and whether its grid is fine enough."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.checks import FACES, LitLine, border_crossings, lit_line
+from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, read_field_file
+from virtual_sensor.medium.netcdf_elements import number, open_netcdf, read_times, text, units_of
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.trace import to_vectors
+from virtual_sensor.studies.field_grid import Loss, Structure, grid_losses, narrowest_structures
+from virtual_sensor.studies.measure import NINE_RAYS_MM
+
+Array = NDArray[np.float64]
+
+USUAL_SCENE = "hot_cylinder"
+"""The scene that a field is tried on if none is named."""
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a field file says of itself.
+
+    Attributes
+    ----------
+    kind : str
+        "temperature", "density" or "refractivity".
+    size_bytes : int
+    attributes : dict
+        The file's own text: title, source, comment, history...
+    times_s : ndarray of shape (nt,) or None
+        Its instants; None without a time axis.
+    ambient_temperature_k : float
+        Of the surrounding air; 293.15 K unless a temperature's file says otherwise.
+    """
+
+    kind: str
+    size_bytes: int
+    attributes: dict[str, str]
+    times_s: Array | None
+    ambient_temperature_k: float
+
+
+@dataclass(frozen=True)
+class Face:
+    """A face of the field's box.
+
+    Attributes
+    ----------
+    name : str
+        One of `checks.FACES`.
+    jump : float
+        Largest abs(n - n_ambient) on it.
+    crossed_jump : dict
+        The same where the "camera"'s and the "laser"'s light crosses it; empty if none does.
+    shift_px : dict
+        What it does there to the image, px.
+    """
+
+    name: str
+    jump: float
+    crossed_jump: dict[str, float]
+    shift_px: dict[str, float]
+
+    @property
+    def largest_px(self) -> float:
+        """Of both kinds of light; 0 if none crosses the face."""
+        return max(self.shift_px.values(), default=0.0)
+
+
+@dataclass(frozen=True)
+class FieldInfo:
+    """All that is told of a field.
+
+    Attributes
+    ----------
+    path : Path
+    contents : Contents
+    time_s : float or None
+        The instant looked at; None without a time axis.
+    wavelength_nm : float
+        At which a temperature or density becomes n - 1.
+    field : IndexField
+    solid : ndarray of bool of shape (nx, ny, nz) or None
+        The part, by the file or else by the scene.
+    faces : list of Face
+    structures : list of Structure
+    losses : list of Loss
+    scene : Scene or None
+        In this field; None if the field suits none.
+    line : LitLine or None
+        Where the scene's laser lights its part.
+    effect_px : ndarray of shape (9, 2) or None
+        By how much the field moves the pixels of the paper's nine rays; NaN for those not found.
+    left_out : list of str
+        What is not told, and why.
+    """
+
+    path: Path
+    contents: Contents
+    time_s: float | None
+    wavelength_nm: float
+    field: IndexField
+    solid: NDArray[np.bool_] | None
+    faces: list[Face]
+    structures: list[Structure]
+    losses: list[Loss]
+    scene: Scene | None
+    line: LitLine | None
+    effect_px: Array | None
+    left_out: list[str]
+
+    @property
+    def refractivity_range(self) -> tuple[float, float]:
+        """Lowest and highest n - 1 at the nodes in the air."""
+        nodes = self.field.nodes if self.solid is None else self.field.nodes[~self.solid]
+        return float(nodes.min()), float(nodes.max())
+
+    @property
+    def temperature_range_c(self) -> tuple[float, float] | None:
+        """Lowest and highest temperature that they imply, degC; None if they can't be air's."""
+        low, high = self.refractivity_range
+        if low <= 0.0 or self.field.ambient <= 0.0:
+            return None
+        coldest, hottest = self.temperature_c(np.array([high, low]))
+        return float(coldest), float(hottest)
+
+    def temperature_c(self, refractivity: Array) -> Array:
+        """Temperature in degC of an ideal gas at ambient pressure with these n - 1."""
+        ratio = self.field.ambient / refractivity
+        return np.asarray(ratio * self.contents.ambient_temperature_k - 273.15)
+
+
+def field_info(
+    path: Path,
+    scene: str | None = None,
+    parameters: Mapping[str, str] | None = None,
+    time_s: float | None = None,
+    report: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> FieldInfo:
+    """Look at a field, by itself and as a scene's light sees it.
+
+    Parameters
+    ----------
+    path : Path
+        A field file.
+    scene : str, optional
+        Name or file of the scene; by default hot_cylinder, which is left out if it does not suit.
+    parameters : mapping, optional
+        Values of the scene's ``$parameters``.
+    time_s : float, optional
+        The instant, in s of flow time; the last by default.
+    report : callable
+        Is told what is being done, and which fraction of the whole is.
+
+    Raises
+    ------
+    InputError
+        If the file is no field, or the scene that is asked for can't be loaded or does not suit.
+    """
+    report("reading the field", 0.0)
+    loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {}))
+    wavelength_nm = loaded.integrator.wavelength_nm
+    field = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
+    contents = _contents(path)
+    if time_s is None and contents.times_s is not None:
+        time_s = float(contents.times_s[-1])
+
+    report("following the light", 0.1)
+    in_it = loaded.with_field(field)
+    line, effect, pixels, left_out = None, None, None, []
+    try:
+        line = lit_line(in_it)
+    except InputError as error:
+        if scene or parameters:
+            raise InputError(f"{path}: does not suit the scene: {error}") from None
+        left_out.append(f"what it does to light, because it does not suit a scene ({error})")
+    if line:
+        pixels = partial(_nine_pixels, in_it)
+        effect = pixels(field) - pixels(None)
+        if np.isnan(effect).all():
+            effect, pixels = None, None
+            left_out.append("the effect in px, because none of the nine rays is in the picture")
+
+    solid = read_field_file(path, wavelength_nm, time_s=time_s).solid
+    refilled = solid is not None
+    if line and not refilled:
+        solid = inside_part(in_it, _node_places(field)).reshape(field.shape)
+    if solid is None:
+        left_out.append("what is at the wall, because neither the file nor a scene tells the solid")
+
+    def thinning(fraction: float) -> None:
+        report("thinning out the grid", 0.2 + 0.6 * fraction)
+
+    losses = grid_losses(field, solid, refilled, pixels, thinning)
+    structures = narrowest_structures(field, solid)
+    faces = _faces(field, in_it, line)
+    return FieldInfo(
+        path,
+        contents,
+        time_s,
+        wavelength_nm,
+        field,
+        solid,
+        faces,
+        structures,
+        losses,
+        in_it if line else None,
+        line,
+        effect,
+        left_out,
+    )
+
+
+def inside_part(scene: Scene, points_mm: Array) -> NDArray[np.bool_]:
+    """Which world points (N, 3) lie inside the scene's part; shape (N,)."""
+    up = np.broadcast_to([0.0, 0.0, 1.0], points_mm.shape)
+    return np.array(scene.surface.starts_inside(to_vectors(points_mm), to_vectors(up)))
+
+
+def _node_places(field: IndexField) -> Array:
+    """World positions of all nodes, (nx * ny * nz, 3)."""
+    return field.origin + np.indices(field.shape).reshape(3, -1).T * field.spacing
+
+
+def _nine_pixels(scene: Scene, field: IndexField | None) -> Array:
+    """Pixels (9, 2) that see the paper's nine rays through a field."""
+    return ray_search(scene.with_field(field), NINE_RAYS_MM, "newton").pixel
+
+
+def _contents(path: Path) -> Contents:
+    """Read what a file says of itself; it is known to be a field's."""
+    nc = open_netcdf(path)
+    kind = next(name for name in UNITS if name in nc.variables)
+    ambient = AMBIENT_TEMPERATURE_K
+    if kind == "temperature":
+        offset, variable = units_of(nc, kind, UNITS[kind]), nc.variables[kind]
+        owner = variable if "ambient_temperature" in variable._attributes else nc
+        ambient = number(owner, "ambient_temperature", ambient - offset) + offset
+    said = {name: text(nc, name) for name, v in nc._attributes.items() if isinstance(v, bytes)}
+    return Contents(kind, path.stat().st_size, said, read_times(nc, kind), ambient)
+
+
+def _faces(field: IndexField, scene: Scene, line: LitLine | None) -> list[Face]:
+    """Find the jump at each face of the border, and its effect where light crosses it."""
+    crossings = border_crossings(field, scene.sensor, line) if line else {}
+    faces = []
+    for index, (name, jump) in enumerate(zip(FACES, field.border_jump(), strict=True)):
+        here = {who: crossing.face == index for who, crossing in crossings.items()}
+        met = {who: mask for who, mask in here.items() if mask.any()}
+        jumps = {who: float(crossings[who].jump[mask].max()) for who, mask in met.items()}
+        shifts = {who: float(crossings[who].shift_px[mask].max()) for who, mask in met.items()}
+        faces.append(Face(name, float(jump), jumps, shifts))
+    return faces
