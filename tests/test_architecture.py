@@ -206,7 +206,7 @@ def shipped():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     patterns = settings["tool"]["setuptools"]["package-data"]
     files = {pattern: list((ROOT / "scenes").glob(pattern)) for pattern in patterns.pop(SHIPPED)}
-    files |= {p: [PACKAGES[name] / p] for name, each in patterns.items() for p in each}
+    files |= {p: list(PACKAGES[name].glob(p)) for name, each in patterns.items() for p in each}
     return files
 
 
@@ -243,9 +243,11 @@ def test_every_package_is_listed():
 
 def command_lines():
     """Commands as README and the help texts show them."""
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    epilogs = [command.epilog or "" for command in cli.app.registered_commands]
-    shown = re.findall(r"\bvirtual-sensor [^\n`#&;]+", "\n".join([readme, *epilogs]))
+    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    groups = (group.typer_instance for group in cli.app.registered_groups)
+    commands = [c for app in (cli.app, *groups) for c in app.registered_commands]
+    texts = [p.read_text(encoding="utf-8") for p in pages] + [c.epilog or "" for c in commands]
+    shown = re.findall(r"\bvirtual-sensor [a-z-][^\n`#&;]+", "\n".join(texts))
     return sorted({line.strip() for line in shown})
 
 
@@ -258,8 +260,12 @@ def test_commands_that_are_shown_can_be_typed(line):
         number = next(i for i, word in enumerate(words) if word in group.commands)
         group.make_context("virtual-sensor", words[: number + 1])
         name, *arguments = words[number:]
-        given = group.commands[name].make_context(name, arguments).params
-        assert given.get("scene", SCENES[0]) in SCENES
+        command = group.commands[name]
+        if hasattr(command, "commands"):  # a group of them
+            name, *arguments = arguments
+            command = command.commands[name]
+        given = command.make_context(name, arguments).params
+        assert (given.get("scene") or SCENES[0]) in SCENES
 
 
 def test_the_help_names_the_shipped_scenes():

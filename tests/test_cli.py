@@ -90,10 +90,13 @@ def summary(measured):
     return json.loads((measured[0] / "summary.json").read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("name", ["measure", "search", "doctor"])
+FIELD = ["field info", "field import", "field simulate", "field fineness"]
+
+
+@pytest.mark.parametrize("name", ["measure", "search", "burst", "doctor", *FIELD])
 def test_help_shows_examples(name):
     """Rationale: an example is what is copied first."""
-    status, out, _ = command(name, "--help")
+    status, out, _ = command(*name.split(), "--help")
     assert status == 0
     examples = out.partition("Examples:")[2]
     assert len(re.findall(rf"virtual-sensor [^\n]*\b{name}\b", examples)) >= 2

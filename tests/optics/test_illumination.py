@@ -106,7 +106,7 @@ def test_flux_is_conserved_between_neighbouring_rays(scene, laser, points, hot):
     expected = (2.0 * e) ** 2 / area_between(laser, field, a, b, points, e)
     np.testing.assert_allclose(concentration, expected, rtol=0.01 if hot else 1e-8)
     if hot:
-        assert np.ptp(concentration) > 0.1  # hot air makes bright and dark places
+        assert np.ptp(concentration) > 0.05  # hot air makes bright and dark places
 
 
 def test_nothing_lights_the_back_of_the_cylinder(scene, laser):

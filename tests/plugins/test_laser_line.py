@@ -96,7 +96,7 @@ def test_points_on_a_laser_ray_have_its_coordinates(kind):
 def test_hot_air_concentrates_light_and_loses_none():
     """By finite differences of the coordinates found, and by the flux past a plane near the part.
 
-    The plume thins the light out by a quarter in places.
+    The plume thins the light out by a tenth in places.
     """
     scene = vs.load_scene("hot_cylinder")
     emitter = next(e for e in scene.mitsuba.emitters() if isinstance(e, LaserLineEmitter))
@@ -115,4 +115,4 @@ def test_hot_air_concentrates_light_and_loses_none():
     by_area = (a_x * b_y - a_y * b_x)[1:-1, 1:-1]
     concentration = (np.array(light.concentration) * cosine).reshape(cells)[1:-1, 1:-1]
     np.testing.assert_allclose(concentration, by_area, rtol=0.01)
-    assert concentration.min() < 0.75
+    assert concentration.min() < 0.92

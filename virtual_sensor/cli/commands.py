@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import field
+from virtual_sensor.cli import simulation
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -31,7 +31,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-app.add_typer(field.app, name="field")
+
+
+app.add_typer(simulation.app, name="field")  # with the commands of field.py
 
 
 def _tell_version(asked: bool) -> None:

@@ -10,8 +10,11 @@ from rich.table import Table
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
+    closing,
+    command_line,
     console,
     definitions,
+    numbers,
     progress,
 )
 from virtual_sensor.files import check_output, written_whole
@@ -93,3 +96,132 @@ def info(
         console.print(f"Left out: {text}", style="yellow", soft_wrap=True)
     if output:
         console.print(f"picture in {output}", soft_wrap=True)
+
+
+@app.command(
+    name="import",
+    epilog="Examples:\n\n"
+    "    virtual-sensor field import case/ --variable T --mirror x,y -o air.nc\n\n"
+    "    virtual-sensor field import air.vtu --units K --length-units m --axes x,-z,y -o air.nc\n\n"
+    "    virtual-sensor field import air.txt --origin 0,0,13.5 --solid cylinder:13.5 -o air.nc\n\n"
+    "    virtual-sensor field import plane.csv --axes z,x,y --extrude -120,120 -o air.nc\n\n"
+    "    virtual-sensor field import n.npy --quantity index --spacing 0.8 -o air.nc",
+)
+def import_(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="An OpenFOAM case; VTK (.vti .vtk .vtp .vtr .vts .vtu, .pvti .pvtr .pvts .pvtu); "
+            "COMSOL's text export; .csv with a header row; NumPy's .npy, .npz.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Field file, NetCDF.")] = Path(
+        "field.nc"
+    ),
+    variable: Annotated[
+        str | None, typer.Option(help="Which variable; by default the only one that suits.")
+    ] = None,
+    quantity: Annotated[
+        str | None,
+        typer.Option(
+            help="temperature, density, refractivity (n - 1) or index (n); by default what the "
+            "variable's name or units tell."
+        ),
+    ] = None,
+    units: Annotated[
+        str | None, typer.Option(help="K, degC, kg/m3 or g/cm3, if the file does not say.")
+    ] = None,
+    length_units: Annotated[
+        str | None, typer.Option(help="m, cm or mm, if the file does not say.")
+    ] = None,
+    axes: Annotated[
+        str, typer.Option(help="Axes of the file that become the world's x, y, z: x,-y,z or y,z,x.")
+    ] = "x,y,z",
+    origin: Annotated[
+        str,
+        typer.Option(
+            help="Point of the file, mm along its axes, that becomes the world's origin: the middle"
+            " of the part's top line."
+        ),
+    ] = "0,0,0",
+    scale: Annotated[float, typer.Option(help="Factor on all lengths.")] = 1.0,
+    mirror: Annotated[
+        str | None,
+        typer.Option(help="Axes about whose planes through 0 the field is even, such as x,y."),
+    ] = None,
+    box: Annotated[
+        str | None,
+        typer.Option(help="Extent x0,x1,y0,y1,z0,z1 of the field, mm; by default the data's."),
+    ] = None,
+    spacing: Annotated[
+        str | None,
+        typer.Option(
+            help="Distance of nodes, mm, one number or three; by default the data's own, or their "
+            "median. Of a plain .npy array its own."
+        ),
+    ] = None,
+    extrude: Annotated[
+        str | None, typer.Option(help="From where to where along x a cross-section holds, mm.")
+    ] = None,
+    solid: Annotated[
+        str,
+        typer.Option(
+            help="What has no air: auto (an enclosed gap in the data), enclosed (several), none, or"
+            " cylinder:RADIUS[,LENGTH] in mm, along x under the origin."
+        ),
+    ] = "auto",
+    ambient: Annotated[
+        float | None,
+        typer.Option(help="Value in the surrounding air, in the variable's units; else 20 °C."),
+    ] = None,
+    pressure: Annotated[
+        float | None, typer.Option(help="Air pressure, Pa, with a temperature; else 101325.")
+    ] = None,
+    time: Annotated[
+        float | None, typer.Option(help="Flow time, s, of a file with many; by default the last.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Import another solver's field, onto a regular grid and into the world's frame.
+
+    OpenFOAM, VTK and scattered points need `pip install 'virtual-sensor[fields]'`.
+    """
+    from virtual_sensor.medium.imports.import_field import Choices, import_field, summary
+    from virtual_sensor.medium.netcdf import write_quantity
+
+    check_output(output, overwrite)
+    spacings = numbers("--spacing", spacing, 1, 3) or ()
+    choices = Choices(
+        variable,
+        quantity,
+        units,
+        length_units,
+        axes,
+        numbers("--origin", origin, 3) or (),
+        scale,
+        mirror.replace(" ", "").split(",") if mirror else (),
+        numbers("--box", box, 6),
+        spacings * 3 if len(spacings) == 1 else spacings or None,
+        numbers("--extrude", extrude, 2),
+        solid,
+        ambient,
+        pressure,
+        time,
+    )
+    with progress() as bar:
+        task = bar.add_task("reading", total=1.0)
+
+        def report(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, completed=fraction)
+
+        made = import_field(source, choices, command_line(), report)
+        report("writing", 0.95)
+        # Of n - 1 nobody knows how many digits count; those of a temperature in 16 bits do.
+        write_quantity(output, made.quantity, packed=made.quantity.kind != "refractivity")
+        report("done", 1.0)
+    for line in summary(made):
+        console.print(f"  {line}", soft_wrap=True)
+    for text in made.notes:
+        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    closing(output)

@@ -1,5 +1,8 @@
 """What the commands share: the console, a progress bar, options."""
 
+import shlex
+import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -49,3 +52,31 @@ def progress() -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, console=console, disable=not console.is_terminal)
+
+
+def closing(output: Path) -> None:
+    """Tell where a field is, and how to look at it."""
+    console.print(
+        f"{output.stat().st_size / 1e6:.3g} MB in {output}; look at it with"
+        f" `virtual-sensor field info {output} -o picture.png`",
+        soft_wrap=True,
+    )
+
+
+def command_line() -> str:
+    """The command that was given, for a file's history."""
+    return shlex.join(["virtual-sensor", *sys.argv[1:]])
+
+
+def numbers(option: str, text: str | None, *counts: int) -> tuple[float, ...] | None:
+    """Numbers that an option gives with commas in between."""
+    if text is None:
+        return None
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) not in counts or not all(abs(n) < float("inf") for n in numbers):
+        wanted = " or ".join(map(str, counts))
+        raise InputError(f"{option} {text}: give {wanted} numbers with commas in between")
+    return numbers

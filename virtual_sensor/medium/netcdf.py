@@ -18,7 +18,8 @@ and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (k
   instead.
 
 Written are mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
-``add_offset`` span the range of the values in the air, with a ``_FillValue`` in the solid.
+``add_offset`` span the range of the values in the air, with a ``_FillValue`` in the solid; the
+variable then says ``fill_value_means = "solid"`` and there is no mask.
 """
 
 from __future__ import annotations
@@ -254,7 +255,9 @@ def write_quantity(path: str | Path, quantity: GriddedQuantity, packed: bool = T
         variable._FillValue = np.int16(-PACKED_MAX - 1)
     else:
         variable[:] = values
-    if solid is not None:
+    if solid is not None and packed:  # its fill values are mask enough
+        variable.fill_value_means = "solid"
+    elif solid is not None:
         mask = nc.createVariable("solid", "i1", AXES)
         mask[:] = solid
         mask.units = "1"

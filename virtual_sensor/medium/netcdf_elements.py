@@ -125,6 +125,9 @@ def on_grid(nc: netcdf_file, name: str, instant: int = 0) -> np.ndarray:
 
 def read_solid(nc: netcdf_file) -> np.ndarray | None:
     """Read the solid's mask, if there is one."""
+    for name, variable in nc.variables.items():
+        if text(variable, "fill_value_means") == "solid":
+            return on_grid(nc, name) == variable._attributes["_FillValue"]
     if "solid" not in nc.variables:
         return None
     if nc.variables["solid"].data.ndim > 3 and len(nc.variables["solid"].data) > 1:

@@ -1,1 +1,1 @@
-"""Heat flow: from a hot part to the air's field, with OpenFOAM, and fields from other solvers."""
+"""Heat flow: from a hot part to the air's field, with OpenFOAM."""

@@ -1,0 +1,163 @@
+"""The commands `virtual-sensor field simulate` and `field fineness`, which need OpenFOAM."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from virtual_sensor.cli.field import app
+from virtual_sensor.cli.shared import Overwrite, closing, command_line, console, numbers, progress
+from virtual_sensor.files import check_output
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "    virtual-sensor field simulate --section -o section.nc\n\n"
+    "    virtual-sensor field simulate --temperature 1100 --processes 2 -o hot_1100.nc\n\n"
+    "    virtual-sensor field simulate --section --whole --unsteady --time 3 --record 1 -o sway.nc"
+    "\n\n"
+    "    virtual-sensor field simulate --stl part.stl --cell 2 --coarse -o part.nc"
+)
+def simulate(
+    output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the field.")],
+    case: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the OpenFOAM case; by default beside the field, .case."),
+    ] = None,
+    temperature: Annotated[float, typer.Option(help="Of the part's surface, degC.")] = 1250.0,
+    radius: Annotated[float, typer.Option(help="Of the cylinder, mm.")] = 13.5,
+    length: Annotated[float, typer.Option(help="Of the cylinder, mm.")] = 170.0,
+    stl: Annotated[
+        Path | None, typer.Option(help="Surface of another part, mm, z up, in place of a cylinder.")
+    ] = None,
+    section: Annotated[
+        bool, typer.Option("--section", help="Across an endless cylinder only: a minute's work.")
+    ] = False,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="A section without mirror plane: the plume may sway.")
+    ] = False,
+    unsteady: Annotated[
+        bool,
+        typer.Option("--unsteady", help="Small time steps, that follow the air's own motion."),
+    ] = False,
+    ambient: Annotated[float, typer.Option(help="Of the surrounding air, degC.")] = 20.0,
+    pressure: Annotated[float, typer.Option(help="Of the surrounding air, Pa.")] = 101325.0,
+    cell: Annotated[
+        float, typer.Option(help="Width of a mesh cell across the plume, mm; all scale with it.")
+    ] = 0.8,
+    coarse: Annotated[
+        bool, typer.Option("--coarse", help="Accept a mesh that does not resolve the wall layer.")
+    ] = False,
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            help="Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, round "
+            "another part what 2 MB hold."
+        ),
+    ] = None,
+    time: Annotated[
+        float, typer.Option(help="Flow time at which it ends at the latest, s.")
+    ] = 15.0,
+    at_least: Annotated[
+        float, typer.Option(help="Flow time before which it does not end, s.")
+    ] = 2.0,
+    steady: Annotated[
+        float,
+        typer.Option(
+            help="It ends when the paper's nine rays move by less than this, px per s of flow."
+        ),
+    ] = 0.05,
+    record: Annotated[
+        float, typer.Option(help="Keep the last so many seconds of flow as a time axis.")
+    ] = 0.0,
+    every: Annotated[
+        float | None,
+        typer.Option(help="Flow time between saved instants, s; by default 0.25, unsteady 0.05."),
+    ] = None,
+    processes: Annotated[int, typer.Option(min=1, help="Processes of the solver, by MPI.")] = 1,
+    scene: Annotated[
+        str, typer.Option(help="Scene whose nine rays tell whether the flow is steady.")
+    ] = "hot_cylinder",
+    overwrite: Overwrite = False,
+) -> None:
+    """Simulate the air round a hot part with OpenFOAM, until its effect on light is steady.
+
+    Stopped by Ctrl-C or killed, the same command goes on where it was.
+    """
+    from virtual_sensor.medium.heat_flow.run import Interrupted
+    from virtual_sensor.medium.heat_flow.setup import HeatFlow
+    from virtual_sensor.studies.simulate import Until, told
+    from virtual_sensor.studies.simulate import simulate as run
+
+    check_output(output, overwrite)
+    flow = HeatFlow(
+        temperature, radius, length, stl, section, whole, unsteady, ambient, pressure, cell
+    )
+    spacing = numbers("--grid", grid, 3)
+    with progress() as bar:
+        task = bar.add_task("preparing the case", total=1.0)
+
+        def report(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, completed=fraction)
+
+        try:
+            result = run(
+                flow,
+                case or output.with_suffix(".case"),
+                output,
+                Until(time, min(at_least, time), steady),
+                spacing_mm=(spacing[0], spacing[1], spacing[2]) if spacing else None,
+                coarse=coarse,
+                record_s=record,
+                every_s=every or (0.05 if unsteady else 0.25),
+                processes=processes,
+                scene_name=scene,
+                history=command_line(),
+                report=report,
+            )
+        except Interrupted as stopped:
+            console.print(f"{stopped}", style="yellow", soft_wrap=True)
+            raise typer.Exit(int(stopped.code or 1)) from None
+    for line in told(result):
+        console.print(f"  {line}", soft_wrap=True)
+    closing(output)
+
+
+@app.command(
+    epilog="Examples:\n\n"
+    "    virtual-sensor field fineness -o fineness\n\n"
+    "    virtual-sensor field fineness --temperature 900 -o fineness_900"
+)
+def fineness(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    temperature: Annotated[float, typer.Option(help="Of the cylinder, degC.")] = 1250.0,
+    cases: Annotated[
+        Path | None, typer.Option(help="Folder of the OpenFOAM cases; by default OUTPUT.cases.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Tell how fine the air's field must be: mesh, flow time and grid against what is measured.
+
+    Some minutes; stopped, the same command goes on.
+    """
+    from virtual_sensor.medium.heat_flow.run import Interrupted
+    from virtual_sensor.studies import fineness_report
+    from virtual_sensor.studies.fineness import fineness as run
+
+    check_output(output, overwrite, folder=True)
+    folder = cases or output.with_name(f"{output.name}.cases")
+    with progress() as bar:
+        task = bar.add_task("preparing the cases", total=1.0)
+
+        def report(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, completed=fraction)
+
+        try:
+            result = run(folder, temperature, report=report)
+        except Interrupted as stopped:
+            console.print(f"{stopped}", style="yellow", soft_wrap=True)
+            raise typer.Exit(int(stopped.code or 1)) from None
+        fineness_report.save(result, output, overwrite)
+    for line in fineness_report.told(result):
+        console.print(f"  {line}", soft_wrap=True)
+    console.print(f"results in {output}, look at {output / 'fineness.png'} first", soft_wrap=True)

@@ -1,0 +1,202 @@
+"""OpenFOAM on this machine: where it is, which one, and how a tool of it is run and understood."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from virtual_sensor.errors import InputError
+
+SOLVER = "rhoPimpleFoam"
+TOOLS = (
+    "blockMesh",
+    "mirrorMesh",
+    "surfaceFeatureExtract",
+    "snappyHexMesh",
+    "checkMesh",
+    "decomposePar",
+    "reconstructPar",
+    SOLVER,
+)
+OLDEST = 1912
+PLACES = ("/usr/share/openfoam", "/usr/lib/openfoam/openfoam*", "/opt/openfoam*")
+WANTED = f"v{OLDEST} or a later one of openfoam.com is wanted (Debian: apt-get install openfoam)"
+
+# Started through this, a program gets a signal when we are killed: nothing computes on unseen.
+_TIED = (
+    "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, int(sys.argv[1]));"
+    " os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
+)
+_REMEDIES = {
+    "without the": "the library is a dummy in this installation; choose another method",
+    "etc entry": "set WM_PROJECT_DIR to the folder that holds etc/controlDict",
+    "administrator rights": "leave #calc and #codeStream out, or do not run as root",
+    "Maximum number of iterations exceeded": "the temperatures have run away",
+}
+
+
+@dataclass(frozen=True)
+class OpenFoam:
+    """An installation that can be worked with.
+
+    Attributes
+    ----------
+    version : str
+        Such as "1912".
+    environment : Mapping of str to str
+        For its tools; those of `launcher` too.
+    launcher : tuple of str
+        The command that starts a program on several processes, up to their number.
+    """
+
+    version: str
+    environment: Mapping[str, str]
+    launcher: tuple[str, ...] = ()
+
+    def command(self, tool: str, *arguments: str, processes: int = 1) -> list[str]:
+        """Words of the command line."""
+        if processes == 1:
+            return [tool, *arguments]
+        return [*self.launcher, str(processes), tool, *arguments, "-parallel"]
+
+
+def find_openfoam(parallel: bool = False) -> OpenFoam:
+    """Find OpenFOAM: its tools on the PATH, its settings by WM_PROJECT_DIR or in known places.
+
+    Raises
+    ------
+    InputError
+        If there is none, it is too old, it is the OpenFOAM Foundation's, or `parallel` is asked
+        for and there is no mpirun.
+    """
+    roots = [p for place in PLACES for p in sorted(Path("/").glob(place[1:]), reverse=True)]
+    if named := os.environ.get("WM_PROJECT_DIR"):
+        roots.insert(0, Path(named))
+    root = next((p for p in roots if (p / "etc/controlDict").is_file()), None)
+    missing = [tool for tool in TOOLS if not shutil.which(tool)]
+    if root and missing and (root / "etc/bashrc").is_file() and len(missing) == len(TOOLS):
+        raise InputError(
+            f"OpenFOAM is in {root}, but its tools are not on the PATH; source {root}/etc/bashrc"
+        )
+    if missing:
+        raise InputError(
+            f"OpenFOAM is not there: no {', '.join(missing)} on the PATH; apt-get install openfoam,"
+            " or source the etc/bashrc of your own"
+        )
+    if not root:
+        raise InputError(
+            f"OpenFOAM's settings are not there: no etc/controlDict in WM_PROJECT_DIR"
+            f" ({named or 'not set'}), {', '.join(PLACES)}; set WM_PROJECT_DIR to its folder"
+        )
+    environment = {**os.environ, "WM_PROJECT_DIR": f"{root}", "FOAM_SIGFPE": "true"}
+    version = _version(environment)
+    return OpenFoam(version, environment, _launcher() if parallel else ())
+
+
+def _version(environment: Mapping[str, str]) -> str:
+    """The version, if it is one that can be worked with."""
+    asked = subprocess.run(
+        [SOLVER, "-help"],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=60,
+    )
+    told = asked.stdout + asked.stderr
+    numbered = re.search(r"OpenFOAM-\S*\s+\(v?(\d{4})\)", told)
+    if numbered and int(numbered[1]) >= OLDEST:
+        return numbered[1]
+    name = re.search(r"OpenFOAM-(\S+)", told)
+    found = numbered or name
+    which = found[1] if found else environment.get("WM_PROJECT_VERSION", "")
+    if not which:
+        last = (told.strip().splitlines() or ["it says nothing"])[-1]
+        raise InputError(f"{SOLVER} -help does not tell OpenFOAM's version ({last}); {WANTED}")
+    if numbered:
+        raise InputError(f"OpenFOAM v{which} is too old; {WANTED}")
+    raise InputError(
+        f"OpenFOAM {which} is the OpenFOAM Foundation's (openfoam.org), whose cases are written"
+        f" otherwise; {WANTED}"
+    )
+
+
+def _launcher() -> tuple[str, ...]:
+    """The command for several processes, up to their number."""
+    if not shutil.which("mpirun"):
+        raise InputError(
+            "several processes need mpirun, which is not on the PATH; apt-get install openmpi-bin,"
+            " or ask for one process"
+        )
+    told = subprocess.run(["mpirun", "--version"], capture_output=True, text=True, timeout=60)
+    if "Open MPI" not in told.stdout:
+        return ("mpirun", "-np")
+    passed = ("-x", "WM_PROJECT_DIR", "-x", "FOAM_SIGFPE")
+    root = ("--allow-run-as-root",) if os.geteuid() == 0 else ()
+    # Bound, two runs would share a core while others idle; waiting idly, they would block it.
+    sharing = ("--oversubscribe", "--bind-to", "none", "--mca", "mpi_yield_when_idle", "1")
+    return ("mpirun", *root, *sharing, *passed, "-np")
+
+
+def tied(command: list[str], signal_number: int) -> list[str]:
+    """The command, such that the program gets the signal when this process dies."""
+    return [sys.executable, "-ISc", _TIED, str(signal_number), str(os.getpid()), *command]
+
+
+def run_tool(foam: OpenFoam, folder: Path, tool: str, *arguments: str) -> str:
+    """Run a tool in a case, its output in `log.<tool>`, and give that output.
+
+    Raises
+    ------
+    InputError
+        If it fails, with the cause from its output.
+    """
+    log = folder / f"log.{tool}"
+    with log.open("wb") as stream:
+        ended = subprocess.run(
+            tied(foam.command(tool, *arguments), 9),
+            cwd=folder,
+            env=foam.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    text = log.read_text(encoding="utf-8", errors="replace")
+    cause = fatal_error(text)
+    if ended.returncode or cause:
+        raise InputError(f"{folder}: {tool} failed: {cause or ending(text, ended.returncode)}")
+    return text
+
+
+def fatal_error(text: str) -> str:
+    """The cause that a log tells with FOAM FATAL, in a line with file, line and remedy; or ""."""
+    lines = [re.sub(r"^\[\d+\] ?", "", line).strip() for line in text.splitlines()]
+    starts = [i for i, line in enumerate(lines) if line.startswith("--> FOAM FATAL")]
+    if not starts:
+        return ""
+    told: list[str] = []
+    for line in lines[starts[0] + 1 :]:
+        if line.startswith(("From ", "FOAM exiting", "FOAM aborting", "FOAM parallel run")):
+            break
+        told += [line] if line else []
+    cause = "; ".join(told)
+    remedies = [remedy for sign, remedy in _REMEDIES.items() if sign in cause]
+    return "; ".join([cause, *remedies])
+
+
+def ending(text: str, status: int) -> str:
+    """How a program ended that tells no cause: by which signal, and its last line."""
+    if status in (-9, 137):
+        return "it was killed; if not by you, then for want of memory"
+    if status in (-8, 136) or "sigFpe::sigHandler" in text:
+        return "floating point exception"
+    lines = [line for line in text.splitlines() if line.strip(" *-/\\")]
+    return f"exit status {status}; the log's last line: {lines[-1].strip() if lines else 'none'}"

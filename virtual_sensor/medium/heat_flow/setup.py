@@ -1,0 +1,103 @@
+"""What is to be simulated: a hot part in still air, and how finely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.air import ATMOSPHERE_PA, ZERO_CELSIUS_K
+
+GAS_CONSTANT = 8.314462618  # J/(mol K)
+MOLAR_MASS = 28.9647e-3  # kg/mol, dry air
+GRAVITY = 9.81  # m/s^2
+HEAT_CAPACITY = 1005.0  # J/(kg K)
+SUTHERLAND_A, SUTHERLAND_T = 1.4792e-6, 116.0  # kg/(m s sqrt(K)), K
+
+RAMP_S = 0.25  # in which the wall heats up
+MELTED_C, COLDEST_C = 2000.0, -50.0
+CELLS_IN_WALL_LAYER = 6
+"""Fewer cells than this in the layer of hot air at the wall do not resolve it."""
+
+
+@dataclass(frozen=True)
+class HeatFlow:
+    """A hot part in still air: natural convection, laminar, with the air's density varying.
+
+    The world frame is the house's: x along the cylinder's axis, z up, the origin on its top line.
+    A cylinder is simulated in a quarter (x, y >= 0), a `section` in half of the plane across it;
+    a part from an STL file as a whole, in the frame of the file.
+
+    Attributes
+    ----------
+    temperature_c : float
+        Of the part's surface, degC; held constant after a ramp of 0.25 s.
+    radius_mm, length_mm : float
+        Of the cylinder, mm.
+    stl : Path or None
+        Surface of another part, mm.
+    section : bool
+        Only the plane across an endless cylinder.
+    whole : bool
+        A section without its mirror plane, so that the plume may sway; a breath of 2 cm/s across
+        it at the start breaks the symmetry.
+    unsteady : bool
+        Small time steps that follow the flow's own motion, for bursts. Else large implicit ones,
+        which damp it and lead to the steady state.
+    ambient_c, pressure_pa : float
+        Of the surrounding air, degC and Pa.
+    cell_mm : float
+        Width of a cell across the plume, mm; all others scale with it.
+    time_step_s : float or None
+        Longest time step, s; None is one that suits parts hotter than the air by hundreds of K.
+        Slower flows take longer ones.
+    """
+
+    temperature_c: float = 1250.0
+    radius_mm: float = 13.5
+    length_mm: float = 170.0
+    stl: Path | None = None
+    section: bool = False
+    whole: bool = False
+    unsteady: bool = False
+    ambient_c: float = 20.0
+    pressure_pa: float = ATMOSPHERE_PA
+    cell_mm: float = 0.8
+    time_step_s: float | None = None
+
+    def __post_init__(self) -> None:
+        hot, air = self.temperature_c, self.ambient_c
+        if not COLDEST_C <= air < hot <= MELTED_C:
+            raise InputError(
+                f"a part of {hot:g} degC in air of {air:g} degC: the part must be the hotter one,"
+                f" and both between {COLDEST_C:g} and {MELTED_C:g} degC"
+            )
+        if min(self.radius_mm, self.length_mm, self.cell_mm, self.pressure_pa) <= 0.0:
+            raise InputError("radius, length, cell width and pressure must be positive")
+        if self.time_step_s is not None and self.time_step_s <= 0.0:
+            raise InputError("the time step must be positive")
+        if self.stl and (self.section or self.whole):
+            raise InputError(
+                "a section is one of a cylinder; leave the STL file or the section out"
+            )
+        if self.whole and not self.section:
+            raise InputError("the whole plume, free to sway, is simulated in a section only")
+
+    @property
+    def wall_k(self) -> float:
+        """Temperature of the part's surface, K."""
+        return self.temperature_c + ZERO_CELSIUS_K
+
+    @property
+    def ambient_k(self) -> float:
+        """Temperature of the surrounding air, K."""
+        return self.ambient_c + ZERO_CELSIUS_K
+
+    @property
+    def film_k(self) -> float:
+        """Mean of wall and surrounding air, K."""
+        return (self.wall_k + self.ambient_k) / 2.0
+
+    def density(self, temperature_k: float) -> float:
+        """Density of the air as an ideal gas, kg/m^3."""
+        return self.pressure_pa * MOLAR_MASS / (GAS_CONSTANT * temperature_k)

@@ -1,0 +1,290 @@
+"""Simulate the air round a hot part, until its effect on light is steady, and write the field."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.medium.heat_flow import saved
+from virtual_sensor.medium.heat_flow.balance import (
+    HeatBalance,
+    check_wall_layer,
+    heat_balance,
+    nusselt_number,
+    wall_cells,
+)
+from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
+from virtual_sensor.medium.heat_flow.prepare import prepare_case, setup_of
+from virtual_sensor.medium.heat_flow.run import Progress, RunEnd, run_case
+from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
+from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.studies.measure import NINE_RAYS_MM
+
+Array = NDArray[np.float64]
+Report = Callable[[str, float], None]
+
+CHECK_S = 0.25
+"""Flow time between two looks at whether the effect on light is steady."""
+
+
+@dataclass(frozen=True)
+class Until:
+    """When a simulation ends.
+
+    Attributes
+    ----------
+    at_most_s, at_least_s : float
+        Flow time at which it ends in any case, and before which it does not, s.
+    steady_px_per_s : float
+        In between it ends once the pixels of the paper's nine rays move by less than this per
+        second of flow; 0: it does not.
+    """
+
+    at_most_s: float = 15.0
+    at_least_s: float = 2.0
+    steady_px_per_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.at_least_s <= self.at_most_s or self.at_most_s == 0.0:
+            raise InputError(
+                f"--at-least {self.at_least_s:g} s, --time {self.at_most_s:g} s: the first must not"
+                " be longer than the second"
+            )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A finished simulation.
+
+    Attributes
+    ----------
+    flow : HeatFlow
+    end : RunEnd
+    quantity : GriddedQuantity
+        What was written.
+    balance : HeatBalance
+        Of the last quarter of a second.
+    drift_px_per_s : float
+        How fast the nine rays' pixels still moved in the end; NaN where it was not looked at.
+    """
+
+    flow: HeatFlow
+    end: RunEnd
+    quantity: GriddedQuantity
+    balance: HeatBalance
+    drift_px_per_s: float
+
+
+@dataclass
+class Steadiness:
+    """Watches how fast the nine rays' pixels move while the flow develops."""
+
+    scene: Scene
+    until: Until
+    sampled: Callable[[float], GriddedQuantity]
+    drift_px_per_s: float = np.nan
+    _last: tuple[float, Array] | None = field(default=None, repr=False)
+
+    def __call__(self, time_s: float) -> bool:
+        """Whether the flow may end at this saved time."""
+        if self.until.steady_px_per_s <= 0.0:
+            return False
+        if time_s < self.until.at_least_s - CHECK_S - 1e-6:
+            return False
+        if self._last and time_s - self._last[0] < CHECK_S - 1e-6:
+            return False
+        self._look(time_s)
+        steady = self.drift_px_per_s < self.until.steady_px_per_s
+        return steady and time_s >= self.until.at_least_s - 1e-6
+
+    def look_back(self, times_s: list[float]) -> None:
+        """Find the drift at the end of a run that was not looked at on its way."""
+        earlier = [t for t in times_s if t <= times_s[-1] - CHECK_S + 1e-6]
+        if np.isnan(self.drift_px_per_s) and earlier:
+            self._last = None
+            self._look(earlier[-1])
+            self._look(times_s[-1])
+
+    def _look(self, time_s: float) -> None:
+        pixel = ray_pixels(self.scene, as_field(self.sampled(time_s)))
+        if self._last:
+            before_s, before = self._last
+            moved = np.linalg.norm(pixel - before, axis=1)
+            if np.isfinite(moved).any():
+                self.drift_px_per_s = float(np.nanmax(moved)) / (time_s - before_s)
+        self._last = (time_s, pixel)
+
+
+def simulate(
+    flow: HeatFlow,
+    case: Path,
+    output: Path,
+    until: Until,
+    *,
+    spacing_mm: tuple[float, float, float] | None = None,
+    coarse: bool = False,
+    record_s: float = 0.0,
+    every_s: float = CHECK_S,
+    processes: int = 1,
+    scene_name: str = "hot_cylinder",
+    history: str = "",
+    report: Report = lambda stage, fraction: None,
+) -> Simulation:
+    """Simulate, going on with the case if it is there, and write the field at the end.
+
+    Parameters
+    ----------
+    flow : HeatFlow
+        The part and how finely it is simulated.
+    case, output : Path
+        Folder of the OpenFOAM case; NetCDF file of the field.
+    until : Until
+        When it ends. A flow that is `unsteady`, and one that is recorded, ends at `at_most_s`.
+    spacing_mm : tuple of three float, optional
+        Distance of the field's nodes, mm.
+    coarse : bool
+        Accept a mesh that does not resolve the wall layer.
+    record_s : float
+        The field gets the instants of so many last seconds as a time axis; 0: the last one only.
+    every_s : float
+        Flow time between saved instants, s.
+    processes : int
+        Of the solver, by MPI.
+    scene_name : str
+        Scene whose nine rays tell whether the flow is steady.
+    history : str
+        The command, for the file's attributes.
+
+    Raises
+    ------
+    InputError
+        If OpenFOAM or PyVista is missing, the folder holds something else, the mesh does not
+        resolve the wall layer, or the run fails; what was sound is kept.
+    Interrupted
+        If it was stopped; the same command goes on.
+    """
+    grid = SampleGrid.of(flow, spacing_mm)
+    if not coarse:
+        check_wall_layer(flow)
+    foam = find_openfoam(processes > 1)
+    moving = flow.unsteady or record_s > 0.0
+    scene = load_scene(scene_name)
+    steadiness = Steadiness(scene, until, lambda time_s: sample(flow, case, (time_s,), grid))
+    prepare_case(flow, case, until.at_most_s, every_s, processes)
+
+    def solving(progress: Progress) -> None:
+        left = progress.seconds_left
+        rest = "" if left is None else f", {duration(left)} left at most"
+        text = f"{progress.stage}: {progress.time_s:.3f} s of flow{rest}"
+        report(text, 0.95 * progress.time_s / progress.end_s)
+
+    end = run_case(
+        case,
+        until.at_most_s,
+        processes=processes,
+        report=solving,
+        stop=(lambda time_s: False) if moving else steadiness,
+    )
+    report("sampling the field", 0.95)
+    times = [s.time_s for s in saved.times(case)]
+    if not moving:
+        steadiness.look_back(times)
+    # A run that was stopped in between has saved that time as well, off the others' interval.
+    even = [t for t in times if abs(t / every_s - round(t / every_s)) < 1e-4]
+    kept = tuple(t for t in even if t >= end.time_s - record_s - 1e-6) or (end.time_s,)
+    balance = heat_balance(case, CHECK_S)
+    drift = steadiness.drift_px_per_s
+    attributes = _provenance(flow, case, end, balance, drift, foam.version, history)
+    quantity = sample(flow, case, kept, grid, attributes)
+    write_quantity(output, quantity)
+    report("done", 1.0)
+    return Simulation(flow, end, quantity, balance, drift)
+
+
+def as_field(quantity: GriddedQuantity) -> IndexField:
+    """The field of a quantity that is in no file yet."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "field.nc"
+        write_quantity(path, quantity)
+        return IndexField.read(path)
+
+
+def ray_pixels(scene: Scene, air: IndexField) -> Array:
+    """Pixels (u, v) of the paper's nine rays through a field, by Newton's search; shape (9, 2)."""
+    return ray_search(scene.with_field(air), NINE_RAYS_MM, "newton").pixel
+
+
+def duration(seconds: float) -> str:
+    """In words."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def told(result: Simulation) -> list[str]:
+    """Lines on how it ended and how sound it is."""
+    flow, balance, drift = result.flow, result.balance, result.drift_px_per_s
+    lines = [f"ended at {result.end.time_s:g} s of flow"]
+    if np.isfinite(drift):
+        lines[0] += f", when the paper's nine rays moved by {drift:.2g} px per s of flow"
+    lines.append(
+        f"heat: {balance.wall_w:.4g} W given off, {balance.outflow_w:.4g} W carried out"
+        f" ({balance.mismatch:+.1%})"
+    )
+    nusselt = None if flow.stl else nusselt_number(flow, balance.wall_w)
+    if nusselt:
+        lines.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
+    lines.append(f"the wall layer holds {wall_cells(flow, nusselt)} cells")
+    return lines
+
+
+def _provenance(
+    flow: HeatFlow,
+    case: Path,
+    end: RunEnd,
+    balance: HeatBalance,
+    drift: float,
+    version: str,
+    history: str,
+) -> dict[str, str]:
+    """The file's attributes: what it is, how it was made, and how sound it is."""
+    part = f"part, {flow.stl.name}" if flow.stl else f"cylinder of {2 * flow.radius_mm:g} mm"
+    if not flow.stl:
+        part += ", endless" if flow.section else f" x {flow.length_mm:g} mm"
+    ours = metadata.version("virtual-sensor")
+    sound = [f"heat given off {balance.wall_w:.4g} W, carried out {balance.outflow_w:.4g} W"]
+    if not flow.stl:
+        nusselt = nusselt_number(flow, balance.wall_w)
+        sound.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
+    if np.isfinite(drift):
+        sound.append(f"the nine rays still move by {drift:.2g} px per s of flow")
+    if end.step:
+        last = ", ".join(f"{name} {value:.0e}" for name, value in end.step.residuals.items())
+        sound.append(f"last residuals: {last}")
+    return {
+        "title": f"Air temperature round a hot {part}, {flow.temperature_c:g} degC",
+        "source": (
+            f"OpenFOAM v{version} rhoPimpleFoam by virtual-sensor {ours}: laminar, perfect gas,"
+            f" Sutherland air; isothermal wall {flow.temperature_c:g} degC, air"
+            f" {flow.ambient_c:g} degC, {flow.pressure_pa:g} Pa; cells of {flow.cell_mm:g} mm"
+            f" across the plume; flow time {end.time_s:g} s"
+        ),
+        "comment": "; ".join(sound),
+        "parameters": json.dumps(setup_of(case)),
+        "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {history}".strip(),
+    }
