@@ -66,6 +66,26 @@ def test_the_shipped_field_is_hot_at_the_wall_and_cool_far_off(shipped):
     assert "rhoPimpleFoam" in shipped.source
 
 
+@pytest.mark.parametrize("celsius", [900, 1100, 1250])
+def test_shipped_fields_say_how_they_are_remade(celsius):
+    """Rationale: without the command a field is a riddle; at most 2 MB each, and hot as named."""
+    path = SHIPPED.with_name(f"hot_cylinder_{celsius}C_quarter.nc")
+    assert path.stat().st_size <= 2e6
+    air = IndexField.read(path)
+    assert air.nodes.min() == pytest.approx(air_refractivity(temperature_c=celsius), rel=5e-3)
+    history = netcdf_file(path, mmap=False).history.decode()
+    assert "virtual-sensor field simulate" in history
+    assert (f"--temperature {celsius} " in history) == (celsius != 1250)  # the default
+
+
+def test_the_shipped_field_has_the_centre_temperatures_of_a_converged_mesh(shipped):
+    """Published with the project's facts for a mesh of 0.5 mm at 1 s: within 2 %, in K."""
+    converged = {6.0: 1206.0, 20.0: 912.0, 40.0: 752.0, 80.0: 618.0, 120.0: 557.0}
+    refractivity = shipped.refractivity([[0.0, 0.0, z] for z in converged])
+    kelvin = 293.15 * shipped.ambient / refractivity
+    np.testing.assert_allclose(kelvin, list(converged.values()), rtol=0.02)
+
+
 def test_the_shipped_field_is_a_quarter(shipped):
     """Its title says where it is mirrored; the other three quarters must be there."""
     np.testing.assert_allclose(shipped.box, [[-120.0, -36.0, -36.0], [120.0, 36.0, 299.0]])

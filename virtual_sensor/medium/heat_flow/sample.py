@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import Akima1DInterpolator, CloughTocher2DInterpolator
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.setup import RAMP_S, HeatFlow
@@ -265,7 +266,8 @@ def _across(
         near = points[:, 0] > _WALL_MM
         points = np.concatenate([points, points[near] * (-1.0, 1.0)])
         values = np.concatenate([values, values[near]])
-    sampled = CloughTocher2DInterpolator(points, values, tol=_GRADIENT_TOLERANCE)(y, z).T
+    with threadpool_limits(1):  # a thousand tiny matrices: threads would only wait for each other
+        sampled = CloughTocher2DInterpolator(points, values, tol=_GRADIENT_TOLERANCE)(y, z).T
     return np.where(np.isnan(sampled), flow.ambient_k, sampled)
 
 
