@@ -188,6 +188,15 @@ def test_what_cannot_be_simulated_is_told_before_any_work(asked, told, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
+def test_a_missing_reader_is_told_before_hours_of_computing(tmp_path, monkeypatch):
+    """Rationale: the results are read only at the end, and a run of hours would be in vain."""
+    monkeypatch.setattr("virtual_sensor.studies.simulate.find_openfoam", lambda parallel: None)
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(InputError, match=r"pip install 'virtual-sensor\[fields\]'"):
+        simulate(SECTION, tmp_path / "case", tmp_path / "air.nc", Until())
+    assert not list(tmp_path.iterdir())
+
+
 def test_durations_read_as_people_say_them():
     """Rationale: '5400 s left' is no estimate that anybody can use."""
     assert [duration(s) for s in (5.2, 61.0, 5400.0)] == ["5 s", "1 min 1 s", "1 h 30 min"]

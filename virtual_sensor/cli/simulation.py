@@ -129,7 +129,9 @@ def simulate(
     "    virtual-sensor field fineness --temperature 900 -o fineness_900"
 )
 def fineness(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
+        "fineness"
+    ),
     temperature: Annotated[float, typer.Option(help="Of the cylinder, degC.")] = 1250.0,
     cases: Annotated[
         Path | None, typer.Option(help="Folder of the OpenFOAM cases; by default OUTPUT.cases.")

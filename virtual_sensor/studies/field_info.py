@@ -184,7 +184,7 @@ def field_info(
             raise InputError(f"{path}: does not suit the scene: {error}") from None
         left_out.append(f"what it does to light, because it does not suit a scene ({error})")
     if line:
-        pixels = partial(_nine_pixels, in_it)
+        pixels = partial(nine_pixels, in_it)
         effect = pixels(field) - pixels(None)
         if np.isnan(effect).all():
             effect, pixels = None, None
@@ -231,7 +231,7 @@ def _node_places(field: IndexField) -> Array:
     return field.origin + np.indices(field.shape).reshape(3, -1).T * field.spacing
 
 
-def _nine_pixels(scene: Scene, field: IndexField | None) -> Array:
+def nine_pixels(scene: Scene, field: IndexField | None) -> Array:
     """Pixels (9, 2) that see the paper's nine rays through a field."""
     return ray_search(scene.with_field(field), NINE_RAYS_MM, "newton").pixel
 

@@ -23,6 +23,7 @@ from virtual_sensor.medium.heat_flow.run import run_case
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.saved import series
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.imports.meshes import pyvista
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
@@ -163,6 +164,7 @@ def fineness(
     InputError
         If OpenFOAM or PyVista is missing, or a run fails.
     """
+    pyvista()  # not missed only after the simulations
     scene = load_scene("hot_cylinder")
     flows = {c: HeatFlow(temperature_c, section=True, cell_mm=c) for c in cells_mm}
     cases = {c: folder / f"section_{temperature_c:g}C_{c:g}mm" for c in cells_mm}

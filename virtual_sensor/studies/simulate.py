@@ -28,10 +28,10 @@ from virtual_sensor.medium.heat_flow.prepare import prepare_case, setup_of
 from virtual_sensor.medium.heat_flow.run import Progress, RunEnd, run_case
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.imports.meshes import pyvista
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
-from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.studies.measure import NINE_RAYS_MM
+from virtual_sensor.studies.field_info import nine_pixels
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -119,7 +119,7 @@ class Steadiness:
             self._look(times_s[-1])
 
     def _look(self, time_s: float) -> None:
-        pixel = ray_pixels(self.scene, as_field(self.sampled(time_s)))
+        pixel = nine_pixels(self.scene, as_field(self.sampled(time_s)))
         if self._last:
             before_s, before = self._last
             moved = np.linalg.norm(pixel - before, axis=1)
@@ -180,6 +180,7 @@ def simulate(
     if not coarse:
         check_wall_layer(flow)
     foam = find_openfoam(processes > 1)
+    pyvista()  # not missed only after hours of computing
     moving = flow.unsteady or record_s > 0.0
     scene = load_scene(scene_name)
     steadiness = Steadiness(scene, until, lambda time_s: sample(flow, case, (time_s,), grid))
@@ -220,11 +221,6 @@ def as_field(quantity: GriddedQuantity) -> IndexField:
         path = Path(folder) / "field.nc"
         write_quantity(path, quantity)
         return IndexField.read(path)
-
-
-def ray_pixels(scene: Scene, air: IndexField) -> Array:
-    """Pixels (u, v) of the paper's nine rays through a field, by Newton's search; shape (9, 2)."""
-    return ray_search(scene.with_field(air), NINE_RAYS_MM, "newton").pixel
 
 
 def duration(seconds: float) -> str:

@@ -1,17 +1,13 @@
 """Imports that cannot be right: each is refused in one line, which tells the remedy."""
 
-import contextlib
-import io
-import re
 import sys
-from unittest import mock
 
 import numpy as np
 import plume_files as plume
 import pytest
+from command_line import command
 from plume_files import K, X, Y, Z, lattice, temperature, warped
 
-from virtual_sensor import cli
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.imports.import_field import Choices, import_field
 from virtual_sensor.medium.index_field import IndexField
@@ -280,21 +276,6 @@ def test_without_the_extra_the_remedy_is_told(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
     refused(tmp_path / "a.vtu", r"pip install 'virtual-sensor\[fields\]'")
     refused(tmp_path / "b.vtu", "there is no such file")
-
-
-def command(*arguments):
-    """Run the command in this process: exit status, standard output, standard error."""
-    out, err = io.StringIO(), io.StringIO()
-    with (
-        mock.patch("sys.argv", ["virtual-sensor", *map(str, arguments)]),
-        mock.patch("signal.signal"),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-        pytest.raises(SystemExit) as ended,
-    ):
-        cli.main()
-    plain = (re.sub(r"\x1b\[[\d;]*m", "", text.getvalue()) for text in (out, err))
-    return ended.value.code or 0, *plain
 
 
 def test_the_command_writes_a_field_and_tells_what_is_in_it(tmp_path, monkeypatch):
