@@ -116,17 +116,19 @@ def killed(folder, blow, after_s, processes=1):
 def test_a_killed_run_goes_on_to_the_same_end(uninterrupted, meshed, tmp_path, blow, status):
     """Rationale: Ctrl-C, a batch queue's limit, the out-of-memory killer: no time step is lost.
 
-    Even where the run itself can do nothing, the solver writes its step and stops.
+    Where the run itself is killed it can do nothing: the solver mostly writes its step and stops,
+    else what it did since the last saved time is done again.
     """
     folder = copied(meshed, tmp_path)
     returned, reached, words = killed(folder, getattr(signal, blow), 0.03)
     assert returned == status
     starts = []
     assert run_case(folder, END, report=lambda p: starts.append(p.time_s)).time_s == END
-    assert reached <= starts[0] < END
+    assert starts[0] < END
     if blow != "SIGKILL":
+        assert reached <= starts[0]
         assert words.startswith(f"stopped at {starts[0]:.8g} s of flow; the same command goes on")
-    assert set(names(folder)) == {"0", "0.1", "0.2", "0.3", f"{starts[0]:.8g}"}
+    assert {"0", "0.1", "0.2", "0.3", f"{starts[0]:.8g}"} <= set(names(folder))
     assert abs(temperature(folder) - temperature(uninterrupted[0])).max() < SAME_K
     assert series(folder, "part")[0] == pytest.approx(series(uninterrupted[0], "part")[0])
 
