@@ -15,7 +15,7 @@ from virtual_sensor.cli.shared import (
     console,
     definitions,
     numbers,
-    progress,
+    reporting,
 )
 from virtual_sensor.files import check_output, written_whole
 
@@ -66,12 +66,7 @@ def info(
     for path in (output, figures):
         if path:
             check_output(path, overwrite)
-    with progress() as bar:
-        task = bar.add_task("reading the field", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=fraction)
-
+    with reporting("reading the field") as report:
         told = field_info(field, scene, definitions(define), time, report)
         if output:
             report("drawing the picture", 0.8)
@@ -209,12 +204,7 @@ def import_(
         pressure,
         time,
     )
-    with progress() as bar:
-        task = bar.add_task("reading", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=fraction)
-
+    with reporting("reading") as report:
         made = import_field(source, choices, command_line(), report)
         report("writing", 0.95)
         # Of n - 1 nobody knows how many digits count; those of a temperature in 16 bits do.

@@ -2,6 +2,8 @@
 
 import shlex
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -52,6 +54,18 @@ def progress() -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, console=console, disable=not console.is_terminal)
+
+
+@contextmanager
+def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
+    """Give a function that a bar is told by: what is being done, and the fraction done."""
+    with progress() as bar:
+        task = bar.add_task(first, total=1.0)
+
+        def report(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, completed=fraction)
+
+        yield report
 
 
 def closing(output: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli.field import app
-from virtual_sensor.cli.shared import Overwrite, closing, command_line, console, numbers, progress
+from virtual_sensor.cli.shared import Overwrite, closing, command_line, console, numbers, reporting
 from virtual_sensor.files import check_output
 
 
@@ -94,12 +94,7 @@ def simulate(
         temperature, radius, length, stl, section, whole, unsteady, ambient, pressure, cell
     )
     spacing = numbers("--grid", grid, 3)
-    with progress() as bar:
-        task = bar.add_task("preparing the case", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=fraction)
-
+    with reporting("preparing the case") as report:
         try:
             result = run(
                 flow,
@@ -148,12 +143,7 @@ def fineness(
 
     check_output(output, overwrite, folder=True)
     folder = cases or output.with_name(f"{output.name}.cases")
-    with progress() as bar:
-        task = bar.add_task("preparing the cases", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=fraction)
-
+    with reporting("preparing the cases") as report:
         try:
             result = run(folder, temperature, report=report)
         except Interrupted as stopped:
