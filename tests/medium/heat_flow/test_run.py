@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.heat_flow.case import whole_step
 from virtual_sensor.medium.heat_flow.prepare import (
     make_mesh,
     prepare_case,
@@ -160,10 +161,11 @@ def test_a_run_ends_early_when_that_will_do(meshed, tmp_path):
     """Rationale: the optical effect is steady long before the slowest eddy is."""
     folder = copied(meshed, tmp_path)
     asked = []
-    end = run_case(folder, END, stop=lambda time_s: asked.append(time_s) or time_s >= 0.1)
+    far_s = 100.0 * END  # the solver must not be there before it is told
+    end = run_case(folder, far_s, stop=lambda time_s: asked.append(time_s) or time_s >= 0.1)
     assert asked == [0.1]
     assert end.stopped
-    assert 0.1 <= end.time_s < END
+    assert 0.1 <= end.time_s < far_s
     assert times(folder)[-1].time_s == end.time_s
 
 
@@ -224,6 +226,19 @@ def test_fields_that_could_not_be_written_end_the_run(meshed, tmp_path):
         run_case(folder, 1.0, stop=hinder)
     assert names(folder) == ["0", "0.1"]
     assert run_case(folder, 0.2).time_s == 0.2
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "longest_s", "count"),
+    [(0.1, 8e-3, 13), (0.25, 8e-3, 32), (0.2, 0.1 / 13, 26), (0.1, 0.05, 2), (0.1, 0.1, 1)],
+)
+def test_time_steps_fit_the_interval_of_writing(interval_s, longest_s, count):
+    """Rationale: half a step too many, and rounding picks other steps after a stop than before."""
+    step = float(whole_step(interval_s, longest_s))
+    assert interval_s / step == pytest.approx(count, abs=1e-9)
+    assert step <= longest_s * (1.0 + 1e-9)
+    assert float(whole_step(interval_s, step)) == step
+    assert float(whole_step(0.1, 0.3)) == 0.3  # one step may be longer than a short interval
 
 
 def test_one_run_at_a_time(meshed, tmp_path):

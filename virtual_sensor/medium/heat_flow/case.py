@@ -103,6 +103,16 @@ def divisions(processes: int, section: bool) -> str:
     return f"({x} 1 {processes // x})"
 
 
+def whole_step(write_interval_s: float, longest_s: float) -> str:
+    """Time step, s, that goes into the interval a whole number of times; for `maxTimeStep`.
+
+    OpenFOAM rounds interval / step to whole steps. Where it lies half way between two (100 ms in
+    steps of 8 ms), the last bit decided, and a run that was stopped went on with other steps.
+    """
+    count = math.ceil(write_interval_s / longest_s * (1.0 - 1e-9))
+    return f"{write_interval_s / count:.12g}" if count > 1 else f"{longest_s:.12g}"
+
+
 def write_parameters(
     flow: HeatFlow, folder: Path, end_s: float, write_interval_s: float, processes: int
 ) -> None:
@@ -124,7 +134,7 @@ def write_parameters(
         "writeInterval": (f"{write_interval_s:g}", "s"),
         "timesKept": ("0", "0: all"),
         "maxCourant": (f"{courant:g}", ""),
-        "maxTimeStep": (f"{flow.time_step_s or longest_s:g}", "s"),
+        "maxTimeStep": (whole_step(write_interval_s, flow.time_step_s or longest_s), "s"),
         "processes": (f"{processes}", ""),
         "divisions": (divisions(processes, flow.section), "along x, y, z"),
     }

@@ -15,6 +15,7 @@ from virtual_sensor.medium.heat_flow.case import (
     divisions,
     mesh_commands,
     setup_record,
+    whole_step,
     write_case,
 )
 from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, run_tool
@@ -40,7 +41,8 @@ def prepare_case(
                 f"{folder}: was made with {name} = {made.get(name)}, not {asked[name]}; name"
                 " another folder, or ask for what it was made with"
             )
-    return set_parameters(folder, writeInterval=f"{write_interval_s:g}")
+    step = whole_step(write_interval_s, float(parameters(folder)["maxTimeStep"]))
+    return set_parameters(folder, writeInterval=f"{write_interval_s:g}", maxTimeStep=step)
 
 
 def make_mesh(foam: OpenFoam, folder: Path) -> None:
