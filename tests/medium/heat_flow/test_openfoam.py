@@ -113,19 +113,53 @@ def test_a_fatal_error_becomes_one_line_with_its_place():
 def test_a_tied_program_does_not_outlive_its_parent(tmp_path):
     """Rationale: a solver that computes on unseen would write into the next run's case."""
     path = tmp_path / "pid"
+    program = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
     code = (
-        "import subprocess, time\n"
+        "import subprocess, sys, time\n"
         "from virtual_sensor.medium.heat_flow.openfoam import tied\n"
-        f"run = subprocess.Popen(tied(['sleep', '60'], {int(signal.SIGKILL)}))\n"
-        f"open({str(path)!r}, 'w').write(f'{{run.pid}}\\n')\n"
+        f"words = tied([sys.executable, '-c', {program!r}], {int(signal.SIGKILL)})\n"
+        f"subprocess.Popen(words, stdout=open({str(path)!r}, 'w'))\n"
         "time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", code]) as parent:
         waited(lambda: path.exists() and path.read_text().endswith("\n"))
-        place = Path("/proc", path.read_text().strip())
-        waited(lambda: b"sleep" in (place / "cmdline").read_bytes().split(b"\0")[0])
         parent.kill()
-    waited(lambda: gone(place))
+    waited(lambda: gone(Path("/proc", path.read_text().strip())))
+
+
+# As OpenFOAM's solvers do: they end in good order at the first signal, and die of a second.
+SOLVES = """
+import signal, time
+told = []
+def first(number, _):
+    signal.signal(number, signal.SIG_DFL)
+    told.append(number)
+signal.signal(signal.SIGUSR2, first)
+print("ready", flush=True)
+while not told:
+    time.sleep(0.01)
+time.sleep(0.3)
+print("written", flush=True)
+raise SystemExit(3)
+"""
+
+
+def test_a_tied_program_is_told_once():
+    """Rationale: the kernel tells the death of each of the parent's threads; the step was lost."""
+    words = tied([sys.executable, "-c", SOLVES], signal.SIGUSR2)
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout.readline() == "ready\n"
+        for _ in range(3):
+            run.send_signal(signal.SIGUSR2)
+            time.sleep(0.05)
+        assert run.stdout.read() == "written\n"
+    assert run.returncode == 3
+
+
+def test_how_a_tied_program_was_killed_is_passed_on():
+    """Rationale: want of memory is told from the status."""
+    words = tied([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"], signal.SIGKILL)
+    assert subprocess.run(words).returncode == 137
 
 
 def gone(place):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.heat_flow import attendant
 
 SOLVER = "rhoPimpleFoam"
 TOOLS = (
@@ -28,11 +29,6 @@ OLDEST = 1912
 PLACES = ("/usr/share/openfoam", "/usr/lib/openfoam/openfoam*", "/opt/openfoam*")
 WANTED = f"v{OLDEST} or a later one of openfoam.com is wanted (Debian: apt-get install openfoam)"
 
-# Started through this, a program gets a signal when we are killed: nothing computes on unseen.
-_TIED = (
-    "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, int(sys.argv[1]));"
-    " os.getppid() == int(sys.argv[2]) or sys.exit(1); os.execvp(sys.argv[3], sys.argv[3:])"
-)
 _REMEDIES = {
     "without the": "the library is a dummy in this installation; choose another method",
     "etc entry": "set WM_PROJECT_DIR to the folder that holds etc/controlDict",
@@ -146,8 +142,9 @@ def _launcher() -> tuple[str, ...]:
 
 
 def tied(command: list[str], signal_number: int) -> list[str]:
-    """The command, such that the program gets the signal when this process dies."""
-    return [sys.executable, "-ISc", _TIED, str(signal_number), str(os.getpid()), *command]
+    """The command, such that the program gets the signal when this process dies: once."""
+    words = (attendant.__file__, signal_number, os.getpid())
+    return [sys.executable, "-IS", *map(str, words), *command]
 
 
 def run_tool(foam: OpenFoam, folder: Path, tool: str, *arguments: str) -> str:
