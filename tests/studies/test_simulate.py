@@ -13,7 +13,7 @@ import pytest
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
-from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample_cylinder
+from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.imports.meshes import read_openfoam
 from virtual_sensor.medium.index_field import IndexField
@@ -105,7 +105,7 @@ def test_the_sampled_field_is_what_the_solver_has_in_its_cells(uninterrupted):
     _, y, z = centres.T
     free = (np.hypot(y, z + 13.5) > 16.0) & (y < 30.0) & (z > -30.0) & (z < 280.0)
     fine = SampleGrid.of(SECTION, (3.0, 0.25, 0.5))
-    quantity = sample_cylinder(SECTION, case, (0.4,), fine)
+    quantity = sample(SECTION, case, (0.4,), fine)
     place = np.stack([(y[free] - fine.y[0]) / 0.25, (z[free] - fine.z[0]) / 0.5])
     j, k = np.rint(place).astype(int)
     on_node = (abs(place - np.rint(place)) < 0.1).all(axis=0)

@@ -19,9 +19,9 @@ from virtual_sensor.cli.shared import (
     SceneArgument,
     console,
     definitions,
-    progress,
+    reporting,
 )
-from virtual_sensor.errors import EngineError, InputError
+from virtual_sensor.errors import EngineError, InputError, Interrupted
 from virtual_sensor.files import check_output
 
 app = typer.Typer(
@@ -79,17 +79,13 @@ def measure(
     from virtual_sensor.studies.results import save
 
     check_output(output, overwrite, folder=True)
-    with progress() as bar:
-        task = bar.add_task("loading the scene", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=0.9 * fraction)
-
-        result = run(load_scene(scene, **definitions(define)), report)
-        bar.update(task, description="writing the results", completed=0.92)
+    with reporting("loading the scene") as report:
+        loaded = load_scene(scene, **definitions(define))
+        result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction))
+        report("writing the results", 0.92)
         figures = summary(result)
         save(result, figures, output, overwrite)
-        bar.update(task, description="done", completed=1.0)
+        report("done", 1.0)
     table = Table("", "rendered - search, px rms", "at most", "centres", "rendered in")
     for name, state in result.states.items():
         table.add_row(
@@ -203,17 +199,19 @@ def burst(
     from virtual_sensor.studies.burst_results import save_burst
 
     check_output(output, overwrite, folder=True)
-    with progress() as bar:
-        task = bar.add_task("loading the scene", total=1.0)
-
-        def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=0.95 * fraction)
-
-        result = run(load_scene(scene, **definitions(define)), start, duration, frames, report)
-        bar.update(task, description="writing the results", completed=0.95)
+    with reporting("loading the scene") as report:
+        loaded = load_scene(scene, **definitions(define))
+        result = run(
+            loaded,
+            start,
+            duration,
+            frames,
+            lambda stage, fraction: report(stage, 0.95 * fraction),
+        )
+        report("writing the results", 0.95)
         figures = summary(result)
         save_burst(result, figures, output, overwrite)
-        bar.update(task, description="done", completed=1.0)
+        report("done", 1.0)
     table = Table("standard deviation", "median", "largest")
     for group in ("line", "nine rays"):
         place = "along the line" if group == "line" else "of the nine rays"
@@ -246,7 +244,7 @@ def doctor() -> None:
 
 
 def main() -> None:
-    """Run the command; a user's errors are told in a line, without a traceback."""
+    """Run the command; a user's errors and a stop are told in a line, without a traceback."""
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # and clean up
     try:
         app()
@@ -254,6 +252,9 @@ def main() -> None:
         told = Console(stderr=True, markup=False, emoji=False, highlight=False)
         told.print(f"Error: {error}", style="red", soft_wrap=True)
         sys.exit(2)
+    except Interrupted as stopped:
+        console.print(f"{stopped}", style="yellow", soft_wrap=True)
+        sys.exit(stopped.code or 1)
     except RuntimeError as error:
         if not isinstance(error.__cause__, KeyboardInterrupt):  # Dr.Jit's loops wrap a Ctrl-C
             raise

@@ -45,21 +45,19 @@ def definitions(define: list[str] | None) -> dict[str, str]:
     return pairs
 
 
-def progress() -> Progress:
-    """A bar for long work; none where the output is no terminal."""
+@contextmanager
+def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
+    """Give a function that a bar is told by: what is being done, and the fraction done.
+
+    There is no bar where the output is no terminal.
+    """
     columns = (
         TextColumn("{task.description:<36}"),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, console=console, disable=not console.is_terminal)
-
-
-@contextmanager
-def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
-    """Give a function that a bar is told by: what is being done, and the fraction done."""
-    with progress() as bar:
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(first, total=1.0)
 
         def report(stage: str, fraction: float) -> None:

@@ -84,7 +84,6 @@ def simulate(
 
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
-    from virtual_sensor.medium.heat_flow.run import Interrupted
     from virtual_sensor.medium.heat_flow.setup import HeatFlow
     from virtual_sensor.studies.simulate import Until, told
     from virtual_sensor.studies.simulate import simulate as run
@@ -95,24 +94,20 @@ def simulate(
     )
     spacing = numbers("--grid", grid, 3)
     with reporting("preparing the case") as report:
-        try:
-            result = run(
-                flow,
-                case or output.with_suffix(".case"),
-                output,
-                Until(time, min(at_least, time), steady),
-                spacing_mm=(spacing[0], spacing[1], spacing[2]) if spacing else None,
-                coarse=coarse,
-                record_s=record,
-                every_s=every or (0.05 if unsteady else 0.25),
-                processes=processes,
-                scene_name=scene,
-                history=command_line(),
-                report=report,
-            )
-        except Interrupted as stopped:
-            console.print(f"{stopped}", style="yellow", soft_wrap=True)
-            raise typer.Exit(int(stopped.code or 1)) from None
+        result = run(
+            flow,
+            case or output.with_suffix(".case"),
+            output,
+            Until(time, min(at_least, time), steady),
+            spacing_mm=(spacing[0], spacing[1], spacing[2]) if spacing else None,
+            coarse=coarse,
+            record_s=record,
+            every_s=every or (0.05 if unsteady else 0.25),
+            processes=processes,
+            scene_name=scene,
+            history=command_line(),
+            report=report,
+        )
     for line in told(result):
         console.print(f"  {line}", soft_wrap=True)
     closing(output)
@@ -137,18 +132,13 @@ def fineness(
 
     Some minutes; stopped, the same command goes on.
     """
-    from virtual_sensor.medium.heat_flow.run import Interrupted
     from virtual_sensor.studies import fineness_report
     from virtual_sensor.studies.fineness import fineness as run
 
     check_output(output, overwrite, folder=True)
     folder = cases or output.with_name(f"{output.name}.cases")
     with reporting("preparing the cases") as report:
-        try:
-            result = run(folder, temperature, report=report)
-        except Interrupted as stopped:
-            console.print(f"{stopped}", style="yellow", soft_wrap=True)
-            raise typer.Exit(int(stopped.code or 1)) from None
+        result = run(folder, temperature, report=report)
         fineness_report.save(result, output, overwrite)
     for line in fineness_report.told(result):
         console.print(f"  {line}", soft_wrap=True)

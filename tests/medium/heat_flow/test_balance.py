@@ -23,7 +23,7 @@ from virtual_sensor.medium.heat_flow.case import write_case
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
 from virtual_sensor.medium.heat_flow.plume import SIMILARITY, Plume, plume, plume_exponents
 from virtual_sensor.medium.heat_flow.run import run_case
-from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample_cylinder
+from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 
 # Mean Nusselt numbers of an isothermal cylinder at Pr 0.7, computed by others.
@@ -247,7 +247,7 @@ def test_the_hot_plume_is_the_converged_one(tmp_path):
 
     heights = np.arange(0.0, 121.0, 2.0)
     grid = SampleGrid(np.linspace(0.0, 180.0, 4), np.arange(0.0, 3.0, 0.5), heights)
-    centre = sample_cylinder(flow, case, (1.2,), grid).values[0, 0]
+    centre = sample(flow, case, (1.2,), grid).values[0, 0]
     for height, kelvin in CONVERGED_K.items():
         assert centre[height // 2] == pytest.approx(kelvin, rel=0.02)
     exponents, _ = plume_exponents(plume(flow, case), 80.0, 200.0)

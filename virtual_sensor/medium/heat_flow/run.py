@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, Interrupted
 from virtual_sensor.medium.heat_flow import saved
 from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam
 from virtual_sensor.medium.heat_flow.prepare import (
@@ -67,21 +67,6 @@ class RunEnd:
     time_s: float
     step: Step | None
     stopped: bool
-
-
-class Interrupted(SystemExit):
-    """A run was stopped by Ctrl-C or a signal, in good order: the same command goes on.
-
-    Its text tells so, `code` is the status to exit with, `time_s` the flow time reached, s.
-    """
-
-    def __init__(self, folder: Path, time_s: float, code: int) -> None:
-        super().__init__(code)
-        self.time_s = time_s
-        self.told = f"stopped at {time_s:.8g} s of flow; the same command goes on ({folder})"
-
-    def __str__(self) -> str:
-        return self.told
 
 
 def run_case(

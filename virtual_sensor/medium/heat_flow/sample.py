@@ -120,18 +120,25 @@ def sample(
     InputError
         If PyVista is missing, the case has no such time, or the grid reaches beyond its air.
     """
-    of_kind = sample_part if flow.stl else sample_cylinder
-    return of_kind(flow, case, times_s, grid, attributes)
+    frames, solid = (_round_part if flow.stl else _round_cylinder)(flow, case, times_s, grid)
+    single = len(times_s) == 1
+    return GriddedQuantity(
+        "temperature",
+        frames[0] if single else frames,
+        np.array([grid.x[0], grid.y[0], grid.z[0]]),
+        grid.spacing,
+        None if single else np.array(times_s),
+        {"ambient_temperature": flow.ambient_k, "ambient_pressure": flow.pressure_pa},
+        (not flow.stl, not (flow.stl or flow.whole), False),
+        solid,
+        attributes or {},
+    )
 
 
-def sample_part(
-    flow: HeatFlow,
-    case: Path,
-    times_s: tuple[float, ...],
-    grid: SampleGrid,
-    attributes: dict[str, str] | None = None,
-) -> GriddedQuantity:
-    """Temperature of the air round a part from an STL file; see `sample`."""
+def _round_part(
+    flow: HeatFlow, case: Path, times_s: tuple[float, ...], grid: SampleGrid
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Temperatures (nt, nx, ny, nz), K, round a part from an STL file; nodes inside it."""
     part = read_part(case / SURFACE)
     axes = (grid.x, grid.y, grid.z)
     frames = []
@@ -151,43 +158,14 @@ def sample_part(
         points = pyvista().PolyData(nodes[gap]).compute_implicit_distance(part.surface)
         solid[gap] = abs(points["implicit_distance"]) < flow.cell_mm
     # Where the mesh is coarse, interpolation overshoots; no air is colder or hotter than these.
-    within = np.clip(np.stack(frames), flow.ambient_k, flow.wall_k)
-    return _quantity(flow, times_s, grid, within, solid, attributes)
+    return np.clip(np.stack(frames), flow.ambient_k, flow.wall_k), solid
 
 
-def sample_cylinder(
-    flow: HeatFlow,
-    case: Path,
-    times_s: tuple[float, ...],
-    grid: SampleGrid,
-    attributes: dict[str, str] | None = None,
-) -> GriddedQuantity:
-    """Temperature of the air over a cylinder; see `sample`."""
-    frames = np.stack([_instant(flow, case, t, grid) for t in times_s])
-    return _quantity(flow, times_s, grid, frames, _solid(flow, grid), attributes)
-
-
-def _quantity(
-    flow: HeatFlow,
-    times_s: tuple[float, ...],
-    grid: SampleGrid,
-    frames: Array,
-    solid: NDArray[np.bool_],
-    attributes: dict[str, str] | None,
-) -> GriddedQuantity:
-    """Temperatures of shape (nt, nx, ny, nz) with all that belongs to them."""
-    single = len(times_s) == 1
-    return GriddedQuantity(
-        "temperature",
-        frames[0] if single else frames,
-        np.array([grid.x[0], grid.y[0], grid.z[0]]),
-        grid.spacing,
-        None if single else np.array(times_s),
-        {"ambient_temperature": flow.ambient_k, "ambient_pressure": flow.pressure_pa},
-        (not flow.stl, not (flow.stl or flow.whole), False),
-        solid,
-        attributes or {},
-    )
+def _round_cylinder(
+    flow: HeatFlow, case: Path, times_s: tuple[float, ...], grid: SampleGrid
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Temperatures (nt, nx, ny, nz), K, over a cylinder; nodes inside it."""
+    return np.stack([_instant(flow, case, t, grid) for t in times_s]), _solid(flow, grid)
 
 
 def _solid(flow: HeatFlow, grid: SampleGrid) -> NDArray[np.bool_]:
