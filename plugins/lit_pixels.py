@@ -126,7 +126,7 @@ def _straight_coordinates(
     size = sensor.film().crop_size()
     ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
     met = scene.ray_intersect_preliminary(ray)
-    frame = LaserFrame.of(emitter.line, mi.Array3f)
+    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
     a, b = frame.straight(mi.Array3f(ray(met.t)))
     missed = ~met.is_valid()
     a[missed], b[missed] = dr.nan, dr.nan

@@ -16,6 +16,7 @@ from virtual_sensor_plugins.lit_pixels import (
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
 from virtual_sensor.optics.illumination import Illumination, illuminate
@@ -33,6 +34,8 @@ class Refractive(mi.SamplingIntegrator):
     ===============  ==========  ==================================================================
     field            (none)      NetCDF file of the air; without one, light runs straight
     time             ""          Flow time, s, in a field with a time axis; empty: its last
+    widen            1           Factor by which the field is stretched along y; 1: none
+    blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
     wavelength       532         Vacuum wavelength of the light, nm
     way              "exact"     Each sample's rays are marched, its laser ray found by Newton
     step             2           Step of the march, mm
@@ -50,6 +53,8 @@ class Refractive(mi.SamplingIntegrator):
         super().__init__(props)
         name = str(props.get("field", ""))
         time_s = _instant(str(props.get("time", "")))
+        self.widen = float(props.get("widen", 1.0))
+        self.blur_mm = float(props.get("blur", 0.0))
         self.wavelength_nm = float(props.get("wavelength", 532.0))
         way = str(props.get("way", "exact"))
         if way != "exact":
@@ -64,22 +69,30 @@ class Refractive(mi.SamplingIntegrator):
             raise InputError(f"refractive: {error}") from None
         if time_s is not None and not name:
             raise InputError("refractive: 'time' is one of a field's; give the 'field', or no time")
+        if not name and (self.widen, self.blur_mm) != (1.0, 0.0):
+            raise InputError(
+                "refractive: 'widen' and 'blur' are of a field; give the 'field', or neither"
+            )
         self.field_file = _beside_scene(name) if name else None
         self.field = self._air(self.field_file, time_s) if self.field_file else None
 
     def _air(self, file: Path, time_s: float | None) -> IndexField:
-        return IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
+        air = IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
+        try:
+            return blurred(widened(air, self.widen), self.blur_mm)
+        except InputError as error:
+            raise InputError(f"refractive: {error}") from None
 
     def at(self, time_s: float) -> "Refractive":
-        """The same integrator in the air of another instant of its field's file."""
+        """The same integrator in the air of another instant of its field's file, as broad."""
         if self.field_file is None:
             raise InputError("refractive: there is no 'field' to have instants; give it one")
         other = self.with_field(self._air(self.field_file, time_s))
-        other.field_file = self.field_file
+        other.field_file, other.widen, other.blur_mm = self.field_file, self.widen, self.blur_mm
         return other
 
     def with_field(self, field: IndexField | None) -> "Refractive":
-        """The same integrator in other air; None: homogeneous, where light runs straight."""
+        """The same integrator in other air, taken as it is; None: light runs straight."""
         march = self.march
         choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
         other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
@@ -162,6 +175,9 @@ class Refractive(mi.SamplingIntegrator):
         laser_alone = all(isinstance(e, LaserLineEmitter) for e in scene.emitters())
         count = lit.index.size if laser_alone else width * height
         dr.eval(numbers := mi.UInt32(lit.index) + dr.opaque(mi.UInt32, 0))
+        # Each pixel's samples are summed in their order: added to the film one by one, as other
+        # filters and spectra need it, the last bits would depend on which thread comes first.
+        own_pixel = film.rfilter().is_box_filter() and not mi.is_spectral
         chunk = max(1, _LANES // spp)
         for number, first in enumerate(range(0, count, chunk)):
             # What changes from chunk to chunk is opaque, so that one kernel serves them all.
@@ -179,7 +195,12 @@ class Refractive(mi.SamplingIntegrator):
             ray, weight = film_rays(sensor, place, aperture)
             sight = self.look(scene, ray, guess)
             value = self.radiance(scene, sampler, sight) * weight
-            block.put(place, ray.wavelengths, value, dr.select(sight.hit, 1.0, 0.0))
+            alpha = dr.select(sight.hit, mi.Float(1.0), 0.0)
+            if own_pixel:
+                value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
+                pixel = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, dr.width(alpha)) * spp)
+                place = film_place(film, pixel, mi.Point2f(0.5))
+            block.put(place, ray.wavelengths, value, alpha)
             dr.eval(block.tensor())
             if progress:
                 dr.sync_thread()

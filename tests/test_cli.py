@@ -7,6 +7,7 @@ import resource
 import signal
 import subprocess
 import sys
+import threading
 from importlib import metadata
 from pathlib import Path
 
@@ -75,7 +76,7 @@ def summary(measured):
 FIELD = ["field info", "field import", "field simulate", "field fineness"]
 
 
-@pytest.mark.parametrize("name", ["measure", "search", "burst", "doctor", *FIELD])
+@pytest.mark.parametrize("name", ["measure", "search", "burst", "sweep", "doctor", *FIELD])
 def test_help_shows_examples(name):
     """Rationale: an example is what is copied first."""
     status, out, _ = command(*name.split(), "--help")
@@ -109,7 +110,10 @@ def test_the_doctor_finds_this_machine_fit():
         ("search nope.xml", r"nope\.xml: .*cold_cylinder, hot_cylinder, stepped_shaft"),
         ("measure hot_cylinder -D beta", "-D beta: write it as NAME=VALUE, such as -D beta=15"),
         ("measure hot_cylinder -D =15", "-D =15: write it as NAME=VALUE"),
-        ("search hot_cylinder -D bate=15", "no parameter 'bate'; the scene has: alpha, beta, dots"),
+        (
+            "search hot_cylinder -D bate=15",
+            "no parameter 'bate'; the scene has: along, alpha, beta",
+        ),
         ("search hot_cylinder -D temperature=-300", "below absolute zero .* give .* in degC"),
         ("search hot_cylinder -D temperature=1000", r"1000C.*\.nc: there is no such file; .*1250C"),
         ("measure hot_cylinder -D beta=120", "under the floor .* turn the sensor less"),
@@ -297,7 +301,7 @@ def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here
     """Rationale: the frames are the largest files; OpenEXR reports the fault in its own way."""
     Path("measured").mkdir()
     Path("measured/summary.json").write_text("old")
-    write_exr = results.write_exr
+    write_exr, ended = results.write_exr, threading.Event()
 
     def write_on_a_full_disk(*arguments):
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -306,8 +310,12 @@ def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here
             write_exr(*arguments)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            ended.set()
 
     monkeypatch.setattr(results, "write_exr", write_on_a_full_disk)
+    # The limit holds for all threads: what is written beside the frame waits until it is over.
+    for beside in ("write_png", "write_csv"):
+        monkeypatch.setattr(results, beside, lambda *arguments: ended.wait(120))
     told = refusal("measure", *COLD, "--overwrite")
     assert told.startswith("Error: measured/cold.exr: can't be written (")
     assert "Make room" in told

@@ -7,6 +7,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 
 import virtual_sensor as vs
+from virtual_sensor.engine import dr
 from virtual_sensor.imaging.render import render_frame, write_exr
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.metrology.dot_peaks import DotStatus, dot_centres
@@ -153,3 +154,22 @@ def test_line_breaks_off_where_the_camera_cannot_look():
     assert nearest[seen].max() < 0.3
     assert nearest[~seen].max() > 0.6
     assert np.median(nearest[~seen]) > 0.2
+
+
+def test_a_frame_is_the_same_to_the_bit_with_any_number_of_threads():
+    """Rationale: a worker of a cluster has other cores, and its results are compared as bytes.
+
+    25 samples a pixel do not fill up the blocks that threads take, so that a pixel's samples are in
+    two threads' hands.
+    """
+    scene = load("cold", spp=25, line_radius=1.0, width=1024, height=1024)
+    threads, frames = dr.thread_count(), []
+    try:
+        for count in (1, 2, 2, 4, 4):
+            dr.set_thread_count(count)
+            frames.append(render_frame(scene))
+    finally:
+        dr.set_thread_count(threads)
+    for frame in frames[1:]:
+        assert (frame.radiance != frames[0].radiance).sum() == 0
+        np.testing.assert_array_equal(frame.laser_mm, frames[0].laser_mm)

@@ -63,6 +63,15 @@ def test_beta_turns_the_sensor_round_the_parts_axis(beta):
         np.testing.assert_allclose(after.pose.rotation, about_x @ before.pose.rotation, atol=1e-6)
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_along_moves_the_sensor_along_the_parts_axis(name):
+    """Rationale: a scan is the same sensor at other x, turned by beta or not."""
+    here, there = (vs.load_scene(name, beta=20, along=x).sensor for x in (0.0, -37.5))
+    for a, b in ((here.camera.pose, there.camera.pose), (here.laser.pose, there.laser.pose)):
+        np.testing.assert_allclose(b.origin_mm - a.origin_mm, [-37.5, 0.0, 0.0], atol=1e-4)
+        np.testing.assert_allclose(b.rotation, a.rotation, atol=1e-6)
+
+
 def test_parameters_reach_the_scene():
     """Each parameter moves what it names, and what is used is told, defaults included."""
     scene = vs.load_scene(
@@ -131,6 +140,15 @@ def test_a_time_picks_an_instant_of_the_field(gusty):
     assert (other.sensor, other.surface) == (last.sensor, last.surface)
     assert other.integrator.march == last.integrator.march
     assert other.parameters == between.parameters | {"time": "2"}
+
+
+def test_another_instant_is_as_broad(gusty):
+    """Rationale: a burst through broadened air must not sharpen from its second frame on."""
+    broad = {"field": gusty, "widen": 1.5, "blur": 4}
+    last, first = (vs.load_scene("hot_cylinder", **broad, time=t) for t in (3, 1))
+    for again, expected in ((last.at(1.0), first), (last.at(1.0).at(3.0), last)):
+        np.testing.assert_array_equal(again.field.nodes, expected.field.nodes)
+        np.testing.assert_array_equal(again.field.box, expected.field.box)
 
 
 def test_another_instant_runs_the_same_kernels(gusty):
@@ -343,7 +361,7 @@ def test_faulty_scene_is_refused_with_file_element_and_remedy(fault, tmp_path):
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("tempreature", 900, "no parameter 'tempreature'; the scene has: alpha"),
+        ("tempreature", 900, "no parameter 'tempreature'; the scene has: along"),
         ("temp", 900, "no parameter 'temp'"),
         ("temperature", -300, "below absolute zero"),
         ("temperature", "warm", "not a number"),

@@ -5,8 +5,9 @@ import pytest
 from virtual_sensor_plugins.lit_pixels import LitPixels, centre_rays
 
 import virtual_sensor as vs
-from virtual_sensor.engine import mi
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.medium.broadening import blurred, widened
 
 COARSE = {"width": 512, "height": 512, "spp": 4}
 
@@ -158,3 +159,67 @@ def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):
     middle = (np.abs(a) < 0.5) & (np.abs(b) < 1.0)
     density = 0.1 / 20.0 / 2.0 * np.sqrt(2.0 / np.pi) * np.exp(-2.0 * (a[middle] / 2.0) ** 2)
     np.testing.assert_allclose(screened_frame.radiance[middle], 0.5 / np.pi * density, rtol=0.002)
+
+
+def test_a_scene_can_have_its_air_broadened():
+    """Rationale: the paper's coarse air must be an option of the scene, seen by every study."""
+    plain, broad = (vs.load_scene("hot_cylinder", **p) for p in ({}, {"widen": 1.5, "blur": "7.5"}))
+    expected = blurred(widened(plain.field, 1.5), 7.5)
+    np.testing.assert_array_equal(broad.field.nodes, expected.nodes)
+    np.testing.assert_array_equal(broad.field.box, expected.box)
+    assert broad.field.source == expected.source
+
+
+def test_light_sees_broadened_air_weaker_than_the_computed():
+    """Rationale: a flank of half the slope bends half as much; the middle ray stays in the middle.
+
+    The laser's ray at y = -8 mm meets the part within three quarters of what it is moved by in the
+    plume as computed.
+    """
+    shift = {}
+    for name, choice in {"plain": {}, "blurred": {"blur": 8}, "wide": {"widen": 3}}.items():
+        scene = vs.load_scene("hot_cylinder", **choice)
+        hot, cold = (vs.ray_search(s, [0.0, -8.0], "newton") for s in (scene, scene.cold()))
+        shift[name] = np.abs(hot.laser_point_mm - cold.laser_point_mm)[:, 1]
+    for name, (middle, flank) in shift.items():
+        assert middle < 1e-4 < flank, name
+    assert max(shift["blurred"][1], shift["wide"][1]) < 0.75 * shift["plain"][1]
+
+
+def test_another_blur_runs_the_same_kernels():
+    """Rationale: each blur has a box of its own; a kernel for each would cost seconds.
+
+    The second may still compile one, for arrays that NumPy aligned otherwise; the third must not.
+    """
+    scene = vs.load_scene("hot_cylinder")
+
+    def seen(sigma_mm):
+        air = scene.with_field(blurred(scene.field, sigma_mm))
+        return vs.ray_search(air, [0.0, -8.0], "newton").pixel
+
+    seen(5.0)
+    one = seen(6.0)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        other = seen(9.0)
+        kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    large = [k for k in kernels if k["operation_count"] > 50]  # copies are of NumPy's alignment
+    assert large
+    assert all(k["cache_hit"] for k in large)
+    assert np.abs(other - one).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({"blur": -1}, "refractive: blur: the standard deviation is -1 mm"),
+        ({"widen": 0}, "refractive: widen: the factor is 0"),
+        ({"field": "", "blur": 7}, "'widen' and 'blur' are of a field; give the 'field'"),
+        ({"field": "", "widen": 2}, "'widen' and 'blur' are of a field; give the 'field'"),
+    ],
+)
+def test_air_that_cannot_be_broadened_is_refused(parameters, expected):
+    """Rationale: with the scene and the line in it, as for any other property."""
+    with pytest.raises(vs.InputError, match=expected) as refusal:
+        vs.load_scene("hot_cylinder", **parameters)
+    assert "hot_cylinder.xml, line " in str(refusal.value)

@@ -31,13 +31,31 @@ def read_ply(path):
     return dict(zip(names, values.reshape(count, len(names)).T, strict=True))
 
 
-def test_a_table_reads_back_to_ten_digits(tmp_path):
-    """Rationale: a pixel of 1234.567 must keep its 1e-6 px, and a number stay a number."""
+def test_a_table_reads_back_to_thirteen_digits(tmp_path):
+    """Rationale: a pixel of 1234.567 must keep its 1e-9 px, and a number stay a number."""
     numbers = np.random.default_rng(5).normal(size=50) * 10.0 ** np.arange(-25, 25)
     write_csv(tmp_path / "t.csv", {"value": numbers, "column": np.arange(50)})
     read = np.genfromtxt(tmp_path / "t.csv", delimiter=",", names=True)
-    np.testing.assert_allclose(read["value"], numbers, rtol=1e-9)
+    np.testing.assert_allclose(read["value"], numbers, rtol=5e-13)
     np.testing.assert_array_equal(read["column"], np.arange(50))
+
+
+def test_float32_reads_back_as_it_was_and_no_longer(tmp_path):
+    """Rationale: nine digits tell every float32; more would tell of its rounding only."""
+    numbers = np.random.default_rng(6).normal(size=200).astype(np.float32)
+    write_csv(tmp_path / "t.csv", {"value": np.append(numbers, np.float32(0.1))})
+    cells = (tmp_path / "t.csv").read_text().split()[1:]
+    np.testing.assert_array_equal(np.array(cells[:-1], np.float32), numbers)
+    assert max(len(cell.lstrip("-").replace(".", "").lstrip("0")) for cell in cells) <= 9
+
+
+def test_text_with_commas_stays_in_its_cell(tmp_path):
+    """Rationale: a list of dots, or a message, would shift all columns after it."""
+    texts = ["0,-5", 'a "b"', "two\nlines", "plain"]
+    write_csv(tmp_path / "t.csv", {"text": texts, "number": np.arange(4)})
+    with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["text"] for row in csv.DictReader(file)] == texts
+    assert (tmp_path / "t.csv").read_text().endswith("plain,3\n")
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])

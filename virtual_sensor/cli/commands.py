@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import simulation
+from virtual_sensor.cli import simulation, sweep
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -227,6 +227,15 @@ def burst(
         f" {output / 'report.png'} first",
         soft_wrap=True,
     )
+
+
+app.command(
+    epilog="Examples:\n\n"
+    "    virtual-sensor sweep hot_cylinder -D beta=0,15,30 -D temperature=900,1100,1250 -o swept"
+    "\n\n"
+    "    virtual-sensor sweep stepped_shaft -D beta=-20,0,20 -o shafts\n\n"
+    "    virtual-sensor sweep hot_cylinder -D beta=0,5,10,15 --scheduler tcp://127.0.0.1:8786"
+)(sweep.sweep)
 
 
 @app.command(

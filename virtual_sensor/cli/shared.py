@@ -31,6 +31,16 @@ Definitions = Annotated[
         help="Set a parameter of the scene; repeatable. A wrong name is answered with all names.",
     ),
 ]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Of a Dask cluster that is there, such as tcp://10.0.0.1:8786: `dask scheduler` "
+        "tells it. Its workers (`dask worker ADDRESS --nthreads 1`) must have virtual-sensor "
+        "installed and share the disk of the results. By default this process does the work.",
+    ),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 
 

@@ -72,24 +72,26 @@ def render_frame(
         scene.mitsuba, sensor, seed, spp or 0, lit=lit, progress=progress
     )
 
-    def spread(values: NDArray[np.floating], channels: int) -> Image:
-        whole = np.full((height * width, channels), np.nan, np.float32)
-        whole[lit.index] = values
-        return np.squeeze(whole.reshape(height, width, channels), axis=2 if channels == 1 else ())
-
     light = lit.sight.light
     a, b = light.a.numpy(), light.b.numpy()
     emitter = scene.sensor.laser
     reached = np.isfinite(a) & (np.abs(b) <= emitter.length_mm / 2.0)
-    point = np.where(reached[:, None], np.array(lit.sight.point).T, np.nan)
-    depth = camera.pose.to_local(point)[:, 2:]
-    coordinates = np.where(reached[:, None], np.column_stack([a, b]), np.nan)
+    point = np.array(lit.sight.point)
+    depth = camera.pose.to_local(point.T)[:, 2]
+    # Channel by channel, as files want it; the lit pixels are few, and to fill this takes time.
+    truth = np.full((6, height * width), np.nan, np.float32)
+    index = np.asarray(lit.index)[reached]
+    for channel, values in zip(truth, (*point, depth, a, b), strict=True):
+        channel[index] = values[reached]
+    is_lit = np.zeros(height * width, bool)
+    is_lit[index] = True
+    channels = truth.reshape(6, height, width)
     return Frame(
         np.array(image, np.float32).reshape(height, width, -1)[:, :, 0],
-        spread(point, 3),
-        spread(depth, 1),
-        spread(coordinates, 2),
-        np.nan_to_num(spread(reached[:, None], 1)) > 0.0,
+        np.moveaxis(channels[:3], 0, -1),
+        channels[3],
+        np.moveaxis(channels[4:], 0, -1),
+        is_lit.reshape(height, width),
     )
 
 

@@ -5,6 +5,7 @@ The sensor model is read *from* the loaded Mitsuba scene, so the two can't disag
 
 import re
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -140,7 +141,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     """
     path = find_scene(name)
     given = {key: str(value) for key, value in parameters.items()}
-    values = _parameters(path, given)
+    values = scene_parameters(path, given)
     loaded = _load(path, given)
     integrator = loaded.integrator()
     if not isinstance(integrator, plugins.refractive.Refractive):
@@ -156,14 +157,15 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     return Scene(path, values, loaded, integrator, sensor, _surface(loaded))
 
 
-def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
-    """The scene's parameters with the given values in place of defaults."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not well-formed XML ({error}); mend that line") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: can't be read as a scene ({error})") from None
+def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
+    """The parameters of a scene file, with the given values in place of its defaults.
+
+    Raises
+    ------
+    InputError
+        If the file is no scene, or has no such parameter.
+    """
+    root = _root(path)
     if root.tag != "scene":
         raise InputError(f"{path}: its root element is <{root.tag}>; a scene's is <scene>")
     defaults = {str(e.get("name")): str(e.get("value")) for e in root.iter("default")}
@@ -175,9 +177,7 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
         raise InputError(f"{path}: no parameter '{unknown[0]}'; the scene has: {names}")
     values: dict[str, str] = {}
     for name, value in (defaults | given).items():  # a default may use those before it
-        for earlier in sorted(values, key=len, reverse=True):
-            value = value.replace(f"${earlier}", values[earlier])
-        values[name] = value
+        values[name] = _filled(value, values)
     if "temperature" in values:
         try:
             below = float(values["temperature"]) < _ABSOLUTE_ZERO_C
@@ -191,6 +191,47 @@ def _parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
                 f" ({_ABSOLUTE_ZERO_C} degC); give the part's temperature in degC"
             )
     return values
+
+
+def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
+    """Files that a scene file refers to, if they exist: fields, meshes, pictures, other scenes.
+
+    `values` are its parameters' (see `scene_parameters`).
+
+    Raises
+    ------
+    InputError
+        If the file, or a scene that it includes, can't be read.
+    """
+    found: dict[Path, None] = {}
+    open_scenes, folders = [path], {Path(): None, path.parent: None}
+    while open_scenes:
+        for element in _root(open_scenes.pop()).iter():
+            texts = [_filled(text, values) for text in element.attrib.values()]
+            if element.tag == "path":
+                folders |= {folder / text: None for folder in list(folders) for text in texts}
+            for file in (folder / text for folder in folders for text in texts):
+                with suppress(OSError, ValueError):  # a text that can't be a file's name
+                    if file.is_file() and (file := file.resolve()) not in found:
+                        found[file] = None
+                        open_scenes += [file] if element.tag == "include" else []
+    return list(found)
+
+
+def _root(path: Path) -> ElementTree.Element:
+    try:
+        return ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not well-formed XML ({error}); mend that line") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: can't be read as a scene ({error})") from None
+
+
+def _filled(text: str, values: dict[str, str]) -> str:
+    """A text with values in place of its ``$parameters``."""
+    for name in sorted(values, key=len, reverse=True):
+        text = text.replace(f"${name}", values[name])
+    return text
 
 
 def _load(path: Path, given: dict[str, str]) -> Any:

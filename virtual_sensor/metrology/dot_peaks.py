@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 SMOOTHING_PX = 1.0  # sigma of the filter that the search for dots runs on
 SIGNIFICANCE = 6.0  # a dot stands out by so many sigma of the smoothed image's noise
+SAMPLE = 1 << 18  # so many pixels tell background and noise well enough
 SPLITS = (0.35, 0.5, 0.65, 0.8)  # relative heights at which two merged dots come apart
 
 
@@ -84,8 +85,9 @@ def dot_centres(
     finite = np.isfinite(image)
     filled = np.where(finite, image, image[finite].min(initial=0)).astype(float)
     smooth = cv2.GaussianBlur(filled, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
-    background = np.median(smooth)
-    noise = np.median(np.abs(smooth - background)) / 0.6745
+    some = smooth.ravel()[:: smooth.size // SAMPLE | 1]
+    background = np.median(some)
+    noise = np.median(np.abs(some - background)) / 0.6745
     contrast = smooth - background
     rounding = 16.0 * np.finfo(float).eps * np.abs(smooth).max()
     lowest = max(threshold * contrast.max(), SIGNIFICANCE * noise, rounding)

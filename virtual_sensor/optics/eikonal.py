@@ -375,8 +375,8 @@ def _unit_tangent(line: Straight, ray: BentRays) -> BentRays:
 
 
 def _box(field: Field, march: March) -> tuple[Any, Any]:
-    """Corners of the field's box in the march's precision."""
-    low, high = (march.vector(*map(float, corner)) for corner in field.box)
+    """Corners of the field's box in the march's precision; opaque: one kernel for any box."""
+    low, high = (dr.opaque(march.vector(*map(float, corner))) for corner in field.box)
     return low, high
 
 

@@ -9,7 +9,7 @@ and the same Jacobian dF/d(a, b) that Newton needs tells how the field concentra
 is conserved in a tube of rays.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -73,7 +73,7 @@ class LaserFrame:
     across: Any
     along: Any
     axis: Any
-    centre: tuple[float, float, float]
+    centre: tuple[Any, Any, Any]
     distance_mm: float
     fan_per_mm: float
 
@@ -86,6 +86,17 @@ class LaserFrame:
         x, y, z = map(float, middle)
         centre = (x, y, z)
         return LaserFrame(across, along, axis, centre, laser.distance_mm, laser.fan_per_mm)
+
+    def opaque(self) -> "LaserFrame":
+        """The same with its pose out of the compiler's sight: one kernel serves all poses."""
+        scalar = type(self.axis.x)
+        return replace(
+            self,
+            across=dr.opaque(self.across),
+            along=dr.opaque(self.along),
+            axis=dr.opaque(self.axis),
+            centre=tuple(dr.opaque(scalar, number) for number in self.centre),
+        )
 
     def coordinates(self, p: Any) -> tuple[Any, Any, Any]:
         """Across, along and depth beyond the reference plane of points, in mm."""
@@ -141,7 +152,7 @@ def illuminate(
     Without a guess the first two marches carry tangents, which give the Jacobian; the later ones
     keep it (the chord method), and also look for shadows.
     """
-    frame = LaserFrame.of(laser, march.vector)
+    frame = LaserFrame.of(laser, march.vector).opaque()
     x, y, depth = frame.coordinates(points)
     wanted = dr.full(mi.Mask, True, dr.width(points)) & active
     straight = frame.straight(points)

@@ -213,7 +213,7 @@ def _newton(scene: SearchScene, target: Array, march: March) -> FoundPixels:
     marches = 0
     for _ in range(5):
         line = _sight(camera, pixel, march)
-        normal = march.vector(*map(float, axis))
+        normal = dr.opaque(march.vector(*map(float, axis)))  # one kernel for all poses
         offset = march.scalar(to_scalars(np.nan_to_num(target) @ axis))
         ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
         ray = bend(

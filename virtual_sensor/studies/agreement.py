@@ -88,7 +88,12 @@ def _sees_whole_profile(
 ) -> NDArray[np.bool_]:
     """Columns that see the profile round a row from edge to edge, on one piece of the surface."""
     known = np.isfinite(row)
-    middle = np.where(known, np.rint(row), 0).astype(int).clip(0, len(across_mm) - 1)
+    light = np.flatnonzero(np.isfinite(across_mm).any(axis=1))
+    if not light.size:
+        return np.zeros_like(known)
+    top = max(light[0] - 1, 0)  # a dark row on each side stands for all those beyond
+    across_mm = across_mm[top : light[-1] + 2]
+    middle = np.where(known, np.rint(row) - top, 0).astype(int).clip(0, len(across_mm) - 1)
     column = np.arange(across_mm.shape[1])
     number = np.arange(len(across_mm))[:, None]
     # A pixel starts a new piece where there was no light before, or that of another place.

@@ -26,7 +26,8 @@ _MARGIN_PX = 12
 
 def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> None:
     """Draw the page as a PNG; `figures` is the measurement's summary."""
-    figure = Figure(figsize=(13.5, 9.5), dpi=110, layout="constrained")
+    # Fixed margins: a layout engine would draw all of it twice, to see how large the labels are.
+    figure = Figure(figsize=(13.5, 9.5), dpi=110)
     axes = figure.subplot_mosaic(
         [
             ["frame", "frame", "along"],
@@ -35,6 +36,10 @@ def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> Non
         ],
         height_ratios=[1.3, 1.2, 0.8],
         width_ratios=[1.0, 1.0, 0.9],
+        gridspec_kw={
+            **{"left": 0.075, "right": 0.975, "bottom": 0.055, "top": 0.92},
+            **{"wspace": 0.22, "hspace": 0.38},
+        },
     )
     scene = (result.hot or result.cold).scene
     figure.suptitle(f"{scene.path.stem}: what the sensor sees and measures", fontsize=13)
@@ -46,7 +51,7 @@ def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> Non
     _residual(axes["residual"], result)
     _text(axes["text"], result, figures)
     with written_whole(path) as temporary:
-        figure.savefig(temporary, format="png")
+        figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 1})
 
 
 def _frame(axes: Axes, result: Measurement) -> None:

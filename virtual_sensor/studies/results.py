@@ -1,6 +1,7 @@
 """A measurement's results in a folder: frames, centres, points, searches, summary and picture."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +34,15 @@ def save(
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
     white = max(float(state.frame.radiance.max()) for state in result.states.values())
-    with folder_written_whole(folder, overwrite) as place:
+    with folder_written_whole(folder, overwrite) as place, ThreadPoolExecutor() as aside:
+        written = []
         for name, state in result.states.items():
             header = {f"virtual_sensor/{k}": v for k, v in state.scene.parameters.items()}
             header["virtual_sensor/state"] = name
-            write_exr(place / f"{name}.exr", state.frame, header)
-            write_png(place / f"{name}.png", state.frame.radiance, white)
+            # To compress one takes half a second, in which all the rest is written.
+            written.append(aside.submit(write_exr, place / f"{name}.exr", state.frame, header))
+            image = state.frame.radiance
+            written.append(aside.submit(write_png, place / f"{name}.png", image, white))
             write_csv(place / f"line_{name}.csv", _line_table(state))
             if state.dots:
                 seen = state.dots
@@ -59,6 +63,8 @@ def save(
         draw_report(result, figures, place / "report.png")
         with written_whole(place / "table.md") as temporary:
             temporary.write_text(markdown_table(result, figures), encoding="utf-8")
+        for frame in written:
+            frame.result()
         with written_whole(place / "summary.json") as temporary:
             temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 

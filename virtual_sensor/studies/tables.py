@@ -9,9 +9,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.files import written_whole
 
+_SPECIAL = set(',"\r\n')
+
 
 def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
-    """Write columns of equal length under their names; NaN stays empty."""
+    """Write columns of equal length under their names; NaN stays empty.
+
+    Numbers have 13 digits, in which a pixel of 1000 keeps its 1e-9 px; float32 has its nine.
+    """
     cells = [[_cell(value) for value in np.asarray(values)] for values in columns.values()]
     lines = [",".join(columns), *(",".join(row) for row in zip(*cells, strict=True))]
     with written_whole(path) as temporary:
@@ -20,8 +25,10 @@ def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
 def _cell(value: object) -> str:
     if isinstance(value, (float, np.floating)):
-        return "" if np.isnan(value) else f"{value:.10g}"
-    return str(value)
+        digits = 9 if isinstance(value, np.float32) else 13
+        return "" if np.isnan(value) else f"{value:.{digits}g}"
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if _SPECIAL & set(text) else text
 
 
 def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:

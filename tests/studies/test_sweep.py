@@ -1,0 +1,370 @@
+"""A sweep makes each case once, whatever is killed on its way, and to the same bits everywhere."""
+
+import csv
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import command
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.studies import cluster
+from virtual_sensor.studies.sweep import MARK, CaseStatus, cases, plan, run
+
+FILM = {"width": ["256"], "height": ["256"], "spp": ["1"], "line_radius": ["0.5"]}
+OPTIONS = [word for name, [value] in FILM.items() for word in ("-D", f"{name}={value}")]
+TIMED = {"report.png", "summary.json", "table.md"}
+"""Files of a measurement that tell how long it took."""
+
+
+def table(folder):
+    """Rows of a sweep's table."""
+    with (folder / "sweep.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def marks(folder):
+    """What tells a finished case from one that was made again."""
+    files = (file for case in (folder / "cases").iterdir() for file in [case, *case.iterdir()])
+    return {file: (file.stat().st_ino, file.stat().st_mtime_ns) for file in files}
+
+
+def contents(folder):
+    """Files of a sweep that hold no times, with what is in them."""
+    files = [p for p in folder.rglob("*") if p.is_file() and p.name not in TIMED]
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+# Planning: no light, no disk.
+
+
+def test_all_combinations_are_planned_the_last_parameter_changing_fastest():
+    """Rationale: the order of a table's rows is part of what it says."""
+    planned = plan("hot_cylinder", {"beta": ["0", "15"], "temperature": ["900", "1250"]})
+    assert [case.name for case in planned] == [
+        "beta=0_temperature=900",
+        "beta=0_temperature=1250",
+        "beta=15_temperature=900",
+        "beta=15_temperature=1250",
+    ]
+    assert len({case.key for case in planned}) == 4
+    assert planned[0].values["field"] == "fields/hot_cylinder_900C_quarter.nc"
+
+
+def test_a_list_of_cases_is_named_by_what_differs():
+    """Rationale: in a list of lines and dots a case is found by what it has of its own."""
+    listed = [{"beta": "0", "spp": "4"}, {"beta": "0", "spp": "4", "dots": "0,-5,-10"}]
+    plain, dotted = cases("hot_cylinder", listed)
+    assert (plain.name, dotted.name) == ("dots=", "dots=0,-5,-10")
+    assert [c.name for c in cases("hot_cylinder", listed, ["line", "../a b"])] == ["line", "a-b"]
+
+
+def test_a_value_given_and_the_same_by_default_are_the_same_case():
+    """Rationale: extended by a parameter at its default, a sweep must not start anew."""
+    [plain] = plan("hot_cylinder", {"beta": ["15"]})
+    [given] = plan("hot_cylinder", {"beta": ["15"], "temperature": ["1250"]})
+    assert plain.key == given.key
+
+
+def test_the_scene_and_what_it_refers_to_are_in_the_key(tmp_path, monkeypatch):
+    """Rationale: results of a field or a mesh that has changed since are wrong results."""
+    scene, part = tmp_path / "scene.xml", tmp_path / "part.ply"
+    scene.write_text(
+        '<scene version="3.0.0"><default name="mesh" value="part"/>'
+        '<shape type="ply"><string name="filename" value="$mesh.ply"/></shape></scene>'
+    )
+    keys = []
+    for text in ("a", "bb"):
+        part.write_text(text)
+        keys.append(plan(scene, {"mesh": ["part"]})[0].key)
+    scene.write_text(scene.read_text().replace("</scene>", "<!-- --></scene>"))
+    keys.append(plan(scene, {"mesh": ["part"]})[0].key)
+    assert len(set(keys)) == 3
+    monkeypatch.chdir(tmp_path)
+    assert plan("scene.xml", {"mesh": ["part"]})[0].key == keys[-1]  # as seen from elsewhere
+
+
+def test_a_file_of_the_users_is_found_from_another_folder_too(tmp_path, monkeypatch):
+    """Rationale: a worker runs in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    Path("air.nc").touch()
+    Path("0.5").touch()
+    [case] = cases("hot_cylinder", [{"field": "air.nc", "line_radius": "0.5"}])
+    assert case.parameters == {"field": str(tmp_path / "air.nc"), "line_radius": "0.5"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ("hot_cylinder -D bate=0,15", "no parameter 'bate'; the scene has: along, alpha, beta"),
+        ("hot_cylinder -D beta", "-D beta: write it as NAME=VALUE"),
+        ("nope -D beta=0", "nope: there is no such scene file"),
+        ("hot_cylinder -D beta=0 -D beta=15", "twice; give all values at once, as -D beta=0,15"),
+    ],
+)
+def test_what_cannot_be_planned_is_told_before_any_work(arguments, told, tmp_path):
+    """Rationale: not after the first hour."""
+    status, out, err = command("sweep", *arguments.split(), "-o", tmp_path / "swept")
+    assert (status, out) == (2, "")
+    assert told in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_foreign_folder_is_refused(tmp_path):
+    """Rationale: a user's folder must not fill with ours."""
+    (tmp_path / "thesis.tex").touch()
+    status, _, err = command("sweep", "cold_cylinder", "-o", tmp_path)
+    assert (status, err.count("\n")) == (2, 1)
+    assert "holds other files" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+# In this process.
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    """Folder of a sweep with a case that can't be measured, status, and what was said."""
+    folder = tmp_path_factory.mktemp("sweep") / "swept"
+    status, out, err = command(
+        "sweep", "cold_cylinder", "-D", "alpha=60,0,50", *OPTIONS, "-o", folder
+    )
+    assert err == ""
+    return folder, status, out
+
+
+def test_a_case_that_fails_does_not_keep_the_others_from_it(swept):
+    """Rationale: one bad value in a night's sweep must cost one row."""
+    folder, status, out = swept
+    assert status == 1
+    assert "turn the camera out of the plane" in out
+    rows = table(folder)
+    assert [row["alpha"] for row in rows] == ["60", "0", "50"]
+    assert [row["status"] for row in rows] == ["ok", "failed", "ok"]
+    assert "turn the camera" in rows[1]["message"]
+    assert (rows[1]["folder"], rows[1]["cold_line_rms_px"], rows[1]["cold_centres"]) == ("", "", "")
+    assert json.loads((folder / "summary.json").read_text())["failed"].keys() == {"alpha=0"}
+    assert (folder / "sweep.png").stat().st_size > 0
+
+
+def test_the_table_says_what_the_measurements_say(swept):
+    """Rationale: its figures are those of each case's own summary, in the same row."""
+    folder = swept[0]
+    for row in table(folder)[::2]:
+        summary = json.loads((folder / row["folder"] / "summary.json").read_text())
+        assert summary["parameters"]["alpha"] == row["alpha"]
+        state = summary["states"]["cold"]
+        line = state["rendered line minus search, px"]
+        assert float(row["cold_line_rms_px"]) == pytest.approx(line["rms"], rel=1e-12)
+        assert float(row["cold_line_largest_px"]) == pytest.approx(line["largest"], rel=1e-12)
+        assert int(row["cold_centres"]) == state["line"]["ok"] > 0
+        assert row["hot_centres"] == row["largest_B-A_um"] == ""  # never measured hot
+
+
+def test_an_extended_sweep_makes_only_what_is_new(swept):
+    """Rationale: cases of hours must not be made again for one more."""
+    folder = swept[0]
+    before = marks(folder)
+    rows = table(folder)
+    words = ["cold_cylinder", "-D", "alpha=50,55,60", "-D", "beta=0", *OPTIONS, "-o", folder]
+    status, out, _ = command("sweep", *words)
+    assert status == 0
+    assert "3 cases: 1 measured, 2 kept, 0 failed" in out
+    after = marks(folder)
+    assert after.items() > before.items()
+    again = table(folder)
+    assert [row["alpha"] for row in again] == ["50", "55", "60"]
+    figures = [name for name in rows[0] if name != "beta"]
+    assert [again[i][n] for i in (2, 0) for n in figures] == [
+        r[n] for r in rows[::2] for n in figures
+    ]
+    table_before = (folder / "sweep.csv").read_bytes()
+    status, out, _ = command("sweep", *words)
+    assert "3 cases: 0 measured, 3 kept, 0 failed" in out
+    assert (folder / "sweep.csv").read_bytes() == table_before
+    assert marks(folder) == after
+
+
+def test_values_with_commas_are_parted_by_semicolons(tmp_path):
+    """Rationale: a laser's dots are a list themselves."""
+    words = ["cold_cylinder", "-D", "dots=-5,5; 0;", *OPTIONS, "-o", tmp_path / "dots"]
+    assert command("sweep", *words)[0] == 0
+    rows = table(tmp_path / "dots")
+    assert [(row["dots"], row["cold_centres"]) for row in rows] == [("-5,5", "2"), ("0", "1")]
+    assert all(float(row["cold_dots_largest_v_px"]) < 0.1 for row in rows)
+    assert all(row["cold_line_rms_px"] == "" for row in rows)
+
+
+def test_progress_never_goes_back_and_names_the_case(tmp_path):
+    """Rationale: a bar that jumps back is worse than none."""
+    told = []
+    planned = plan("cold_cylinder", {"alpha": ["60", "50"]} | FILM)
+    run(planned, tmp_path, report=lambda stage, fraction: told.append((stage, fraction)))
+    stages, fractions = zip(*told, strict=True)
+    assert (np.diff(fractions) >= 0.0).all()
+    assert (fractions[0], fractions[-1]) == (0.0, 1.0)
+    assert any(0.5 < f < 1.0 and s.startswith("case 2 of 2 (alpha=50): ") for s, f in told)
+    assert "case 1 of 2 (alpha=60): writing the results" in stages
+
+
+def test_files_that_changed_since_the_plan_are_told(tmp_path):
+    """Rationale: a worker with other files or another program must not make these results."""
+    scene = tmp_path / "scene.xml"
+    scene.write_text('<scene version="3.0.0"><default name="beta" value="0"/></scene>')
+    planned = plan(scene, {"beta": ["0"]})
+    scene.write_text('<scene version="3.0.0"><default name="beta" value="0"/> </scene>')
+    [ended] = run(planned, tmp_path / "swept")
+    assert (ended.status, ended.folder) == (CaseStatus.FAILED, None)
+    assert "not those that the sweep was planned with" in ended.message
+
+
+STUCK = """
+import time
+from virtual_sensor import cli
+from virtual_sensor.studies import results
+save, saved = results.save, []
+
+def stuck(*arguments, **options):
+    save(*arguments, **options)
+    saved.append(True)
+    if len(saved) == 2:
+        print("in the middle of the second", flush=True)
+        time.sleep(600)
+
+results.save = stuck
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGKILL,
+        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
+    ],
+)
+def test_a_killed_sweep_goes_on(tmp_path, number):
+    """Rationale: a power cut after hours must cost one case."""
+    words = ["sweep", "cold_cylinder", "-D", "alpha=60,50,55", *OPTIONS, "-o", "swept"]
+    program = [sys.executable, "-c", STUCK, *words]
+    process = subprocess.Popen(program, cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    assert "in the middle" in process.stdout.readline()
+    process.send_signal(number)
+    process.communicate(timeout=120)
+    assert process.returncode == (-9 if number == signal.SIGKILL else 128 + number)
+    folder = tmp_path / "swept"
+    unfinished = list((folder / "cases").glob(".*.unfinished"))
+    assert len(unfinished) == (1 if number == signal.SIGKILL else 0)
+    before = {file: mark for file, mark in marks(folder).items() if ".unfinished" not in str(file)}
+    assert {file.parent.name.partition("-")[0] for file in before} >= {"alpha=60"}
+    status, out, _ = command(*words[:-1], folder)
+    assert status == 0
+    assert "3 cases: 2 measured, 1 kept, 0 failed" in out
+    after = marks(folder)
+    assert after.items() > before.items()
+    assert not list((folder / "cases").glob(".*"))
+
+
+# On a cluster.
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """A short wait for a scheduler that does not come."""
+    monkeypatch.setattr(cluster, "_PATIENCE_S", 0.5)
+    monkeypatch.setattr(cluster, "_FIRST_WORKER_S", 0.5)
+
+
+@pytest.mark.parametrize("listens", [False, True])
+def test_a_scheduler_that_does_not_answer_is_told(listens, impatient, tmp_path):
+    """Rationale: a wrong address, or that of some other server, must not wait for ever."""
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        if listens:
+            other.listen()
+        address = f"tcp://127.0.0.1:{other.getsockname()[1]}"
+        words = ["cold_cylinder", *OPTIONS, "--scheduler", address, "-o", tmp_path / "swept"]
+        status, out, err = command("sweep", *words)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert f"--scheduler {address}: no Dask scheduler answers there" in err
+    assert [p.name for p in (tmp_path / "swept").iterdir()] == [MARK]
+
+
+def test_a_missing_package_is_told(tmp_path, monkeypatch):
+    """Rationale: Dask's cluster is an extra, and its name is what one needs to know."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'virtual-sensor\[cluster\]'"):
+        run(plan("cold_cylinder", FILM), tmp_path, "tcp://127.0.0.1:8786")
+
+
+def workers(count):
+    """A cluster of processes on this machine, one thread each, Dr.Jit's included."""
+    distributed = pytest.importorskip("distributed", reason="needs virtual-sensor[cluster]")
+    return distributed.LocalCluster(
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None
+    )
+
+
+@pytest.fixture
+def one_thread(monkeypatch):
+    monkeypatch.setenv("VIRTUAL_SENSOR_THREADS", "1")
+
+
+def test_a_cluster_without_workers_is_told(impatient, tmp_path):
+    """Rationale: to wait for workers that nobody starts is to wait for ever."""
+    with workers(0) as idle, pytest.raises(InputError, match="has no workers; start some with"):
+        run(plan("cold_cylinder", FILM), tmp_path, idle.scheduler_address)
+
+
+@pytest.mark.slow
+def test_two_worker_processes_give_the_same_bits(tmp_path, one_thread):
+    """Rationale: where a case was made must not be seen in it.
+
+    The workers have one thread each; this process has all that the machine gives.
+    """
+    film = {"width": ["256"], "height": ["256"], "spp": ["9"], "line_radius": ["0.5"]}
+    planned = plan("hot_cylinder", {"beta": ["0", "15"], "temperature": ["900", "1250"]} | film)
+    words = [f"{name}={','.join(values)}" for name, values in film.items()]
+    words += ["beta=0,15", "temperature=900,1250"]
+    options = [word for pair in words for word in ("-D", pair)]
+    with workers(2) as pair:
+        far = tmp_path / "far"
+        scheduler = ("--scheduler", pair.scheduler_address)
+        status, out, _ = command("sweep", "hot_cylinder", *options, *scheduler, "-o", far)
+        assert status == 0, out
+    run_here = command("sweep", "hot_cylinder", *options, "-o", tmp_path / "near")
+    assert run_here[0] == 0
+    near, far = contents(tmp_path / "near"), contents(far)
+    assert near.keys() == far.keys()
+    assert len([name for name in near if name.endswith(".exr")]) == 2 * len(planned)
+    assert [name for name in near if near[name] != far[name]] == []
+    summaries = list((tmp_path / "far/cases").glob("*/summary.json"))
+    assert {json.loads(p.read_text())["made_with"]["threads"] for p in summaries} == {1}
+
+
+@pytest.mark.slow
+def test_a_killed_worker_loses_no_finished_case(tmp_path, one_thread):
+    """Rationale: machines of a cluster die; what they have finished stays, the rest is made."""
+    planned = plan("cold_cylinder", {"alpha": ["60", "57", "54", "51", "48"]} | FILM)
+    finished = {}
+
+    def kill_one(stage, fraction):
+        if stage.startswith("1 of 5 cases") and not finished:
+            finished.update(marks(tmp_path))
+            os.kill(pair.workers[0].pid, signal.SIGKILL)
+
+    with workers(2) as pair:
+        ended = run(planned, tmp_path, pair.scheduler_address, kill_one)
+    assert [end.status for end in ended] == [CaseStatus.OK] * 5
+    assert [end.case for end in ended] == planned
+    assert any(file.name == "summary.json" for file in finished)
+    whole = {file: mark for file, mark in finished.items() if ".unfinished" not in str(file)}
+    assert marks(tmp_path).items() > whole.items()
+    assert not list((tmp_path / "cases").glob(".*"))

@@ -1,0 +1,88 @@
+"""The command `virtual-sensor sweep`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from virtual_sensor.cli.shared import SceneArgument, Scheduler, console, definitions, reporting
+from virtual_sensor.errors import InputError
+
+Choices = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        metavar="NAME=VALUES",
+        help="Values of a parameter of the scene, with commas in between; repeatable: all are "
+        "combined. Where a value has commas of its own, put a semicolon after each value: "
+        "'dots=0,-5,-10;' is one.",
+    ),
+]
+
+
+def sweep(
+    scene: SceneArgument,
+    define: Choices = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
+    ] = Path("swept"),
+    scheduler: Scheduler = None,
+) -> None:
+    """Measure a scene over any of its parameters: a table over all cases, and a folder for each.
+
+    Finished cases are kept: stopped or killed, the same command goes on, and one with more values
+    makes only what is missing. Cases that can't be measured are listed in the end.
+    """
+    from virtual_sensor.studies.sweep import CaseStatus, differing, plan, run
+    from virtual_sensor.studies.sweep_results import save_sweep
+
+    choices = {name: _values(text) for name, text in definitions(define).items()}
+    if len(choices) < len(define or []):
+        raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
+    with reporting("planning the cases") as report:
+        cases = plan(scene, choices)
+        finished = run(
+            cases, output, scheduler, lambda stage, fraction: report(stage, 0.98 * fraction)
+        )
+        report("writing the table", 0.98)
+        columns = save_sweep(finished, output)
+        report("done", 1.0)
+    console.print(_table(columns, differing(cases)))
+    failed = [end for end in finished if end.status == CaseStatus.FAILED]
+    for end in failed:
+        console.print(f"{end.case.name}: {end.message}", style="red", soft_wrap=True)
+    kept = sum(end.was_kept for end in finished)
+    console.print(
+        f"{len(finished)} cases: {len(finished) - kept - len(failed)} measured, {kept} kept,"
+        f" {len(failed)} failed; results in {output}, look at {output / 'sweep.csv'} and"
+        f" {output / 'sweep.png'} first",
+        soft_wrap=True,
+    )
+    if failed:
+        raise typer.Exit(1)
+
+
+def _values(text: str) -> list[str]:
+    """The values of one option: with commas in between, or with semicolons if there is one."""
+    if ";" not in text:
+        return [value.strip() for value in text.split(",")]
+    values = [value.strip() for value in text.split(";")]
+    return values if values[-1] else values[:-1]
+
+
+def _table(columns: dict[str, list[Any]], swept: Sequence[str]) -> Table:
+    shown = [*swept, "status", "hot_line_rms_px", "hot_dots_largest_v_px"]
+    shown += ["largest_B-A_um", "largest_B-B_m_um", "largest_B_m-A_m_um"]
+    shown = [name for name in shown if any(value == value for value in columns[name])]  # not NaN
+    told = Table(*(name.replace("_", " ") for name in shown))
+    for row in zip(*(columns[name] for name in shown), strict=True):
+        told.add_row(*map(_cell, row))
+    return told
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if value == value else "none"
+    return str(value)

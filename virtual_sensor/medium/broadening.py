@@ -1,0 +1,105 @@
+"""Air that is broader than it was computed, as a coarse mesh makes it."""
+
+import math
+
+import numpy as np
+from scipy import ndimage
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import IndexField
+
+_REACH = 4  # standard deviations at which the Gaussian is cut off: 6e-5 of its weight lies beyond
+_ACROSS = (1, 2)  # the axes y and z; along x, the cylinder's, a plume hardly changes
+
+
+def blurred(field: IndexField, sigma_mm: float) -> IndexField:
+    """Blur a field along y and z, as a coarse mesh blurs a plume; not along x.
+
+    The difference from the surrounding air is convolved with a Gaussian, so that its sum over all
+    space stays the same.  Outside its box a field is the surrounding air: the box grows by what the
+    Gaussian reaches on every side in y and z that is no mirror plane, and the blurred field ends at
+    zero there, also where the one given ends with a jump.
+
+    The smooth filling inside the solid is blurred along with the air, as if it were hot air too:
+    next to the wall the field is no longer a solution of any flow.
+
+    Parameters
+    ----------
+    field : IndexField
+    sigma_mm : float
+        Standard deviation of the Gaussian, mm; at most the field's extent in y and in z.  Below
+        the distance of nodes the grid cannot show the blur well.  0: the same field object.
+
+    Raises
+    ------
+    InputError
+        If the standard deviation is negative, not finite, or larger than the field.
+
+    Notes
+    -----
+    Beermann et al. 2018 simulated on a mesh of several mm; `docs/fields.md`, "Broadened air".
+    """
+    if sigma_mm == 0.0:
+        return field
+    extent = (field.box[1] - field.box[0])[list(_ACROSS)]
+    if not 0.0 < sigma_mm <= extent.min():
+        raise InputError(
+            f"blur: the standard deviation is {sigma_mm:g} mm; give 0 (none) or a positive one of"
+            f" at most {extent.min():g} mm, the field's extent"
+        )
+    difference, origin = field.nodes - field.ambient, field.origin.copy()
+    for axis in _ACROSS:
+        step = field.spacing[axis]
+        # One node more than the filter reaches: what it finds beyond the last is zero too.
+        margin = math.ceil(_REACH * sigma_mm / step) + 1
+        before = 0 if field.mirror[axis] else margin
+        width = [(0, 0)] * 3
+        width[axis] = (before, margin)
+        difference = ndimage.gaussian_filter1d(
+            np.pad(difference, width), sigma_mm / step, axis, mode="mirror", truncate=_REACH
+        )
+        origin[axis] -= before * step
+    return IndexField.from_arrays(
+        field.ambient + difference,
+        origin,
+        field.spacing,
+        ambient=field.ambient,
+        mirror=field.mirror,
+        source=_told(field.source, f"blurred by {sigma_mm:g} mm"),
+    )
+
+
+def widened(field: IndexField, factor: float) -> IndexField:
+    """Stretch a field along y about y = 0: a wider plume whose middle stays as hot.
+
+    Everything is stretched, the layer at the solid's wall and the filling inside the solid too,
+    and the sum of the difference from the surrounding air grows by the factor.
+
+    Parameters
+    ----------
+    field : IndexField
+    factor : float
+        Positive; 1: the same field object.
+
+    Raises
+    ------
+    InputError
+        If the factor is not positive and finite.
+    """
+    if factor == 1.0:
+        return field
+    if not 0.0 < factor < math.inf:
+        raise InputError(f"widen: the factor is {factor:g}; give a positive one, 1 for none")
+    stretch = np.array([1.0, factor, 1.0])
+    return IndexField.from_arrays(
+        field.nodes,
+        field.origin * stretch,
+        field.spacing * stretch,
+        ambient=field.ambient,
+        mirror=field.mirror,
+        source=_told(field.source, f"widened {factor:g} times along y"),
+    )
+
+
+def _told(source: str, what: str) -> str:
+    return f"{source}, {what}" if source else what
