@@ -1,19 +1,28 @@
-"""Put results into the README: ``python docs/update_readme.py measured fineness``."""
+"""Put results into the README, those that are given.
 
+``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR``
+"""
+
+import argparse
 import shutil
-import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
 END = "<!-- end of table -->"
 
 
-def main(measured: Path, fineness: Path) -> None:
+def main(measured: Path | None, fineness: Path | None, reproduced: Path | None) -> None:
     """Replace what stands between the README's marks, and the pictures."""
-    replace("<!-- table: measure -->\n", measured / "table.md")
-    replace("<!-- table: field fineness -->\n", fineness / "fineness.md")
-    shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
-    shutil.copy(fineness / "fineness.png", HERE / "fineness.png")
+    if measured:
+        replace("<!-- table: measure -->\n", measured / "table.md")
+        shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
+    if fineness:
+        replace("<!-- table: field fineness -->\n", fineness / "fineness.md")
+        shutil.copy(fineness / "fineness.png", HERE / "fineness.png")
+    if reproduced:
+        report = reproduced / "report"
+        replace("<!-- table: statements -->\n", report / "statements.md")
+        shutil.copy(report / "figure_7_widened.png", HERE / "figure_7.png")
 
 
 def replace(begin: str, table: Path) -> None:
@@ -26,4 +35,7 @@ def replace(begin: str, table: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("measured", "fineness", "reproduced"):
+        parser.add_argument(f"--{name}", type=Path)
+    main(**vars(parser.parse_args()))

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import simulation, sweep
+from virtual_sensor.cli import reproduce, simulation, sweep
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -236,6 +236,7 @@ app.command(
     "    virtual-sensor sweep stepped_shaft -D beta=-20,0,20 -o shafts\n\n"
     "    virtual-sensor sweep hot_cylinder -D beta=0,5,10,15 --scheduler tcp://127.0.0.1:8786"
 )(sweep.sweep)
+app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 
 
 @app.command(

@@ -1,0 +1,329 @@
+"""Section 5 of the paper, remade: the logic on made curves, and the whole thing once (slow)."""
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from command_line import command
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.studies.measure import NINE_RAYS_MM
+from virtual_sensor.studies.reproduction import broadening_fit, pieces
+from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, fit_broadening
+from virtual_sensor.studies.reproduction.curves import (
+    BLURRED,
+    DOTS,
+    LINE,
+    RESOLVED,
+    SEARCHED,
+    WIDENED,
+    Curve,
+    Curves,
+    Setting,
+    from_dots,
+    from_line,
+    read_columns,
+)
+from virtual_sensor.studies.reproduction.numbers import STATED, TOLERANCE, Kind
+from virtual_sensor.studies.reproduction.reproduce import rendered_cases, reproduce
+from virtual_sensor.studies.reproduction.settings import Broadening, Scenes, settings
+from virtual_sensor.studies.reproduction.statements import STATEMENTS, judge
+from virtual_sensor.studies.tables import write_csv
+
+AIR = "made"
+
+
+@pytest.fixture(scope="module")
+def sensors():
+    """The paper's sensor in its three poses."""
+    scenes = Scenes({})
+    return {beta: scenes.pose(beta).sensor for beta in (0.0, 15.0, 30.0)}
+
+
+def made_curve(sensor, temperature_c, beta_deg, moved_mm, bent_px):
+    """Nine rays whose spot moves by moved_mm (9, 3), seen bent by bent_px (9, 2) besides."""
+    A = np.stack([0.0 * NINE_RAYS_MM, NINE_RAYS_MM, -(13.5 - np.sqrt(182.25 - NINE_RAYS_MM**2))], 1)
+    A[:, 0] = -A[:, 2] * np.tan(np.radians(30.0))  # in the laser's plane
+    B = A + moved_mm
+    return Curve(
+        Setting(AIR, temperature_c, beta_deg),
+        SEARCHED,
+        sensor,
+        NINE_RAYS_MM,
+        A,
+        B,
+        sensor.camera.project(A),
+        sensor.camera.project(B) + bent_px,
+        np.full(9, 0.5),
+    )
+
+
+def made_curves(sensors, scale=1.0):
+    """Curves that go the paper's ways: what its text says, put into numbers."""
+    s = -NINE_RAYS_MM / 10.0
+    nine = {}
+    for temperature, hot in ((900.0, 0.8), (1100.0, 0.9), (1250.0, 1.0)):
+        for beta, turned in ((0.0, 1.0), (15.0, 0.1), (30.0, 0.02)):
+            factor = scale * hot * turned
+            down = -0.088 * s * factor
+            moved = np.stack([0.02 * s * factor, down, 1.1 * down], 1)
+            bent = np.stack([2.9 * s * factor, (0.6 - 3.5 * s**2) * factor], 1)
+            curve = made_curve(sensors[beta], temperature, beta, moved, bent)
+            nine[curve.setting, SEARCHED] = curve
+    return Curves(nine, {})
+
+
+def test_all_of_section_5_is_judged():
+    """Rationale: the issue asks for at least 20 statements; no figure may be left out."""
+    assert len(STATEMENTS) >= 20
+    assert len({(s.where, s.claim) for s in STATEMENTS}) == len(STATEMENTS)
+    for figure in ("6", "7(a)", "7(b)", "7(c)", "7(e)", "9(a)", "9(b)", "9(c)", "10", "11(d)"):
+        assert any(f"fig. {figure}" in s.where for s in STATEMENTS), figure
+
+
+@pytest.mark.parametrize("stated", STATED, ids=lambda s: s.name)
+def test_a_number_is_met_within_15_percent_and_a_bound_only_if_it_is_kept(stated):
+    """Rationale: the acceptance's own tolerance, by hand."""
+    assert stated.met(stated.paper * 0.999) == (stated.kind is not Kind.ABOVE)
+    assert stated.met(stated.paper * 1.001) == (stated.kind is not Kind.BELOW)
+    if stated.kind is Kind.VALUE:
+        assert stated.met(stated.paper * 1.14)
+        assert not stated.met(stated.paper * 1.16)
+        assert not stated.met(stated.paper * 0.84)
+        assert stated.residual(stated.paper * 1.1) == pytest.approx(0.1)
+    else:
+        kept = stated.paper * (0.5 if stated.kind is Kind.BELOW else 2.0)
+        assert stated.residual(kept) == 0.0
+        assert not stated.met(stated.paper * (1.01 if stated.kind is Kind.BELOW else 0.99))
+    assert TOLERANCE == 0.15
+
+
+def test_a_verdict_follows_the_curves(sensors):
+    """Rationale: a table that says "met" whatever the curves do would be worse than none."""
+    verdicts = {v.statement.claim: v for v in judge(made_curves(sensors), [AIR])}
+    doubled = {v.statement.claim: v for v in judge(made_curves(sensors, 2.0), [AIR])}
+    number = "Δu laser → object at y = -10 mm"
+    assert verdicts[number].found[AIR].met
+    assert verdicts[number].words == "met"
+    assert verdicts[number].why == ""
+    assert not doubled[number].found[AIR].met
+    assert doubled[number].words == "differs"
+    assert doubled[number].why
+    found, unit = doubled[number].found[AIR].words.split()
+    assert float(found) == pytest.approx(-8.0, rel=0.05)  # 2 * 88 um, of some 22 um a pixel
+    assert unit == "px"
+    for claim in ("Δy of B - A falls with -y", "Δu object → camera increases with -y"):
+        assert verdicts[claim].found[AIR].words.startswith("8 of 8")
+
+
+def test_a_statement_turned_round_is_not_met(sensors):
+    """Rationale: each ordering must be able to fail."""
+    curves = made_curves(sensors)
+    turned = {
+        key: dataclasses.replace(c, B_mm=2.0 * c.A_mm - c.B_mm, pixel_B=2.0 * c.pixel_A - c.pixel_B)
+        for key, c in curves.nine.items()
+    }
+    verdicts = {v.statement.claim: v for v in judge(Curves(turned, {}), [AIR])}
+    for claim in (
+        "Δy of B - A falls with -y",
+        "Δz of B - A falls with -y",
+        "Δx of B - A rises with -y",
+        "Δu laser → object decreases with -y",
+        "Δu object → camera increases with -y",
+        "Δu laser → camera, middle of its range",
+    ):
+        assert not verdicts[claim].found[AIR].met, claim
+    hotter_is_less = {
+        (dataclasses.replace(key[0], temperature_c=2150.0 - key[0].temperature_c), key[1]): c
+        for key, c in curves.nine.items()
+        if key[0].temperature_c != 1100.0
+    } | {key: c for key, c in curves.nine.items() if key[0].temperature_c == 1100.0}
+    verdicts = {v.statement.claim: v for v in judge(Curves(hotter_is_less, {}), [AIR])}
+    assert not verdicts["hotter is more |B_m - A_m| from y = 0 to -5 mm"].found[AIR].met
+
+
+def test_the_separated_paths_add_up(sensors):
+    """Rationale: figure 8; the issue asks for 1e-9 px."""
+    for curve in made_curves(sensors).nine.values():
+        paths = curve.paths
+        whole = paths.laser_to_object_px + paths.object_to_camera_px
+        np.testing.assert_allclose(whole, curve.pixel_B - curve.pixel_A, rtol=0, atol=1e-9)
+
+
+def test_the_fit_finds_the_parameter_that_made_the_numbers(monkeypatch):
+    """Rationale: numbers that go linearly with a known parameter have their least cost there."""
+    family = FAMILIES[BLURRED]
+    paper = np.array([s.paper for s in STATED])
+    numbers = lambda scenes, b: paper * (1.0 + 0.1 * (b.blur_mm - 6.34))  # noqa: E731
+    monkeypatch.setattr(broadening_fit, "stated", numbers)
+    fit = fit_broadening(Scenes({}), family)
+    assert fit.fitted == pytest.approx(6.3, abs=1e-12)
+    assert fit.broadening == Broadening(blur_mm=6.3)
+    np.testing.assert_allclose(fit.residual[[0, 1, 3]], 0.1 * (6.3 - 6.34), atol=1e-12)
+    assert np.all(np.diff(fit.tried) > 0.0)
+    assert fit.cost[np.searchsorted(fit.tried, 6.3)] <= fit.cost.min() + 1e-3
+    np.testing.assert_allclose(fit.resolved, paper * (1.0 - 0.634))
+
+
+def test_rendered_curves_are_read_from_a_measurements_files(sensors, tmp_path):
+    """Rationale: a line's curve is that of its centres between columns; dots are taken as found."""
+    curve = next(iter(made_curves(sensors).nine.values()))
+    dots = {s: curve.pixel_A + shift for s, shift in (("cold", 0.25), ("hot", [1.0, -2.0]))}
+    column = np.arange(400, 1100)
+    for name, pixel in dots.items():
+        columns = {"pixel_u": pixel[:, 0], "pixel_v": pixel[:, 1]}
+        write_csv(tmp_path / f"dots_{name}.csv", columns)
+        row = 1000.0 + 1e-4 * (column - 800.0) ** 2 + (0.5 if name == "hot" else 0.0)
+        status = np.where(column == 700, "no_peak", "ok")
+        row = np.where(column == 700, np.nan, row)
+        write_csv(tmp_path / f"line_{name}.csv", {"column": column, "row": row, "status": status})
+    seen = from_dots(curve, tmp_path)
+    assert seen.way == DOTS
+    np.testing.assert_allclose(seen.exact.pixel_px, np.tile([0.75, -2.25], (9, 1)), atol=1e-8)
+    line = from_line(curve, tmp_path)
+    assert line.way == LINE
+    np.testing.assert_array_equal(line.pixel_B[:, 0], curve.pixel_B[:, 0])
+    expected = 1000.5 + 1e-4 * (curve.pixel_B[:, 0] - 800.0) ** 2
+    np.testing.assert_allclose(line.pixel_B[:, 1], expected, atol=1e-6)
+
+
+def test_the_rendered_cases_are_all_18_and_what_the_figures_show():
+    """Rationale: three temperatures, three poses, each cold and hot, as a line and as dots."""
+    wanted = rendered_cases()
+    assert len(set(wanted)) == len(wanted)
+    for way in (LINE, DOTS):
+        assert {s for s, w in wanted if w == way and s.air == RESOLVED} == set(settings(RESOLVED))
+    assert len(settings(RESOLVED)) == 9
+
+
+@pytest.mark.parametrize("given", [{"beta": "7"}, {"width": "512"}, {"dots": "0"}])
+def test_what_the_reproduction_chooses_is_refused(tmp_path, given):
+    """Rationale: with another pose or other pixels the paper would be judged by other numbers."""
+    with pytest.raises(InputError, match="reproduce takes the paper's set-up"):
+        reproduce(tmp_path / "r", given)
+    assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize("wrong", ["spp=many", "method=euler", "widht=512"])
+def test_what_cannot_be_loaded_is_told_before_anything_is_written(tmp_path, wrong):
+    """Rationale: not after the first fit, and no folder is left behind."""
+    status, _, err = command("reproduce", "-D", wrong, "-o", tmp_path / "r")
+    assert status == 2
+    assert wrong.split("=")[0] in err or wrong.split("=")[1] in err
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    """Rationale: nothing that is not ours may be overwritten."""
+    (tmp_path / "thesis.tex").write_text("mine")
+    status, _, err = command("reproduce", "-o", tmp_path)
+    assert status == 2
+    assert f"{tmp_path}: holds other files" in err
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_a_kept_piece_is_taken_as_it_was(tmp_path):
+    """Rationale: floats, names and arrays must come back to the bit."""
+    shelf = pieces.Shelf(tmp_path, Scenes({}))
+    made = []
+
+    def make():
+        made.append(1)
+        return broadening_fit.Fit(
+            BLURRED,
+            "mm",
+            np.array([0.1, 1 / 3]),
+            np.array([1e-9, np.nan]),
+            7.1,
+            ("|B - B_m|, µm", "b"),
+            ("about", "below"),
+            *(np.arange(2.0) for _ in range(4)),
+        )
+
+    first, second = (shelf.piece("fit", {"x": 1}, make, broadening_fit.Fit) for _ in range(2))
+    assert len(made) == 1
+    for name, value in vars(make()).items():
+        np.testing.assert_array_equal(getattr(first, name), value)
+        np.testing.assert_array_equal(getattr(second, name), value)
+    assert isinstance(second.fitted, float)
+    assert second.broadening == Broadening(blur_mm=7.1)
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The reproduction as a user gets it, full size."""
+    folder = tmp_path_factory.mktemp("reproduced") / "r"
+    status, out, err = command("reproduce", "-o", folder)
+    assert status == 0, err
+    return folder, json.loads((folder / "report/summary.json").read_text(encoding="utf-8")), out
+
+
+@pytest.mark.slow
+def test_rendered_and_searched_agree_in_all_18_cases(whole):
+    """Rationale: the acceptance: 0.005 px rms across the line, dots 0.02 px in both axes."""
+    folder, summary, _ = whole
+    columns = read_columns(folder / "report/rendered_minus_searched.csv")
+    lines = [columns[f"{state}_line_rms_px"] for state in ("cold", "hot")]
+    assert sum(np.isfinite(rms).sum() for rms in lines) == 18
+    assert np.nanmax(lines) <= 0.005
+    for axis in "uv":
+        dots = [columns[f"{state}_dots_largest_{axis}_px"] for state in ("cold", "hot")]
+        assert sum(np.isfinite(largest).sum() for largest in dots) >= 18
+        assert np.nanmax(dots) <= 0.02
+    assert summary["rendered minus searched, px"]["dots of the figures, largest"] <= 0.02
+    assert summary["sum of the separated paths minus the whole, px"] <= 1e-9
+
+
+@pytest.mark.slow
+def test_the_broadened_air_bears_the_paper_out(whole):
+    """Rationale: the acceptance; the cold |A - A_m| is geometry, which no air can change."""
+    folder, summary, _ = whole
+    assert summary["not borne out"][WIDENED] == ["cold |A - A_m|, rounded to 0.25 px, at most"]
+    with (folder / "report/statements.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["statement"]: row for row in csv.DictReader(file)}
+    assert len(rows) == summary["statements"] >= 20
+    for stated in STATED:
+        name = next(claim for claim in rows if claim.startswith(stated.name))
+        assert rows[name][f"{BLURRED}_met"] == rows[name][f"{WIDENED}_met"] == "true", name
+    assert rows["largest |B - B_m|"][f"{RESOLVED}_met"] == "false"
+
+
+@pytest.mark.slow
+def test_whole_lines_are_mirror_images_from_above(whole):
+    """Rationale: field and cylinder are even in y, so from above both sides must see the same."""
+    columns = read_columns(whole[0] / "report/whole_line.csv")
+    for air in (RESOLVED, BLURRED, WIDENED):
+        taken = (columns["air"] == air) & (columns["beta_deg"] == 0.0)
+        taken &= columns["temperature_c"] == 1250.0
+        y, d = columns["y_mm"][taken], columns["d_um"][taken]
+        assert len(y) >= 20
+        np.testing.assert_allclose(y, -y[::-1], atol=1e-9)
+        np.testing.assert_allclose(d, d[::-1], atol=1e-3)
+        assert d.max() > 20.0
+
+
+@pytest.mark.slow
+def test_the_radius_error_comes_with_an_interval(whole):
+    """Rationale: the acceptance; what is in the report must be numbers, not words alone."""
+    columns = read_columns(whole[0] / "report/reconstruction.csv")
+    low, high = columns["radius_error_low_um"], columns["radius_error_high_um"]
+    error = columns["radius_error_um"]
+    assert np.all(np.isfinite(error))
+    assert np.all((low <= error) & (error <= high))
+
+
+@pytest.mark.slow
+def test_a_second_run_takes_all_from_what_is_kept(whole):
+    """Rationale: seconds in place of minutes, and the same bits."""
+    folder, summary, _ = whole
+    names = ["statements.csv", "rendered_minus_searched.csv", "reconstruction.csv"]
+    names += [p.name for p in (folder / "report").glob("figure_*.csv")]
+    first = {name: (folder / "report" / name).read_bytes() for name in names}
+    status, _, err = command("reproduce", "-o", folder)
+    assert status == 0, err
+    again = json.loads((folder / "report/summary.json").read_text(encoding="utf-8"))
+    assert summary["measured now"] == len(rendered_cases())
+    assert again["measured now"] == 0
+    assert {name: (folder / "report" / name).read_bytes() for name in names} == first

@@ -1,0 +1,305 @@
+"""The paper's forthcoming work: a cylinder scanned line by line, fitted cold and hot.
+
+It also asks what an earlier experiment of the authors found (their reference 15): does refraction
+make a hot cylinder measure too small?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.cylinder_fit import (
+    CylinderFit,
+    FitStatus,
+    fit_cylinder,
+    radius_interval,
+)
+from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.sensor_model import Pose, SensorModel
+from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.studies.reproduction.curves import Setting
+from virtual_sensor.studies.reproduction.settings import SCAN
+from virtual_sensor.studies.tables import status_names
+
+Array = NDArray[np.float64]
+
+ALONG_MM = np.linspace(-60.0, 60.0, 13)
+ARCS_MM = (5.0, 8.0, 11.0)
+STATES = ("cold", "hot")
+
+_BLOCKS = 10
+"""The rays of a line fall into so many blocks for the interval.  A residual's correlation with its
+neighbours along the line falls to 1/e within an eighth of the line and to zero within a fifth."""
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """M lines of K rays, cold and hot, and the cylinders through A arcs of them.
+
+    World frame.  Axes of length 2 are the cold and the hot state.
+
+    Attributes
+    ----------
+    along_mm : ndarray of shape (M,)
+        Where the sensor stood along the cylinder's axis.
+    y_mm : ndarray of shape (K,)
+        Positions of the rays along the laser line.
+    points_mm : ndarray of shape (2, M * K, 3)
+        Measured points A_m and B_m, line by line; NaN where a ray's pixel was not found.
+    true_mm : ndarray of shape (3,)
+        The cylinder's radius, and y and z of its axis.
+    arc_mm : ndarray of shape (A,)
+        Rays of at most this abs(y) take part, ascending.
+    radius_mm, residual_std_um : ndarray of shape (A, 2)
+    interval_mm : ndarray of shape (A, 2, 2)
+        Lower and upper bound of the radius, 95 %.
+    axis_point_mm, axis_direction : ndarray of shape (A, 2, 3)
+    count, status : ndarray of shape (A, 2)
+        Points that took part, and `FitStatus`.
+    """
+
+    along_mm: Array
+    y_mm: Array
+    points_mm: Array
+    true_mm: Array
+    arc_mm: Array
+    radius_mm: Array
+    residual_std_um: Array
+    interval_mm: Array
+    axis_point_mm: Array
+    axis_direction: Array
+    count: NDArray[np.int64]
+    status: NDArray[np.int64]
+
+    @property
+    def error_um(self) -> Array:
+        """Fitted minus true radius, shape (A, 2)."""
+        return UM_PER_MM * (self.radius_mm - self.true_mm[0])
+
+    @property
+    def interval_um(self) -> Array:
+        """Bounds of the same, 95 %, shape (A, 2, 2)."""
+        return UM_PER_MM * (self.interval_mm - self.true_mm[0])
+
+    @property
+    def axis_shift_um(self) -> Array:
+        """Fitted minus true axis in y and z, in the middle of the points; shape (A, 2, 2)."""
+        return UM_PER_MM * (self.axis_point_mm[..., 1:] - self.true_mm[1:])
+
+    @property
+    def tilt_mrad(self) -> Array:
+        """Angle between the fitted and the true axis, shape (A, 2)."""
+        across = np.hypot(self.axis_direction[..., 1], self.axis_direction[..., 2])
+        return 1e3 * np.arctan2(across, np.abs(self.axis_direction[..., 0]))
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """What a search needs of a scene, with the sensor elsewhere: nothing is loaded anew."""
+
+    sensor: SensorModel
+    field: Any
+    surface: Any
+
+
+def reconstruct(
+    scene: Scene,
+    along_mm: ArrayLike = ALONG_MM,
+    rays: int = 201,
+    arcs_mm: Sequence[float] = ARCS_MM,
+    report: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> Reconstruction:
+    """Scan the scene's cylinder along its axis, cold and hot, and fit cylinders to the points.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a cylinder; its sensor may be turned round it.
+    along_mm : array_like of shape (M,)
+        Where the sensor goes, mm along x from where the scene has it.
+    rays : int
+        On each line, over its whole length.
+    arcs_mm : sequence of float
+        Largest abs(y) of the rays that take part in a fit, ascending.
+    report : callable
+        Is told what is being done, and which fraction of the whole is.
+
+    Raises
+    ------
+    InputError
+        If the part is no cylinder, or a number is unfit.
+    """
+    part, along = scene.surface, np.atleast_1d(np.asarray(along_mm, float))
+    arcs = np.atleast_1d(np.asarray(arcs_mm, float))
+    if not isinstance(part, Cylinder):
+        raise InputError(f"{scene.path}: the part is no cylinder along x; reconstruct one that is")
+    if not (np.isfinite(along).all() and along.size and rays >= 2 and (arcs > 0.0).all()):
+        raise InputError(
+            f"reconstruct: along {along.tolist()} mm, {rays} rays, arcs {arcs.tolist()} mm; give"
+            " finite places, at least 2 rays and positive arcs"
+        )
+    y = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
+    points = np.empty((2, len(along), rays, 3))
+    for state, air in enumerate((None, scene.field)):
+        for number, x in enumerate(along):
+            done = (state * len(along) + number) / (2 * len(along))
+            report(f"scanning the {STATES[state]} cylinder", 0.7 * done)
+            there = _Moved(_moved(scene.sensor, float(x)), air, part)
+            found = ray_search(there, y, "newton", march=SCAN)
+            points[state, number] = triangulate(there.sensor, found.pixel)
+
+    fits: list[CylinderFit] = []
+    intervals = []
+    for number, arc in enumerate(arcs):
+        report("fitting cylinders", 0.7 + 0.3 * number / len(arcs))
+        taken = points[:, :, np.abs(y) <= arc * (1.0 + 1e-9)]
+        for state in range(2):
+            # All lines' points of a ray, then the next ray's: lines repeat each other's residuals,
+            # and only points some way apart along the line are independent.
+            fit, interval = _fitted(np.swapaxes(taken[state], 0, 1).reshape(-1, 3))
+            fits.append(fit)
+            intervals.append(interval)
+
+    def of(name: str) -> NDArray[Any]:
+        values = np.array([getattr(fit, name) for fit in fits])
+        return values.reshape(len(arcs), 2, *values.shape[1:])
+
+    return Reconstruction(
+        along,
+        y,
+        points.reshape(2, -1, 3),
+        np.array([part.radius_mm, part.axis_y_mm, part.axis_z_mm]),
+        arcs,
+        of("radius_mm"),
+        of("residual_std_um"),
+        np.reshape(intervals, (len(arcs), 2, 2)),
+        of("axis_point_mm"),
+        of("axis_direction"),
+        of("count"),
+        of("status"),
+    )
+
+
+def fit_section(points_mm: ArrayLike) -> tuple[CylinderFit, tuple[float, float]]:
+    """Fit the points (N, 3) of one line, such as a rendered one's, by a cylinder along x.
+
+    The line's own direction says nothing of the axis', which is held.  Also returns the 95 %
+    interval of the radius, mm.
+
+    Raises
+    ------
+    InputError
+        If the points are no (N, 3).
+    """
+    return _fitted(np.asarray(points_mm, float), direction=(1.0, 0.0, 0.0))
+
+
+def _fitted(
+    points_mm: Array, direction: ArrayLike | None = None
+) -> tuple[CylinderFit, tuple[float, float]]:
+    """A fit, and the interval of its radius in blocks of a tenth of the points."""
+    fit = fit_cylinder(points_mm, direction=direction)
+    if fit.status != FitStatus.FITTED:
+        return fit, (np.nan, np.nan)
+    block = max(1, fit.count // _BLOCKS)
+    return fit, radius_interval(points_mm, block, direction=direction, fit=fit)
+
+
+def _moved(sensor: SensorModel, along_mm: float) -> SensorModel:
+    """The same sensor elsewhere along x."""
+
+    def there(pose: Pose) -> Pose:
+        return replace(pose, origin_mm=pose.origin_mm + np.array([along_mm, 0.0, 0.0]))
+
+    return SensorModel(
+        replace(sensor.camera, pose=there(sensor.camera.pose)),
+        replace(sensor.laser, pose=there(sensor.laser.pose)),
+    )
+
+
+def columns(results: Mapping[Setting, Reconstruction]) -> dict[str, ArrayLike]:
+    """A tidy table, for `tables.write_csv`: one row for each setting, arc and state."""
+    rows: list[dict[str, Any]] = []
+    for setting, r in results.items():
+        error, bounds, shift, tilt = r.error_um, r.interval_um, r.axis_shift_um, r.tilt_mrad
+        rows += [
+            {
+                "air": setting.air,
+                "temperature_c": setting.temperature_c,
+                "beta_deg": setting.beta_deg,
+                "state": STATES[i[1]],
+                "arc_mm": r.arc_mm[i[0]],
+                "points": r.count[i],
+                "status": status_names(r.status[i], FitStatus)[0],
+                "radius_mm": r.radius_mm[i],
+                "radius_error_um": error[i],
+                "radius_error_low_um": bounds[i][0],
+                "radius_error_high_um": bounds[i][1],
+                "hot_minus_cold_um": error[i] - error[i[0], 0] if i[1] else np.nan,
+                "residual_std_um": r.residual_std_um[i],
+                "axis_y_um": shift[i][0],
+                "axis_z_um": shift[i][1],
+                "tilt_mrad": tilt[i],
+            }
+            for i in np.ndindex(r.radius_mm.shape)
+        ]
+    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+
+
+def told(results: Mapping[Setting, Reconstruction]) -> str:
+    """Does a hot cylinder measure too small?  The answer, from the widest arc of each scan."""
+    sentences = []
+    for air in dict.fromkeys(setting.air for setting in results):
+        mine = {s: r for s, r in results.items() if s.air == air}
+        poses = sorted({s.beta_deg for s in mine})
+        at = {s: float(r.error_um[-1, 1]) for s, r in mine.items()}
+        first = sorted(s for s in mine if s.beta_deg == poses[0])
+        errors = _listed([_signed(at[s]) for s in first])
+        hottest = mine[first[-1]]
+        low, high = hottest.interval_um[-1, 1]
+        spread = hottest.residual_std_um[-1, 1]
+        words = (
+            f"In {air} air, from beta = {poses[0]:g} deg, the hot cylinder's fitted radius is off"
+            f" by {errors} µm at {_listed([f'{s.temperature_c:g}' for s in first])} °C (at"
+            f" {first[-1].temperature_c:g} °C 95 % between {_signed(low)} and {_signed(high)} µm,"
+            f" residual standard deviation {spread:.1f} µm): {_verdict(mine, first)}"
+        )
+        if len(hottest.arc_mm) > 1:
+            arcs = _listed([f"{a:g}" for a in hottest.arc_mm[:-1]])
+            there = _listed([_signed(e) for e in hottest.error_um[:-1, 1]])
+            words += f"; of abs(y) up to {arcs} mm alone it is off by {there} µm"
+        others = [replace(first[-1], beta_deg=b) for b in poses[1:]]
+        if others := [s for s in others if s in at]:
+            words += (
+                f"; from beta = {_listed([f'{s.beta_deg:g}' for s in others])} deg by"
+                f" {_listed([_signed(at[s]) for s in others])} µm"
+            )
+        sentences.append(words + ".")
+    return "  ".join(sentences)
+
+
+def _verdict(results: Mapping[Setting, Reconstruction], settings: Sequence[Setting]) -> str:
+    """Whether these radii are too small, by their intervals."""
+    bounds = np.array([results[s].interval_um[-1, 1] for s in settings])
+    if np.isnan(bounds).any():
+        return "not every fit came to an end"
+    if (bounds < 0.0).all():
+        return "it measures too small"
+    return "it measures too large" if (bounds > 0.0).all() else "neither small nor large for sure"
+
+
+def _signed(value: float) -> str:
+    return "(no fit)" if np.isnan(value) else f"{value:+.1f}"
+
+
+def _listed(words: Sequence[str]) -> str:
+    return " and ".join([", ".join(words[:-1])] * (len(words) > 1) + list(words[-1:]))
