@@ -1,6 +1,7 @@
 """Put results into the README, those that are given.
 
-``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR``
+``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR
+--charted DIR``
 """
 
 import argparse
@@ -11,7 +12,12 @@ HERE = Path(__file__).parent
 END = "<!-- end of table -->"
 
 
-def main(measured: Path | None, fineness: Path | None, reproduced: Path | None) -> None:
+def main(
+    measured: Path | None,
+    fineness: Path | None,
+    reproduced: Path | None,
+    charted: Path | None,
+) -> None:
     """Replace what stands between the README's marks, and the pictures."""
     if measured:
         replace("<!-- table: measure -->\n", measured / "table.md")
@@ -23,6 +29,9 @@ def main(measured: Path | None, fineness: Path | None, reproduced: Path | None) 
         report = reproduced / "report"
         replace("<!-- table: statements -->\n", report / "statements.md")
         shutil.copy(report / "figure_7_widened.png", HERE / "figure_7.png")
+    if charted:
+        replace("<!-- table: chart -->\n", charted / "front.md")
+        shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
 
 
 def replace(begin: str, table: Path) -> None:
@@ -36,6 +45,6 @@ def replace(begin: str, table: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("measured", "fineness", "reproduced"):
+    for name in ("measured", "fineness", "reproduced", "charted"):
         parser.add_argument(f"--{name}", type=Path)
     main(**vars(parser.parse_args()))

@@ -82,6 +82,16 @@ class LaserLineEmitter(mi.Emitter):
             along = dr.abs(b) <= self.line.length_mm / 2.0 + margin_mm[1]
         return along & (dr.abs(a) <= radius + margin_mm[0])
 
+    @property
+    def extent(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest (a, b) in mm with light that counts, each of shape (2,)."""
+        radius = _REACH * self.line.radius_mm
+        if self.line.dots_mm.size:
+            ends = self.line.dots_mm.min() - radius, self.line.dots_mm.max() + radius
+        else:
+            ends = -self.line.length_mm / 2.0, self.line.length_mm / 2.0
+        return np.array([-radius, ends[0]]), np.array([radius, ends[1]])
+
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: Any = True
     ) -> tuple[mi.DirectionSample3f, Any]:

@@ -1,7 +1,7 @@
 """Which pixels the laser lights, and what is seen at their centres: the ground truth of a frame."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import cv2
@@ -11,7 +11,9 @@ from scipy.ndimage import distance_transform_edt
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.illumination import Illumination, LaserFrame
+from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
+from virtual_sensor.optics.sensor_model import Pose
+from virtual_sensor.optics.tabulate import Fineness
 
 _LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
 _FAR_MM = 2.0  # refraction is taken to move no light further than this
@@ -39,6 +41,37 @@ class Sight:
 
 
 @dataclass
+class Account:
+    """How a frame was made.
+
+    Attributes
+    ----------
+    way : str
+        "tabulated" or another of the integrator's.
+    reason : str
+        Why it is not the way that was asked for; "" if it is.
+    camera, laser : Fineness or None
+        Of the tables.
+    error_px : float
+        The tables' own estimate of their error; NaN without tables.
+    samples, exact : int
+        Samples that looked for the laser's light, and those of them that the tables couldn't tell
+        of and that were marched.
+    folded : int
+        Pixels near the line to whose centre no single laser ray was found: they are black.
+    """
+
+    way: str
+    reason: str = ""
+    camera: Fineness | None = None
+    laser: Fineness | None = None
+    error_px: float = float("nan")
+    samples: int = 0
+    exact: int = 0
+    folded: int = 0
+
+
+@dataclass
 class LitPixels:
     """Pixels that may receive laser light, and what is seen at their centres.
 
@@ -48,10 +81,15 @@ class LitPixels:
         Row-major numbers within the film's crop window.
     sight : Sight
         At the pixels' centres, in the same order.
+    account : Account
+    tables : Tables or None
+        That tell of their samples; None: these are to be marched.
     """
 
     index: NDArray[np.uint32]
     sight: Sight
+    account: Account = field(default_factory=lambda: Account("exact"))
+    tables: Any = None
 
 
 def film_place(film: mi.Film, index: Any, within: Any) -> Any:
@@ -62,10 +100,26 @@ def film_place(film: mi.Film, index: Any, within: Any) -> Any:
 
 
 def film_rays(sensor: mi.Sensor, place: Any, aperture: Any) -> tuple[Any, Any]:
-    """Camera rays and their weights through places on the film."""
+    """Camera rays and their weights through places on the film.
+
+    A pinhole's start at the projection centre, not at Mitsuba's near plane: where a camera stands
+    in hot air, light bends in between.
+    """
     film = sensor.film()
     in_window = (place - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
-    return sensor.sample_ray_differential(0.0, 0.5, in_window, aperture)
+    ray, weight = sensor.sample_ray_differential(0.0, 0.5, in_window, aperture)
+    if pose := pinhole(sensor):
+        centre = dr.opaque(mi.Point3f(*map(float, pose.origin_mm)))
+        ray.o = centre + mi.Vector3f(0.0 * ray.d)
+    return ray, weight
+
+
+def pinhole(sensor: mi.Sensor) -> Pose | None:
+    """Pose of a pinhole camera's projection centre, z forward; None of any other camera."""
+    if not str(sensor).startswith("PerspectiveCamera"):
+        return None
+    to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
+    return Pose.from_matrix(to_world)
 
 
 def centre_rays(sensor: mi.Sensor, index: Any) -> Any:
@@ -84,7 +138,11 @@ def rows(tree: Any, index: Any) -> Any:
 
 
 def find_lit_pixels(
-    scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter, look: Callable[[Any], Sight]
+    scene: mi.Scene,
+    sensor: mi.Sensor,
+    emitter: LaserLineEmitter,
+    look: Callable[[Any], Sight],
+    account: Account,
 ) -> LitPixels:
     """Find the pixels that the laser reaches, marching no more rays than that takes.
 
@@ -106,17 +164,18 @@ def find_lit_pixels(
         a, b = a + moved_a, b + moved_b
         margin = (pixel_mm + margin_a, pixel_mm + margin_b)
     # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
-    candidates = every[_grown(_reached(emitter, a, b, margin), height, width)]
+    candidates = every[grown(_reached(emitter, a, b, margin), height, width)]
     if not candidates.size:
         candidates = every[:1]  # Dr.Jit knows no empty array
     sight = look(centre_rays(sensor, mi.UInt32(candidates)))
     dr.eval(sight)
+    account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
     lit = np.zeros(width * height, bool)
     lit[candidates] = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm)).numpy()
-    keep = np.flatnonzero(_grown(lit, height, width)[candidates]).astype(np.uint32)
+    keep = np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         keep = np.zeros(1, np.uint32)
-    return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)))
+    return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)), account)
 
 
 def _straight_coordinates(
@@ -162,7 +221,7 @@ def _reached(
     return np.asarray(emitter.reaches(mi.Float(a), mi.Float(b), margin).numpy(), bool)
 
 
-def _grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:
+def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:
     """The pixels of a mask and their neighbours."""
     image = mask.astype(np.uint8).reshape(height, width)
     return cv2.dilate(image, np.ones((3, 3), np.uint8)).ravel() > 0

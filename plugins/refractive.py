@@ -4,26 +4,34 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from virtual_sensor_plugins.exposure import Exposure
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 from virtual_sensor_plugins.lit_pixels import (
+    Account,
     LitPixels,
     Sight,
-    film_place,
-    film_rays,
+    centre_rays,
     find_lit_pixels,
     rows,
 )
+from virtual_sensor_plugins.tabulated import Elsewhere, lit_pixels_and_tables, merged
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
-from virtual_sensor.optics.illumination import Illumination, illuminate
+from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.tabulate import NoMapError
 
-_LANES = 1 << 17  # samples in flight at once: enough to fill the cores, and progress is seen
+WAYS = ("tabulated", "exact", "first_order", "straight")
+"""How bent rays are found, by name."""
+
+# Samples in flight at once: enough to fill the cores, and progress is seen.
+_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "elsewhere": 1 << 22}
 
 
 class Refractive(mi.SamplingIntegrator):
@@ -37,7 +45,12 @@ class Refractive(mi.SamplingIntegrator):
     widen            1           Factor by which the field is stretched along y; 1: none
     blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
     wavelength       532         Vacuum wavelength of the light, nm
-    way              "exact"     Each sample's rays are marched, its laser ray found by Newton
+    way              "tabulated" From tables of the bent rays; "exact": each sample's rays are
+                                 marched, its laser ray found by Newton; "first_order": so, but
+                                 deflected as if it ran straight; "straight": no refraction
+    tolerance        0.003       Largest error of the tables, px
+    interpolation    "cubic"     Of the field: "cubic" or "linear"
+    dimensions       3           Of the field; 2: its section x = 0, extruded along x
     step             2           Step of the march, mm
     method           "leapfrog"  "leapfrog", "sharma" or "rk4"
     precision        "single"    "single" or "double"
@@ -56,14 +69,24 @@ class Refractive(mi.SamplingIntegrator):
         self.widen = float(props.get("widen", 1.0))
         self.blur_mm = float(props.get("blur", 0.0))
         self.wavelength_nm = float(props.get("wavelength", 532.0))
-        way = str(props.get("way", "exact"))
-        if way != "exact":
-            raise InputError(f'refractive: \'way\' must be "exact", not "{way}"')
+        self.way = str(props.get("way", "tabulated"))
+        if self.way not in WAYS:
+            raise InputError(f"refractive: 'way' must be one of {', '.join(WAYS)}, not {self.way}")
+        self.tolerance_px = float(props.get("tolerance", 0.003))
+        if not self.tolerance_px > 0.0:
+            raise InputError(
+                f"refractive: 'tolerance' must be a positive number of px, not {self.tolerance_px}"
+            )
+        self.model: dict[str, Any] = {
+            "interpolation": str(props.get("interpolation", "cubic")),
+            "dimensions": int(props.get("dimensions", 3)),
+        }
         try:
             self.march = March(
                 step_mm=float(props.get("step", 2.0)),
                 method=str(props.get("method", "leapfrog")),
                 precision=str(props.get("precision", "single")),
+                first_order=self.way == "first_order",
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
@@ -79,7 +102,7 @@ class Refractive(mi.SamplingIntegrator):
     def _air(self, file: Path, time_s: float | None) -> IndexField:
         air = IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
         try:
-            return blurred(widened(air, self.widen), self.blur_mm)
+            return blurred(widened(air, self.widen), self.blur_mm).simplified(**self.model)
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
 
@@ -93,24 +116,33 @@ class Refractive(mi.SamplingIntegrator):
 
     def with_field(self, field: IndexField | None) -> "Refractive":
         """The same integrator in other air, taken as it is; None: light runs straight."""
-        march = self.march
-        choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
-        other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
+        other = self.with_way(self.way, self.march, self.tolerance_px)
         other.field = field
         return other
 
+    def with_way(self, way: str, march: March, tolerance_px: float) -> "Refractive":
+        """Another way through the same air."""
+        choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
+        choices |= {"way": way, "tolerance": tolerance_px, **self.model}
+        other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
+        other.field = self.field
+        return other
+
+    @property
+    def _refracting(self) -> IndexField | None:
+        return None if self.way == "straight" else self.field
+
     def look(self, scene: mi.Scene, ray: Any, guess: Any = None, active: Any = True) -> Sight:
-        """Follow camera rays to the surface and find the laser's light there."""
+        """Follow camera rays to the surface and find the laser's light there, by marching."""
         surface = SceneSurface(scene)
         line = Straight.through(ray.o, ray.d, self.march)
-        bent = bend(self.field, surface, line, self.march, active=active)
+        field = self._refracting
+        bent = bend(field, surface, line, self.march, active=active)
         hit = active & (bent.status == int(RayStatus.HIT))
         point, heading = bent.position(line), dr.normalize(bent.tangent(line))
         dr.eval(point, heading, hit)  # else what uses them would march again
         line_laser = laser_of(scene).line
-        light = illuminate(
-            line_laser, self.field, surface, point, self.march, guess=guess, active=hit
-        )
+        light = illuminate(line_laser, field, surface, point, self.march, guess=guess, active=hit)
         return Sight(point, heading, hit, light)
 
     def sample(
@@ -124,14 +156,24 @@ class Refractive(mi.SamplingIntegrator):
         """Radiance in W/(mm^2 sr) that leaves the points seen towards the camera."""
         heading = mi.Vector3f(sight.heading)
         last = mi.RayDifferential3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
-        si = scene.ray_intersect(last, sight.hit)
-        valid = sight.hit & si.is_valid()
-        bsdf, context = si.bsdf(last), mi.BSDFContext()
-        si.wi = dr.select(valid, si.wi, -heading)  # what meets nothing sees the environment
+        return self._shaded(scene, sampler, last, sight.hit, sight.light)[0]
+
+    def _shaded(
+        self, scene: mi.Scene, sampler: mi.Sampler, ray: Any, active: Any, light: Any
+    ) -> tuple[Any, Any]:
+        """Radiance against rays that run straight from here on, and which of them meet a surface.
+
+        `light` is the laser's where they do; None: it does not get there.
+        """
+        si = scene.ray_intersect(ray, active)
+        valid = active & si.is_valid()
+        bsdf, context = si.bsdf(ray), mi.BSDFContext()
+        si.wi = dr.select(valid, si.wi, -ray.d)  # what meets nothing sees the environment
         radiance = si.emitter(scene).eval(si)
         for emitter in scene.emitters():
             if isinstance(emitter, LaserLineEmitter):
-                light = sight.light
+                if light is None:
+                    continue
                 toward, lit = -mi.Vector3f(light.heading), valid
                 weight = mi.Spectrum(emitter.irradiance(light.a, light.b, light.concentration))
             else:
@@ -140,11 +182,33 @@ class Refractive(mi.SamplingIntegrator):
                 lit &= ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
             value = bsdf.eval(context, si, si.to_local(toward), lit) * weight
             radiance += dr.select(lit, value, 0.0)
-        return radiance
+        return radiance, valid
 
     def lit_pixels(self, scene: mi.Scene, sensor: mi.Sensor) -> LitPixels:
         """The pixels that the laser reaches, with the truth at their centres."""
-        return find_lit_pixels(scene, sensor, laser_of(scene), lambda ray: self.look(scene, ray))
+        account = Account(self.way)
+        if self.way in ("tabulated", "straight"):
+            try:
+                found = lit_pixels_and_tables(
+                    scene,
+                    sensor,
+                    laser_of(scene),
+                    self._refracting,
+                    self.march,
+                    self.tolerance_px,
+                    account,
+                )
+            except NoMapError as why:
+                account = Account("exact", str(why))
+            else:
+                if found:
+                    return found
+                none = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
+                sight = self.look(scene, centre_rays(sensor, mi.UInt32(none)))
+                return LitPixels(none, sight, account)
+        return find_lit_pixels(
+            scene, sensor, laser_of(scene), lambda ray: self.look(scene, ray), account
+        )
 
     def render(
         self,
@@ -159,54 +223,67 @@ class Refractive(mi.SamplingIntegrator):
     ) -> Any:
         """Mitsuba's `render`.
 
-        `lit` spares looking for the lit pixels if they are known; `progress` is told the fraction
-        done.
+        `lit` spares looking for the lit pixels if they are known, and keeps account; `progress` is
+        told the fraction done.
         """
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         film, sampler = sensor.film(), sensor.sampler()
         if spp:
             sampler.set_sample_count(spp)
-        spp = sampler.sample_count()
         film.prepare([])
-        block = film.create_block()
         lit = lit or self.lit_pixels(scene, sensor)
         width, height = (int(n) for n in film.crop_size())
         laser_alone = all(isinstance(e, LaserLineEmitter) for e in scene.emitters())
         count = lit.index.size if laser_alone else width * height
-        dr.eval(numbers := mi.UInt32(lit.index) + dr.opaque(mi.UInt32, 0))
-        # Each pixel's samples are summed in their order: added to the film one by one, as other
-        # filters and spectra need it, the last bits would depend on which thread comes first.
-        own_pixel = film.rfilter().is_box_filter() and not mi.is_spectral
-        chunk = max(1, _LANES // spp)
-        for number, first in enumerate(range(0, count, chunk)):
-            # What changes from chunk to chunk is opaque, so that one kernel serves them all.
-            index = dr.repeat(dr.arange(mi.UInt32, min(chunk, count - first)), spp)
-            index += dr.opaque(mi.UInt32, first)
-            guess = None
-            if laser_alone:
-                guess = _guess(rows(lit.sight.light, index))
-                index = dr.gather(mi.UInt32, numbers, index)
-            sampler.set_samples_per_wavefront(spp)
-            shuffled = seed + number * 0x9E3779B9 & 0xFFFFFFFF
-            sampler.seed(dr.opaque(mi.UInt32, shuffled), dr.width(index))
-            place = film_place(film, index, sampler.next_2d())
-            aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-            ray, weight = film_rays(sensor, place, aperture)
-            sight = self.look(scene, ray, guess)
-            value = self.radiance(scene, sampler, sight) * weight
-            alpha = dr.select(sight.hit, mi.Float(1.0), 0.0)
-            if own_pixel:
-                value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
-                pixel = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, dr.width(alpha)) * spp)
-                place = film_place(film, pixel, mi.Point2f(0.5))
-            block.put(place, ray.wavelengths, value, alpha)
-            dr.eval(block.tensor())
-            if progress:
-                dr.sync_thread()
-                progress(min(1.0, (first + chunk) / count))
-        film.put_block(block)
+        exposure = Exposure(sensor, seed, count, progress)
+        every = np.arange(width * height, dtype=np.uint32)
+
+        def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            if not laser_alone:
+                sight = self.look(scene, ray)
+                return self.radiance(scene, sampler, sight), sight.hit
+            centre = rows(lit.sight.light, row)
+            sight = self.look(scene, ray, _guess(centre))
+            # A guess from a dark centre beside a step leads astray; a folded one stays dark.
+            folded = centre.status == int(LightStatus.FOLDED)
+            sure = dr.isfinite(centre.a) & (sight.light.status == int(LightStatus.LIT))
+            doubtful = sight.hit & ~sure & ~folded
+            dr.eval(sight, doubtful)
+            sight = self._marched_again(scene, ray, sight, doubtful)
+            return dr.select(folded, 0.0, self.radiance(scene, sampler, sight)), sight.hit
+
+        def by_tables(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            sight = self._tabulated(scene, ray, lit)
+            return self.radiance(scene, sampler, sight), sight.hit
+
+        if lit.tables is None:
+            exposure.add(lit.index if laser_alone else every, by_marching, _LANES["marched"])
+        else:
+            exposure.add(lit.index, by_tables, _LANES["tabulated"])
+            if not laser_alone:
+                bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
+
+                def without_laser(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+                    return self._shaded(scene, sampler, bent(ray, pixel), True, None)
+
+                exposure.add(np.delete(every, lit.index), without_laser, _LANES["elsewhere"])
+        film.put_block(exposure.block)
         return film.develop() if develop else None
+
+    def _tabulated(self, scene: mi.Scene, ray: Any, lit: LitPixels) -> Sight:
+        """What rays see by the tables; those of which these can't tell are marched, and counted."""
+        sight, doubtful = lit.tables.look(ray)
+        lit.account.samples += dr.width(doubtful)
+        lit.account.exact += int(dr.count(doubtful)[0])
+        return self._marched_again(scene, ray, sight, doubtful)
+
+    def _marched_again(self, scene: mi.Scene, ray: Any, sight: Sight, doubtful: Any) -> Sight:
+        """The sight with its doubtful rows marched, without a guess."""
+        if not dr.any(doubtful):
+            return sight
+        which = dr.compress(doubtful)
+        return merged(sight, which, self.look(scene, rows(ray, which)))
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
@@ -245,7 +322,8 @@ def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
     """What is known near samples, from the light at their pixels' centres; straight if nothing."""
     sound = dr.isfinite(light.a)
     identity = (1.0, 0.0, 0.0, 1.0)
-    jacobian = (dr.select(sound, j, i) for j, i in zip(light.jacobian, identity, strict=True))
+    known = light.jacobian or identity
+    jacobian = (dr.select(sound, j, i) for j, i in zip(known, identity, strict=True))
     return *(dr.select(sound, shift, 0.0) for shift in light.shift), tuple(jacobian)
 
 

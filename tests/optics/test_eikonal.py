@@ -99,7 +99,7 @@ def test_bouguers_invariant_is_kept(name, method, tolerance):
     np.testing.assert_allclose(np.cross(r, T), before, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("method", STEPPERS)
+@pytest.mark.parametrize("method", STEPPERS.keys() - {"euler"})
 def test_a_fibre_keeps_the_axial_component_and_the_skewness(method):
     """T along the axis of a cylindrical field to rounding, and (r x T) along it."""
     field = selfoc(1.5, 0.02, box=np.array([[-200.0, -30, -30], [200.0, 30, 30]]))
@@ -294,7 +294,7 @@ def test_only_active_rays_move():
 
 
 @pytest.mark.parametrize(
-    "unfit", [{"step_mm": 0.0}, {"step_mm": np.nan}, {"method": "euler"}, {"precision": "half"}]
+    "unfit", [{"step_mm": 0.0}, {"step_mm": np.nan}, {"method": "heun"}, {"precision": "half"}]
 )
 def test_an_impossible_march_is_refused(unfit):
     with pytest.raises(ValueError, match=next(iter(unfit))):

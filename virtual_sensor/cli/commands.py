@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import reproduce, simulation, sweep
+from virtual_sensor.cli import chart, reproduce, simulation, sweep
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -62,11 +62,19 @@ def before_the_command(
     epilog="Examples:\n\n"
     "    virtual-sensor measure hot_cylinder\n\n"
     "    virtual-sensor measure hot_cylinder -D beta=15 -D line_radius=0.1 -o turned\n\n"
-    "    virtual-sensor measure stepped_shaft -o shaft"
+    "    virtual-sensor measure stepped_shaft -o shaft\n\n"
+    "    virtual-sensor measure hot_cylinder --tolerance 0.01"
 )
 def measure(
     scene: SceneArgument,
     define: Definitions = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Error of the line centres, px, that is allowed: the cheapest way of making the"
+            " frames that keeps it is chosen, and told."
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
         "measured"
     ),
@@ -77,10 +85,17 @@ def measure(
     from virtual_sensor.studies.measure import measure as run
     from virtual_sensor.studies.measure import summary
     from virtual_sensor.studies.results import save
+    from virtual_sensor.studies.tolerance import choose, with_rung
 
     check_output(output, overwrite, folder=True)
     with reporting("loading the scene") as report:
         loaded = load_scene(scene, **definitions(define))
+        if tolerance is not None:
+            report("choosing how to make the frames", 0.0)
+            rung = choose(loaded, tolerance)
+            loaded = with_rung(loaded, rung)
+            console.print(f"{tolerance:g} px: {rung}", soft_wrap=True)
+            console.print(f"  because {'; '.join(rung.why)}", soft_wrap=True)
         result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction))
         report("writing the results", 0.92)
         figures = summary(result)
@@ -99,12 +114,23 @@ def measure(
     for name, value in figures["nine_rays_um"].items():
         if value is not None:
             console.print(f"  nine rays, {name}: {value:.3g} µm")
-    for text in [*result.told, *_blind_states(figures)]:
+    for text in [*result.told, *_other_ways(figures), *_blind_states(figures)]:
         console.print(f"Note: {text}", style="yellow", soft_wrap=True)
     console.print(
         f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
         soft_wrap=True,
     )
+
+
+def _other_ways(figures: dict[str, Any]) -> list[str]:
+    """Which frames were not made the way that was asked for, and why."""
+    frames = {name: state["frame"] for name, state in figures["states"].items()}
+    return [
+        f"{name}: the frame was made the {frame['way']} way: {frame['why not as asked']};"
+        f" {frame['pixels of folded light, black']} pixels of folded light are black"
+        for name, frame in frames.items()
+        if frame["why not as asked"]
+    ]
 
 
 def _blind_states(figures: dict[str, Any]) -> list[str]:
@@ -237,6 +263,7 @@ app.command(
     "    virtual-sensor sweep hot_cylinder -D beta=0,5,10,15 --scheduler tcp://127.0.0.1:8786"
 )(sweep.sweep)
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
+app.command(epilog=chart.EPILOG)(chart.chart)
 
 
 @app.command(

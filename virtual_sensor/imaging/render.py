@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
+from virtual_sensor_plugins.lit_pixels import Account
 
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
@@ -31,6 +33,8 @@ class Frame:
         Coordinates (a, b), across the sheet and along the line, of the laser ray that lights it.
     lit : ndarray of shape (H, W)
         Whether the laser reaches the pixel's centre.
+    account : Account
+        How the frame was made: the way, the tables' fineness and error, samples marched.
     """
 
     radiance: Image
@@ -38,6 +42,7 @@ class Frame:
     depth_mm: Image
     laser_mm: Image
     lit: NDArray[np.bool_]
+    account: Account
 
 
 def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
@@ -51,7 +56,14 @@ def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
     seed : int
         Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
     """
-    return render_frame(scene, spp, seed).radiance
+    image = scene.integrator.render(scene.mitsuba, scene.mitsuba.sensors()[0], seed, spp or 0)
+    return _first_channel(image)
+
+
+def _first_channel(image: Any) -> Image:
+    """Mitsuba's image (H, W, C) as an array (H, W)."""
+    height, width = image.shape[:2]
+    return np.array(image, np.float32).reshape(height, width, -1)[:, :, 0]
 
 
 def render_frame(
@@ -87,11 +99,12 @@ def render_frame(
     is_lit[index] = True
     channels = truth.reshape(6, height, width)
     return Frame(
-        np.array(image, np.float32).reshape(height, width, -1)[:, :, 0],
+        _first_channel(image),
         np.moveaxis(channels[:3], 0, -1),
         channels[3],
         np.moveaxis(channels[4:], 0, -1),
         is_lit.reshape(height, width),
+        lit.account,
     )
 
 

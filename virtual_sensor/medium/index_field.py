@@ -1,25 +1,26 @@
 """The refractivity of air on a regular grid, as a smooth function of position.
 
 Between the nodes the field is the cubic spline through them (continuous up to its second
-derivative), evaluated by Dr.Jit. It holds the difference from the surrounding air, which float32
-resolves far better than n, and ends at the grid's border: what is left there is a jump in n.
+derivative), evaluated by Dr.Jit; `simplified` gives cruder ones to compare with. It holds the
+difference from the surrounding air, which float32 resolves far better than n, and ends at the
+grid's border: what is left there is a jump in n.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from virtual_sensor.engine import dr, mi
+from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.lookups import LOOKUPS, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, naming, read_field_file, write_quantity
-from virtual_sensor.medium.spline import MIN_NODES, bspline_coefficients
+from virtual_sensor.medium.spline import MIN_NODES
 
 SMOOTHING_SWEEPS = 40  # inside the solid; the air near it sees two nodes
 
@@ -42,6 +43,10 @@ class IndexField:
         Whether the field is even about the plane through an axis's first node.
     source : str
         Where the field comes from, in words.
+    interpolation : str
+        "cubic" or "linear", between the nodes.
+    dimensions : int
+        3, or 2 for a field that does not vary along x.
     """
 
     nodes: np.ndarray
@@ -50,7 +55,9 @@ class IndexField:
     ambient: float
     mirror: tuple[bool, ...]
     source: str = ""
-    _lookups: dict[tuple[str, str], CubicLookup] = field(default_factory=dict, repr=False)
+    interpolation: str = "cubic"
+    dimensions: int = 3
+    _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
 
     @classmethod
     def from_arrays(
@@ -173,6 +180,44 @@ class IndexField:
         )
         write_quantity(path, quantity, packed=False)
 
+    def simplified(self, interpolation: str = "cubic", dimensions: int = 3) -> IndexField:
+        """Give the same nodes seen more simply: what a cruder model of the air would make of them.
+
+        It is to be the last that is done to a field: what makes another one of its nodes, or
+        reads it again from a file, gives a cubic field in three dimensions.
+
+        Parameters
+        ----------
+        interpolation : str
+            "cubic"; or "linear", that of the value along each axis. Its gradient jumps from cell
+            to cell, and no ray through it is accurate whatever the step.
+        dimensions : int
+            3; or 2: the section x = 0, whatever x is. Rays then keep their slope along x.
+
+        Raises
+        ------
+        InputError
+            If there is no such field.
+        """
+        if interpolation not in LOOKUPS:
+            raise InputError(f"interpolation '{interpolation}' is none of {', '.join(LOOKUPS)}")
+        if dimensions not in (2, 3):
+            raise InputError(f"dimensions must be 2 or 3, not {dimensions}")
+        low, high = self.box[:, 0]
+        if dimensions == 2 and not low <= 0.0 <= high:
+            raise InputError(
+                f"dimensions 2: the field, from x = {low:g} to {high:g} mm, has no section x = 0"
+            )
+        return replace(self, interpolation=interpolation, dimensions=dimensions, _lookups={})
+
+    def _section(self) -> np.ndarray:
+        """Difference from ambient at the nodes of the section x = 0; shape (ny, nz)."""
+        y, z = (self.origin[i] + self.spacing[i] * np.arange(self.shape[i]) for i in (1, 2))
+        points = np.stack(np.broadcast_arrays(0.0, *np.meshgrid(y, z, indexing="ij")))
+        whole = self.simplified(self.interpolation, 3).lookup("double")
+        delta = whole.delta(mi.Array3f64(points.reshape(3, -1)))
+        return delta.numpy().reshape(points.shape[1:])
+
     @property
     def shape(self) -> tuple[int, ...]:
         """Numbers of nodes (nx, ny, nz), mirrored parts not counted."""
@@ -243,11 +288,16 @@ class IndexField:
             ]
         )
 
-    def lookup(self, precision: str) -> CubicLookup:
+    def lookup(self, precision: str) -> GridLookup:
         """Return the field in Dr.Jit memory, for the code that marches rays; made only once."""
         key = (precision, mi.variant())
         if key not in self._lookups:
-            self._lookups[key] = CubicLookup(self, precision)
+            kind = LOOKUPS[self.interpolation]
+            axes = (0, 1, 2)[3 - self.dimensions :]
+            delta = self.nodes - self.ambient if self.dimensions == 3 else self._section()
+            self._lookups[key] = kind(
+                delta, self.origin, self.spacing, self.mirror, axes, precision
+            )
         return self._lookups[key]
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -257,66 +307,6 @@ class IndexField:
             raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
         low, high = self.box
         return points, ((points >= low) & (points <= high)).all(axis=1)
-
-
-class CubicLookup:
-    """Value, gradient and Hessian of a field's difference from ambient, in Dr.Jit.
-
-    Positions are world positions *inside the box*, mm, in vectors of the lookup's precision
-    (`mi.Array3f64` for double, `mi.Vector3f` or the like for single). The methods only trace, so
-    symbolic loops may call them; the derivatives cannot themselves be differentiated.
-    """
-
-    def __init__(self, index_field: IndexField, precision: str) -> None:
-        if precision not in ("single", "double"):
-            raise InputError(f"precision '{precision}': give 'single' or 'double'")
-        dtype, scalar, self._vector, self._matrix, tensor, texture = (
-            (np.float64, mi.Float64, mi.Array3f64, mi.Matrix3f64, mi.TensorXf64, mi.Texture3d)
-            if precision == "double"
-            else (np.float32, mi.Float, mi.Array3f, mi.Matrix3f, mi.TensorXf, mi.Texture3f)
-        )
-        self._mirror = index_field.mirror
-        difference = index_field.nodes - index_field.ambient
-        # Texels are one coefficient wider than the nodes at either end; the last index is x.
-        coefficients = bspline_coefficients(difference, index_field.mirror).T.astype(dtype)
-        # The product copies: an aliased NumPy array may be aligned too poorly for packet gathers.
-        values = scalar(coefficients.ravel()) * dr.opaque(scalar, 1)
-        dr.eval(values)
-        self._texture = texture(tensor(values, (*coefficients.shape, 1)), use_accel=False)
-
-        # Texel centres are at (i + 1/2) / N and node 0 is texel 1. Opaque: one kernel for any grid.
-        texels = np.array(index_field.shape) + 2
-        self._origin, self._scale, self._first = (
-            dr.opaque(self._vector(*np.asarray(v, dtype=np.float64).tolist()))
-            for v in (index_field.origin, 1.0 / (texels * index_field.spacing), 1.5 / texels)
-        )
-
-    def delta(self, p: Any) -> Any:
-        """Return n - n_ambient at `p`."""
-        u, _ = self._unit_cube(p)
-        return self._texture.eval_cubic(u)[0]
-
-    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
-        """Return n - n_ambient and its gradient, 1/mm, in a vector of `p`'s type."""
-        u, scale = self._unit_cube(p)
-        value, gradient = self._texture.eval_cubic_grad(u)
-        return value[0], type(p)(gradient[0] * scale)
-
-    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
-        """Return n - n_ambient, its gradient (1/mm) and its 3 x 3 Hessian matrix (1/mm^2)."""
-        u, scale = self._unit_cube(p)
-        value, gradient, hessian = self._texture.eval_cubic_hessian(u)
-        rows = [[hessian[0][i, j] * scale[i] * scale[j] for j in range(3)] for i in range(3)]
-        return value[0], type(p)(gradient[0] * scale), self._matrix(rows)
-
-    def _unit_cube(self, p: Any) -> tuple[Any, Any]:
-        """Texture coordinates of `p`, and their derivative by the world coordinates."""
-        q = self._vector(p) - self._origin
-        scale = self._vector(self._scale)
-        for axis in range(3):
-            if self._mirror[axis]:
-                scale[axis] = dr.mulsign(scale[axis], q[axis])
-        return dr.fma(q, scale, self._first), scale
 
 
 def fill_solid(nodes: np.ndarray, solid: np.ndarray, spacing: np.ndarray) -> np.ndarray:

@@ -13,158 +13,20 @@ that does not fade to its surroundings there is reported when a scene is measure
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
-
-import numpy as np
+from typing import Any
 
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
-from virtual_sensor.optics.steppers import STEPPERS, Vectors
+from virtual_sensor.optics.rays import BentRays, Field, March, Straight
+from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
 from virtual_sensor.optics.surfaces import Surface
 
 LAST_PIECE_MM = 0.05
 """The last, straight piece of a ray onto a surface: so short that Mitsuba's float32 is exact."""
 
 _BORDER_MM = 1e-3  # rays overstep the border by this, so that rounding can't hold them there
+_SAFETY, _FACTOR = 0.9, 5.0  # of the step that the error estimate asks for; its largest change
 _OVERLAP_MM = 1e-3  # chords overlap by this, so that no ray slips through between two
-
-
-class Lookup(Protocol):
-    """Difference of n - 1 from the surroundings at points in a field's box, in Dr.Jit."""
-
-    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
-        """Value, and gradient in 1/mm."""
-        ...
-
-    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
-        """Value, gradient in 1/mm, and Hessian in 1/mm^2."""
-        ...
-
-
-class Field(Protocol):
-    """What a ray needs to know of a field: `IndexField` and the closed-form fields have it."""
-
-    @property
-    def box(self) -> np.ndarray:
-        """Lower and upper corner in mm, shape (2, 3)."""
-        ...
-
-    @property
-    def ambient(self) -> float:
-        """Refractivity outside the box."""
-        ...
-
-    def lookup(self, precision: str) -> Lookup:
-        """Evaluator for "single" or "double"."""
-        ...
-
-
-@dataclass(frozen=True)
-class March:
-    """How to march.
-
-    Attributes
-    ----------
-    step_mm : float
-        Step in t: the arc length where n is that of the surroundings.
-    method : str
-        A key of `steppers.STEPPERS`.
-    precision : str
-        "single" or "double".
-    max_steps : int
-        A ray still in the field after so many steps gets status OUT_OF_STEPS.
-
-    Raises
-    ------
-    InputError
-        If one of them can't be marched with.
-    """
-
-    step_mm: float = 1.0
-    method: str = "rk4"
-    precision: str = "double"
-    max_steps: int = 20_000
-
-    def __post_init__(self) -> None:
-        if not self.step_mm > 0.0:
-            raise InputError(f"step_mm must be positive, not {self.step_mm}")
-        if self.method not in STEPPERS:
-            raise InputError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
-        if self.precision not in ("single", "double"):
-            raise InputError(f"precision must be single or double, not '{self.precision}'")
-
-    def __str__(self) -> str:
-        return f"{self.method}, steps of {self.step_mm:g} mm, {self.precision} precision"
-
-    @property
-    def vector(self) -> Any:
-        """Dr.Jit's 3-vector in this precision."""
-        return mi.Array3f if self.precision == "single" else mi.Array3f64
-
-    @property
-    def scalar(self) -> Any:
-        """Dr.Jit's float in this precision."""
-        return mi.Float if self.precision == "single" else mi.Float64
-
-
-@dataclass
-class Straight:
-    """Straight rays, to which bent ones are the difference: r = anchor + t direction."""
-
-    anchor: Any
-    direction: Any
-    start: Any  # t at the ray's origin
-
-    @staticmethod
-    def through(origin: Any, direction: Any, march: March) -> "Straight":
-        """Rays from origins (mm, world) along unit directions, either in any precision.
-
-        The anchor is the point nearest to the world's origin, where the part is: positions near the
-        part are then free of the rounding of a far start.
-        """
-        o, d = mi.Array3f64(origin), mi.Array3f64(direction)
-        start = dr.dot(o, d)
-        return Straight(march.vector(o - d * start), march.vector(d), march.scalar(start))
-
-
-@dataclass
-class BentRays:
-    """Rays on their way; every member is a Dr.Jit array over the rays.
-
-    Attributes
-    ----------
-    t : scalar
-    offset : tuple of vectors
-        First the ray's offset from its straight ray in mm, then derivatives of its position.
-    tau : tuple of vectors
-        First T minus the straight direction, then derivatives of T.
-    arc, path : scalar
-        Arc length since the start minus elapsed t; likewise optical path, relative to the
-        surroundings.  In mm.
-    status : int
-        `RayStatus`.
-    """
-
-    t: Any
-    offset: Vectors
-    tau: Vectors
-    arc: Any
-    path: Any
-    status: Any
-
-    def position(self, line: Straight) -> Any:
-        """World position in mm."""
-        return line.anchor + line.direction * self.t + self.offset[0]
-
-    def tangent(self, line: Straight) -> Any:
-        """T = n dr/ds, relative to the surroundings."""
-        return line.direction + self.tau[0]
-
-    def moved(self, dt: Any) -> "BentRays":
-        """The same rays a straight piece further on."""
-        offset = tuple(x + v * dt for x, v in zip(self.offset, self.tau, strict=True))
-        return replace(self, t=self.t + dt, offset=offset)
 
 
 Remaining = Callable[[Straight, BentRays], Any]
@@ -203,6 +65,7 @@ def bend(
     *,
     remaining: Remaining = never,
     tangents: tuple[tuple[Any, Any], ...] = (),
+    variations: tuple[Field, ...] = (),
     active: Any = True,
 ) -> BentRays:
     """March rays until they meet the surface, end, or leave for good.
@@ -220,6 +83,9 @@ def bend(
     tangents : tuple of (vector, vector)
         Derivatives of the start's position and direction by any parameters; they are carried along
         exactly, by the field's Hessian.
+    variations : tuple of Field
+        Derivatives of the field by any parameters, at least as large as its box.  Each gives one
+        more tangent, of rays whose start stays; the ambient does not count, it must not change.
     active : mask
         The rays to march; the others stay where they are with status LEFT.
     """
@@ -227,6 +93,7 @@ def bend(
     mask = dr.full(mi.Mask, True, width) & active
     zero = dr.zeros(march.scalar, width)
     none = dr.zeros(march.vector, width)
+    tangents = (*tangents, *((none, none) for _ in variations))
     ray = BentRays(
         march.scalar(line.start),
         (none, *(x for x, _ in tangents)),
@@ -244,7 +111,7 @@ def bend(
         gap = dr.select(meets & (near > 0.0), near + _BORDER_MM, 0.0)
         ray, stopped = _run_straight(line, ray, gap, surface, remaining, meets)
         meets &= ~stopped
-        ray = _march(field, surface, line, ray, march, remaining, meets)
+        ray = _march(field, surface, line, ray, march, remaining, tangents, variations, meets)
         mask &= ~stopped & (ray.status == int(RayStatus.LEFT))
     ray, _ = _run_straight(line, ray, never(line, ray), surface, remaining, mask)
     against = dr.dot(line.direction, ray.tangent(line)) < 0.0
@@ -259,53 +126,77 @@ def _march(
     ray: BentRays,
     march: March,
     remaining: Remaining,
+    tangents: tuple[tuple[Any, Any], ...],
+    variations: tuple[Field, ...],
     active: Any,
 ) -> BentRays:
     """From the border (or from inside) through the field, step by step."""
-    rhs = _right_hand_side(field, line, march)
-    stepper = STEPPERS[march.method]
+    rhs = _right_hand_side(field, line, march, tangents, variations)
+    controlled = march.method in CONTROLLED
     box = _box(field, march)
+    longest = dr.opaque(march.scalar, march.step_mm)  # one kernel for any step
+    tolerance = dr.opaque(march.scalar, march.tolerance_mm)
+    lever = dr.norm(box[1] - box[0])  # a wrong slope leads astray all the way out
     close = 1e-4 if march.precision == "single" else 1e-9
 
     def step(ray: BentRays, h: Any) -> BentRays:
-        offset, tau, arc, path = stepper(rhs, ray.t, ray.offset, ray.tau, h)
-        return replace(
-            ray, t=ray.t + h, offset=offset, tau=tau, arc=ray.arc + arc, path=ray.path + path
-        )
+        return _ahead(ray, h, STEPPERS[march.method](rhs, ray.t, ray.offset, ray.tau, h))
 
-    def body(ray: BentRays, moving: Any, chord: Any, count: Any) -> tuple[Any, ...]:
+    def controlled_step(ray: BentRays, h: Any, pace: "_Pace") -> tuple[BentRays, Any, "_Pace"]:
+        """The step, whether it is good enough to be taken, and how to go on."""
+        taken, (apart, turned), last = CONTROLLED[march.method](
+            rhs, ray.t, ray.offset, ray.tau, h, pace.slope
+        )
+        error = dr.maximum(apart, turned * lever)
+        good = error <= tolerance  # not so where it is NaN
+        ratio = dr.maximum(error, 1e-30) / tolerance
+        stride = dr.abs(h) * dr.clip(_SAFETY * ratio**-0.2, 1 / _FACTOR, _FACTOR)
+        cut = good & (dr.abs(h) < pace.stride)  # by a border or an end: no reason to slow down
+        stride = dr.select(cut, pace.stride, dr.minimum(stride, longest))
+        return _ahead(ray, h, taken), good, _Pace(stride, dr.select(good, last, pace.slope))
+
+    def body(ray: BentRays, moving: Any, chord: Any, count: Any, pace: Any) -> tuple[Any, ...]:
         _, out = _slab(ray.position(line), ray.tangent(line), box)
-        h = dr.minimum(march.step_mm, out + 2.0 * _BORDER_MM)
+        stride = pace.stride if controlled else longest
+        h = dr.minimum(stride, out + 2.0 * _BORDER_MM)
         left = remaining(line, ray)
-        h = dr.select(left < h, dr.maximum(left, -march.step_mm), h)
-        ahead = step(ray, h)
+        h = dr.select(left < h, dr.maximum(left, -stride), h)
+        if controlled:
+            ahead, good, pace = controlled_step(ray, h, pace)
+        else:
+            ahead, good = step(ray, h), True
         secant = line.direction * h + (ahead.offset[0] - ray.offset[0])
         length = dr.norm(secant)
         met = surface.distance(
-            ray.position(line), secant / length, length + _OVERLAP_MM, moving & (h > 0.0)
+            ray.position(line), secant / length, length + _OVERLAP_MM, moving & good & (h > 0.0)
         )
-        hit = moving & (h > 0.0) & (met <= length + _OVERLAP_MM)
+        hit = moving & good & (h > 0.0) & (met <= length + _OVERLAP_MM)
         chord = dr.select(hit, h * met / length, chord)
-        ray = dr.select(moving & ~hit, ahead, ray)
+        ray = dr.select(moving & good & ~hit, ahead, ray)
         arrived = moving & ~hit & (dr.abs(remaining(line, ray)) <= close)
         ray.status = dr.select(hit, int(RayStatus.HIT), ray.status)
         ray.status = dr.select(arrived, int(RayStatus.ENDED), ray.status)
         moving = moving & ~hit & ~arrived & _within(ray.position(line), ray.tangent(line), box)
-        return ray, moving, chord, count + 1
+        return ray, moving, chord, count + 1, pace
 
     f, g = field.lookup(march.precision).delta_and_gradient(ray.position(line))
     f, g = f / (1.0 + field.ambient), g / (1.0 + field.ambient)
     d = line.direction
-    at_start = (  # T = n d, and its derivatives
+    at_start = [  # T = n d, and its derivatives
         ray.tau[0] + d * f,
         *(v + v * f + d * dr.dot(g, x) for x, v in zip(ray.offset[1:], ray.tau[1:], strict=True)),
-    )
-    ray = dr.select(active, replace(ray, tau=at_start), ray)
-    ray, moving, chord, _ = dr.while_loop(
-        (ray, active, dr.zeros(march.scalar, dr.width(active)), mi.UInt32(0)),
-        lambda ray, moving, chord, count: moving & (count < march.max_steps),
+    ]
+    for i, variation in enumerate(variations, start=len(at_start) - len(variations)):
+        varied, _ = variation.lookup(march.precision).delta_and_gradient(ray.position(line))
+        at_start[i] = at_start[i] + d * (varied / (1.0 + field.ambient))
+    ray = dr.select(active, replace(ray, tau=tuple(at_start)), ray)
+    pace = _Pace(longest + 0.0 * ray.t, rhs(ray.t, ray.offset)) if controlled else ()
+    most = dr.opaque(mi.UInt32, march.max_steps)
+    ray, moving, chord, *_ = dr.while_loop(
+        (ray, active, dr.zeros(march.scalar, dr.width(active)), mi.UInt32(0), pace),
+        lambda ray, moving, chord, count, pace: moving & (count < most),
         body,
-        labels=("ray", "moving", "chord", "count"),
+        labels=("ray", "moving", "chord", "count", "pace"),
     )
     ray.status[moving] = int(RayStatus.OUT_OF_STEPS)
     hit = active & (ray.status == int(RayStatus.HIT))
@@ -316,12 +207,38 @@ def _march(
     return dr.select(out, _unit_tangent(line, ray), ray)
 
 
-def _right_hand_side(field: Field, line: Straight, march: March) -> Callable[..., Any]:
+@dataclass
+class _Pace:
+    """How a ray goes on under step control: the next step in t, and the slope where it is."""
+
+    stride: Any
+    slope: Any
+
+
+def _ahead(ray: BentRays, h: Any, step: Step) -> BentRays:
+    """The rays after a step."""
+    offset, tau, arc, path = step
+    return replace(
+        ray, t=ray.t + h, offset=offset, tau=tau, arc=ray.arc + arc, path=ray.path + path
+    )
+
+
+def _right_hand_side(
+    field: Field,
+    line: Straight,
+    march: March,
+    tangents: tuple[tuple[Any, Any], ...],
+    variations: tuple[Field, ...],
+) -> Rhs:
     """The steppers' rhs: n grad n at the ray, and its derivative for each tangent."""
     lookup = field.lookup(march.precision)
+    varied = [variation.lookup(march.precision) for variation in variations]
     scale = 1.0 / (1.0 + field.ambient)
+    starts = ((dr.zeros(march.vector), dr.zeros(march.vector)), *tangents)
 
     def rhs(t: Any, x: Vectors) -> tuple[Vectors, Any]:
+        if march.first_order:  # where the straight ray is, and its neighbours
+            x = tuple(x0 + v0 * (t - line.start) for x0, v0 in starts)
         p = line.anchor + line.direction * t + x[0]
         if len(x) == 1:
             f, g = lookup.delta_and_gradient(p)
@@ -329,7 +246,10 @@ def _right_hand_side(field: Field, line: Straight, march: March) -> Callable[...
             return (g * (1.0 + f),), f
         f, g, hessian = lookup.delta_gradient_hessian(p)
         f, g, hessian = f * scale, g * scale, hessian * scale
-        carried = ((hessian @ w) * (1.0 + f) + g * dr.dot(g, w) for w in x[1:])
+        carried = [(hessian @ w) * (1.0 + f) + g * dr.dot(g, w) for w in x[1:]]
+        for i, variation in enumerate(varied, start=len(carried) - len(varied)):
+            by_f, by_g = variation.delta_and_gradient(p)
+            carried[i] = carried[i] + (by_g * (1.0 + f) + g * by_f) * scale
         return (g * (1.0 + f), *carried), f
 
     return rhs

@@ -49,8 +49,8 @@ class Illumination:
         Unit direction of the arriving light, world.
     shift : tuple of two scalars
         (a, b) minus the coordinates of the straight ray through the point, mm.
-    jacobian : tuple of four scalars
-        dF/d(a, b) by rows: (aa, ab, ba, bb).
+    jacobian : tuple of four scalars, or None
+        dF/d(a, b) by rows: (aa, ab, ba, bb); None of light that a table tells of.
     concentration : scalar
         Flux density square to the light over that in the reference plane.
     status : int
@@ -61,7 +61,7 @@ class Illumination:
     b: Any
     heading: Any
     shift: tuple[Any, Any]
-    jacobian: tuple[Any, Any, Any, Any]
+    jacobian: tuple[Any, Any, Any, Any] | None
     concentration: Any
     status: Any
 

@@ -35,6 +35,12 @@ class SceneSurface:
 
     scene: Any
 
+    @property
+    def corners(self) -> tuple[Any, Any]:
+        """Lower and upper corner of the box that holds all shapes, mm."""
+        box = self.scene.bbox()
+        return box.min, box.max
+
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """See `Surface`."""
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))

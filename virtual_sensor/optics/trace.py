@@ -43,6 +43,7 @@ def trace(
     step_mm: float = 1.0,
     method: str = "rk4",
     precision: str = "double",
+    tolerance_mm: float = 1e-6,
 ) -> Rays:
     """March rays through a field for a given length of arc.
 
@@ -53,7 +54,7 @@ def trace(
         World; directions of any length but zero.
     length_mm : float or array_like of shape (N,)
         Arc length.  Outside the field's box rays go straight.
-    step_mm, method, precision
+    step_mm, method, precision, tolerance_mm
         See `March`.
 
     Raises
@@ -75,7 +76,7 @@ def trace(
     if not (np.isfinite(lengths).all() and np.all(lengths >= 0.0)):
         raise InputError("trace: lengths must be finite and not negative")
     lengths = np.broadcast_to(lengths, norm.shape)
-    march = March(step_mm, method, precision)
+    march = March(step_mm, method, precision, tolerance_mm=tolerance_mm)
     o, d = to_vectors(origins), to_vectors(directions / norm[:, None])
     line = Straight.through(o, d, march)
     ends = after_length(march.scalar(to_scalars(lengths)))

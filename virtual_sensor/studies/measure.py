@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from virtual_sensor_plugins.lit_pixels import Account
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
@@ -227,6 +228,7 @@ def made_with(scene: Scene) -> dict[str, Any]:
         "llvm": str(running.llvm.path) if running.llvm else None,
         "threads": running.threads,
         "python": platform.python_version(),
+        "way": scene.integrator.way,
         "march": str(scene.integrator.march),
         **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
     }
@@ -271,7 +273,27 @@ def _state_summary(state: State) -> dict[str, Any]:
             "marches": int(state.newton.iterations.max()),
             "found": int(np.sum(state.newton.status == SearchStatus.FOUND)),
         },
+        "frame": frame_account(state.frame.account),
         "seconds": {name: round(value, 2) for name, value in state.seconds.items()},
+    }
+
+
+def frame_account(account: Account) -> dict[str, Any]:
+    """How a frame was made, in words."""
+    tables = account.camera is not None and account.laser is not None
+    return {
+        "way": account.way,
+        "why not as asked": account.reason or None,
+        "tables": {
+            "nodes of the camera's": account.camera.nodes,
+            "nodes of the laser's": account.laser.nodes,
+            "estimated error, px": account.error_px,
+        }
+        if tables
+        else None,
+        "samples": account.samples,
+        "of them marched, where the tables could not tell": account.exact,
+        "pixels of folded light, black": account.folded,
     }
 
 

@@ -1,0 +1,71 @@
+"""Samples of pixels, chunk by chunk, summed on a film."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from virtual_sensor_plugins.lit_pixels import film_place, film_rays
+
+from virtual_sensor.engine import dr, mi
+
+Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
+"""From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
+
+
+class Exposure:
+    """A frame in the making.
+
+    Parameters
+    ----------
+    sensor : mi.Sensor
+    seed : int
+    pixels : int
+        How many will be exposed in all.
+    progress : callable
+        Told the fraction done.
+    """
+
+    def __init__(
+        self, sensor: mi.Sensor, seed: int, pixels: int, progress: Callable[[float], None] | None
+    ) -> None:
+        self.sensor, self.sampler, self.film = sensor, sensor.sampler(), sensor.film()
+        self.block = self.film.create_block()
+        self._seed, self._pixels, self._progress = int(seed), pixels, progress
+        self._done = self._chunks = 0
+
+    def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
+        """Expose pixels, with so many samples in flight at once."""
+        spp = self.sampler.sample_count()
+        # Each pixel's samples are summed in their order: added to the film one by one, as other
+        # filters and spectra need it, the last bits would depend on which thread comes first.
+        own_pixel = self.film.rfilter().is_box_filter() and not mi.is_spectral
+        dr.eval(numbers := mi.UInt32(pixels) + dr.opaque(mi.UInt32, 0))
+        chunk = max(1, lanes // spp)
+        for first in range(0, pixels.size, chunk):
+            # What changes from chunk to chunk is opaque, so that one kernel serves them all.
+            count = min(chunk, pixels.size - first)
+            row = dr.repeat(dr.arange(mi.UInt32, count), spp) + dr.opaque(mi.UInt32, first)
+            pixel = dr.gather(mi.UInt32, numbers, row)
+            self.sampler.set_samples_per_wavefront(spp)
+            shuffled = self._seed + self._chunks * 0x9E3779B9 & 0xFFFFFFFF
+            self.sampler.seed(dr.opaque(mi.UInt32, shuffled), count * spp)
+            place = film_place(self.film, pixel, self.sampler.next_2d())
+            lens = self.sensor.needs_aperture_sample()
+            aperture = self.sampler.next_2d() if lens else mi.Point2f(0.5)
+            ray, weight = film_rays(self.sensor, place, aperture)
+            value, alpha = shade(ray, row, pixel)
+            value = value * weight
+            alpha = dr.select(alpha, mi.Float(1.0), 0.0)
+            if own_pixel:
+                dr.eval(value, alpha)  # together: each by itself would follow all rays again
+                value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
+                own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
+                place = film_place(self.film, dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
+            self.block.put(place, ray.wavelengths, value, alpha)
+            dr.eval(self.block.tensor())
+            self._chunks += 1
+            self._done += count
+            if self._progress:
+                dr.sync_thread()
+                self._progress(min(1.0, self._done / self._pixels))

@@ -1,0 +1,348 @@
+"""The tabulated way: maps of the two bent light paths, made where a scene's light goes."""
+
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.lit_pixels import (
+    Account,
+    LitPixels,
+    Sight,
+    centre_rays,
+    grown,
+    pinhole,
+    rows,
+)
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.deflection_map import CameraMap, LaserMap
+from virtual_sensor.optics.eikonal import Field, March
+from virtual_sensor.optics.illumination import LaserFrame
+from virtual_sensor.optics.sensor_model import Pose
+from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.tabulate import NoMapError, camera_map, displaced, laser_map, laser_moved
+
+Array = NDArray[np.float64]
+
+_SPARE = 1.5  # times what the probes were moved by
+_MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the probes tell
+_EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels at an edge
+_PROBES = 64  # rays that tell about how far light is moved
+_FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes tell
+_PAD_PX = 2.0  # what the maps hold round the lit pixels
+_PAD_MM = 0.2
+_ELSEWHERE_PX = 0.1  # tolerance of the map for light that is not the laser's
+
+
+@dataclass(frozen=True)
+class Tables:
+    """Maps of a scene's camera and laser.
+
+    Attributes
+    ----------
+    camera : CameraMap
+    laser : LaserMap
+    emitter : LaserLineEmitter
+    surface : SceneSurface
+    march : March
+    """
+
+    camera: CameraMap
+    laser: LaserMap
+    emitter: LaserLineEmitter
+    surface: SceneSurface
+    march: March
+
+    def look(self, ray: Any) -> tuple[Sight, Any]:
+        """What camera rays see, and the mask of those of which the maps can't tell.
+
+        Everything is evaluated, so that one kernel serves pixels and samples of any number.
+        """
+        dr.eval(ray)
+        seen = self.camera.seen(self.surface, ray, self.march)
+        light, off = self.laser.light(self.surface, seen.point, seen.hit)
+        near = self.emitter.reaches(light.a, light.b, (_PAD_MM, _PAD_MM))
+        doubtful = seen.lost | (seen.hit & near & (seen.off | off))
+        sight = Sight(seen.point, seen.heading, seen.hit, light)
+        dr.eval(sight, doubtful)
+        return sight, doubtful
+
+
+def lit_pixels_and_tables(
+    scene: mi.Scene,
+    sensor: mi.Sensor,
+    emitter: LaserLineEmitter,
+    field: Field | None,
+    march: March,
+    tolerance_px: float,
+    account: Account,
+) -> LitPixels | None:
+    """Find the pixels that the laser reaches, and make the maps that tell of their samples.
+
+    None if there are no such pixels.  `account` is told of the tables.
+
+    1. Straight rays of all pixels, and a few bent ones, tell where to look.
+    2. Maps of what is there are made to the tolerance.
+    3. They tell which pixels are lit; their neighbours count too.
+
+    Raises
+    ------
+    NoMapError
+        If there is no map that can be trusted.
+    """
+    pose = pinhole(sensor)
+    if pose is None:
+        raise NoMapError("the camera is no pinhole")
+    width, height = (int(n) for n in sensor.film().crop_size())
+    margin = np.full(2, _FIRST_MARGIN_MM)
+    while True:
+        index, distance = _straight_candidates(scene, sensor, emitter, margin)
+        if not index.size:
+            return None
+        places = _places(sensor, index, distance[index], pose, emitter)
+        moves = _probe(scene, field, pose, emitter, march, places)
+        if np.all(moves.light_mm <= margin):
+            break
+        margin = 2.0 * moves.light_mm
+    near = _near(emitter, places, moves.light_mm)
+    size = 2 * int(np.ceil(moves.sight_px)) + 1
+    candidates = _candidates(index[near], distance.reshape(height, width), size, places.pixel_mm)
+    places = places.of(near)
+
+    error_mm = 0.5 * tolerance_px * places.pixel_mm
+    pad_p = places.pitch * (_beyond(candidates, index[near], width) + _PAD_PX)
+    pad = np.array([pad_p, pad_p, _PAD_MM])
+    seen = places.camera.min(axis=0) - pad, places.camera.max(axis=0) + pad
+    depth = places.laser[:, 2]
+    low, high = emitter.extent
+    pad_ab = moves.laser_mm + _PAD_MM
+    lit = (
+        np.append(low - pad_ab, depth.min() - _PAD_MM),
+        np.append(high + pad_ab, depth.max() + _PAD_MM),
+    )
+    camera, account.camera = camera_map(field, pose, *seen, march, error_mm)
+    laser, account.laser = laser_map(field, emitter.line, *lit, moves.laser_mm, march, error_mm)
+    account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
+    tables = Tables(camera, laser, emitter, SceneSurface(scene), march)
+
+    sight, _ = tables.look(centre_rays(sensor, mi.UInt32(candidates)))
+    pixel_mm = dr.opaque(mi.Float, places.pixel_mm)
+    reached = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
+    mask = np.zeros(height * width, bool)
+    mask[candidates[np.array(reached)]] = True
+    keep = np.flatnonzero(grown(mask, height, width)[candidates]).astype(np.uint32)
+    if not keep.size:
+        return None
+    return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)), account, tables)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where pixels look: (p, q, Z) of the camera's map and (a0, b0, depth) of the laser's, (N, 3).
+
+    `ray` are their straight rays, `pitch` is the distance of pixels in p and q.
+    """
+
+    camera: Array
+    laser: Array
+    ray: Any
+    pitch: float
+
+    @property
+    def pixel_mm(self) -> float:
+        """A pixel's size in the middle of the places."""
+        return self.pitch * float(np.mean(self.camera[:, 2]))
+
+    def of(self, which: NDArray[np.bool_]) -> "_Places":
+        """Some of them."""
+        return replace(self, camera=self.camera[which], laser=self.laser[which])
+
+
+@dataclass(frozen=True)
+class _Moves:
+    """How far refraction moves things at most, with something to spare.
+
+    `laser_mm` along a and b: the laser's rays; `light_mm`, likewise, (a0, b0) of what a pixel sees
+    and of what lights it; `sight_px`: what a pixel sees.
+    """
+
+    laser_mm: Array
+    light_mm: Array
+    sight_px: float
+
+
+def _straight_candidates(
+    scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter, margin_mm: Array
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Pixels whose straight ray meets what the straight laser lights, or nearly; all distances."""
+    size = sensor.film().crop_size()
+    ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
+    met = scene.ray_intersect_preliminary(ray)
+    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
+    a, b = frame.straight(mi.Array3f(ray(met.t)))
+    margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
+    near = met.is_valid() & emitter.reaches(a, b, margin)
+    distance = dr.select(met.is_valid(), met.t, dr.inf)
+    dr.eval(near, distance)
+    return np.array(dr.compress(near)), distance.numpy()
+
+
+def _places(
+    sensor: mi.Sensor,
+    index: NDArray[np.uint32],
+    distance: NDArray[np.float32],
+    pose: Pose,
+    emitter: LaserLineEmitter,
+) -> _Places:
+    """Where pixels look if light runs straight."""
+    ray = centre_rays(sensor, mi.UInt32(index))
+    axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
+    x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
+    pitch = dr.max(dr.norm(ray.d_x - ray.d) / z)
+    point = mi.Array3f(ray(mi.Float(distance)))
+    depth = dr.dot(point - dr.opaque(mi.Array3f(*map(float, pose.origin_mm))), axes[2])
+    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
+    numbers = [x / z, y / z, depth, *frame.straight(point), frame.coordinates(point)[2]]
+    dr.eval(numbers, ray)
+    table = np.stack([n.numpy() for n in numbers], axis=1).astype(float)
+    return _Places(table[:, :3], table[:, 3:], ray, float(pitch[0]))
+
+
+def _probe(
+    scene: mi.Scene,
+    field: Field | None,
+    pose: Pose,
+    emitter: LaserLineEmitter,
+    march: March,
+    places: _Places,
+) -> _Moves:
+    """How far a few bent rays are moved."""
+    spare_mm = 2.0 * places.pixel_mm
+    if field is None:
+        return _Moves(np.zeros(2), np.full(2, spare_mm), 0.0)
+    some = np.linspace(0, len(places.camera) - 1, _PROBES).astype(int)
+    p, q, depth = places.camera[some].T
+    local = np.stack([p, q, np.ones_like(p)], axis=1)
+    origins = np.broadcast_to(pose.origin_mm, local.shape)
+    sideways = displaced(field, march, pose, origins, local, depth)[:, :2]
+    seen = sideways @ pose.rotation[:, :2].T
+    # On the surface's tangent plane, the point seen moves along the ray too.
+    ray = rows(places.ray, mi.UInt32(some))
+    normal = np.array(scene.ray_intersect(ray).n, float).T
+    heading = np.array(ray.d, float).T
+    lean = np.einsum("ij,ij->i", normal, heading)
+    lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
+    seen = seen - heading * (np.einsum("ij,ij->i", normal, seen) / lean)[:, None]
+    seen_mm = np.abs(seen @ emitter.line.pose.rotation[:, :2]).max(axis=0)
+    laser = laser_moved(field, march, emitter.line, *places.laser[some].T)[:, :2]
+    laser_mm = _SPARE * np.abs(laser).max(axis=0) + spare_mm
+    sight_px = float(np.abs(sideways).max()) / places.pixel_mm
+    return _Moves(laser_mm, laser_mm + _SPARE * seen_mm, _SPARE * sight_px)
+
+
+def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
+    a, b = (mi.Float(np.ascontiguousarray(c, np.float32)) for c in places.laser[:, :2].T)
+    margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
+    near = np.array(emitter.reaches(a, b, margin))
+    return near if near.any() else ~near
+
+
+def _candidates(
+    index: NDArray[np.uint32], distance: NDArray[np.float32], size: int, pixel_mm: float
+) -> NDArray[np.uint32]:
+    """Pixels that may be lit: the given ones, those beside them, and more where there are edges.
+
+    Bent rays see past edges of the part by as many pixels as half the odd `size` of a square.
+    """
+    mask = np.zeros(distance.shape, np.uint8)
+    mask.ravel()[index] = 1
+    three, square = np.ones((3, 3), np.uint8), np.ones((size, size), np.uint8)
+    left, top, width, height = cv2.boundingRect(mask)
+    border = size + 1
+    part = (
+        slice(max(top - border, 0), top + height + border),
+        slice(max(left - border, 0), left + width + border),
+    )
+    depth = np.minimum(distance[part], np.float32(1e6))
+    edge = cv2.dilate(depth, three) - cv2.erode(depth, three) > _EDGE_PX * pixel_mm
+    round_it = cv2.dilate(mask[part], square) & cv2.dilate(edge.astype(np.uint8), square)
+    mask[part] = cv2.dilate(mask[part], three) | round_it
+    return np.flatnonzero(mask).astype(np.uint32)
+
+
+def _beyond(some: NDArray[np.uint32], inner: NDArray[np.uint32], width: int) -> float:
+    """By how many pixels some pixels reach beyond the box of others, at most."""
+    corners = [
+        np.array([f(index % width), f(index // width)], float)
+        for f in (np.min, np.max)
+        for index in (some, inner)
+    ]
+    return float(np.max([corners[1] - corners[0], corners[2] - corners[3]]))
+
+
+def merged(sight: Any, which: Any, exact: Any) -> Any:
+    """Dr.Jit arrays nested in dataclasses and tuples, with some rows replaced."""
+    if isinstance(sight, tuple):
+        return tuple(merged(s, which, e) for s, e in zip(sight, exact, strict=True))
+    if is_dataclass(sight) and not isinstance(sight, type):
+        names = [f.name for f in fields(sight)]
+        new = {n: merged(getattr(sight, n), which, getattr(exact, n)) for n in names}
+        return replace(sight, **new)
+    if sight is None:
+        return None
+    copy = type(sight)(sight)
+    dr.scatter(copy, type(sight)(exact), which)
+    return copy
+
+
+class Elsewhere:
+    """The camera's bent rays of a whole film, for the light that is not the laser's.
+
+    Each pixel has one displacement, that of its centre: within a pixel it changes by less than a
+    tenth of one.
+    """
+
+    def __init__(
+        self, scene: mi.Scene, sensor: mi.Sensor, field: Field | None, march: March
+    ) -> None:
+        pose = pinhole(sensor)
+        if pose is None:
+            raise NoMapError("the camera is no pinhole")
+        size = sensor.film().crop_size()
+        ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
+        met = scene.ray_intersect_preliminary(ray)
+        axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
+        x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
+        ahead = mi.Array3f(ray.o) - dr.opaque(mi.Array3f(*map(float, pose.origin_mm)))
+        depth = dr.dot(ahead, axes[2]) + z * met.t
+        p, q = x / z, y / z
+        valid = met.is_valid()
+        dr.eval(p, q, depth, valid)
+        if not dr.any(valid):
+            raise NoMapError("the camera sees nothing")
+        low = [dr.min(p), dr.min(q), dr.min(dr.select(valid, depth, dr.inf))]
+        high = [dr.max(p), dr.max(q), dr.max(dr.select(valid, depth, -dr.inf))]
+        corners = [np.array([float(c[0]) for c in corner]) for corner in (low, high)]
+        corners[1][2] += 1.0
+        pixel_mm = float(dr.max(dr.norm(ray.d_x - ray.d))[0]) * corners[0][2]
+        camera, self.fineness = camera_map(
+            field, pose, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm
+        )
+        depth = dr.select(valid, depth, float(corners[1][2]))
+        across, along, by_x, by_y = camera.table.at(mi.Array3f(p, q, depth))
+        self._distance = (depth - dr.dot(ahead, axes[2])) / z
+        self._moved = axes[0] * across + axes[1] * along
+        self._turned = (axes[0] * by_x + axes[1] * by_y) * z
+        dr.eval(self._distance, self._moved, self._turned)
+
+    def bent(self, ray: Any, pixel: Any) -> Any:
+        """Straight rays (tangents of the bent ones near the part) of samples in pixels."""
+        distance = dr.gather(mi.Float, self._distance, pixel)
+        heading = dr.normalize(ray.d + mi.Vector3f(dr.gather(mi.Array3f, self._turned, pixel)))
+        there = ray(distance) + mi.Vector3f(dr.gather(mi.Array3f, self._moved, pixel))
+        bent = mi.RayDifferential3f(there - heading * distance, heading)
+        bent.wavelengths = ray.wavelengths
+        return bent

@@ -1,0 +1,95 @@
+"""Interpolation in tables of bent rays against SciPy's splines."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import NdBSpline, RegularGridInterpolator, make_interp_spline
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.deflection_map import Grid, LinearTable, Table
+from virtual_sensor.optics.trace import to_vectors
+
+RNG = np.random.default_rng(5)
+NODES = (7, 5, 6)
+GRID = Grid(np.array([-1.0, 20.0, 0.3]), np.array([2.0, 24.0, 0.8]), NODES)
+
+
+def numbers(values):
+    """Columns (N, C) of Dr.Jit arrays."""
+    dr.eval(values)
+    return np.array([np.array(v) for v in values], float).T
+
+
+def read(table, places):
+    """A linear table's functions at places (N, 3)."""
+    return numbers(table.at(mi.Array3f(np.ascontiguousarray(places.T, np.float32))))
+
+
+def around(grid, count, beyond=0.0):
+    """Places anywhere on a grid, or also so much of its size beyond, as float32 has them."""
+    size = grid.high - grid.low
+    where = np.random.default_rng(count).random((count, 3))
+    places = grid.low - beyond * size + where * (1.0 + 2.0 * beyond) * size
+    return places.astype(np.float32).astype(float)
+
+
+@pytest.fixture(scope="module")
+def values():
+    """Two functions at the nodes, as rough as can be."""
+    return RNG.normal(size=(*NODES, 2))
+
+
+@pytest.fixture(scope="module")
+def table(values):
+    return Table(GRID, values.reshape(-1, 2))
+
+
+def spline(grid, values):
+    """SciPy's not-a-knot cubic spline through all nodes."""
+    knots = []
+    for axis, (low, high, n) in enumerate(zip(grid.low, grid.high, grid.shape, strict=True)):
+        one = make_interp_spline(np.linspace(low, high, n), np.moveaxis(values, axis, 0), k=3)
+        knots.append(one.t)
+        values = np.moveaxis(one.c, 0, axis)
+    return NdBSpline(tuple(knots), values, k=3)
+
+
+def test_a_table_is_scipys_cubic_spline(table, values):
+    """Rationale: other end conditions would err most in the outermost cells."""
+    places = around(GRID, 1000)
+    np.testing.assert_allclose(table.at(places), spline(GRID, values)(places), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_slopes_are_the_splines_derivatives(table, values, axis):
+    """Rationale: Newton's Jacobian and the light's concentration are made of them."""
+    expected = spline(GRID, values)(GRID.nodes(), nu=np.eye(3, dtype=int)[axis])
+    np.testing.assert_allclose(table.slopes(axis), expected, rtol=0, atol=1e-10)
+
+
+def test_a_linear_table_is_scipys_linear_interpolation_and_stays_as_at_its_border(values):
+    """Rationale: its texels lie beside where the nodes do; what is beyond must not come round."""
+    axes = [np.linspace(*x) for x in zip(GRID.low, GRID.high, NODES, strict=True)]
+    places = around(GRID, 2000, beyond=0.2)
+    expected = RegularGridInterpolator(axes, values)(np.clip(places, GRID.low, GRID.high))
+    np.testing.assert_allclose(read(LinearTable(GRID, values), places), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("tolerance", [0.3, 0.1])
+def test_a_finer_linear_table_is_the_cubic_one_to_its_tolerance(table, values, tolerance):
+    """Rationale: it is the linear one that the samples read; no finer than it need be."""
+    linear = table.linear(table.finer(tolerance))
+    places = around(GRID, 5000)
+    wrong = np.abs(read(linear, places) - spline(GRID, values)(places)).max()
+    assert tolerance / 100.0 < wrong <= tolerance
+    assert linear.grid.shape != GRID.shape
+
+
+def test_a_linear_table_knows_what_it_holds(values):
+    """Rationale: what is beyond it must be marched; what is on its border must not."""
+    linear, size = LinearTable(GRID, values), GRID.high - GRID.low
+    corners = np.stack([GRID.low, GRID.high])
+    assert np.all(numbers([linear.holds(to_vectors(corners))]))
+    for axis in range(3):
+        step = 0.01 * np.eye(3)[axis] * size
+        beyond = np.stack([GRID.low - step, GRID.high + step])
+        assert not np.any(numbers([linear.holds(to_vectors(beyond))]))

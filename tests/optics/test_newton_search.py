@@ -1,0 +1,85 @@
+"""Newton's search along a long line: what is interpolated there, against marches of every ray."""
+
+from dataclasses import replace
+
+import numpy as np
+import oracles
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor import ray_search
+from virtual_sensor.engine import mi
+from virtual_sensor.optics import newton_search
+from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.sight import REFERENCE
+from virtual_sensor.optics.surfaces import SceneSurface
+
+FINE = March(step_mm=0.04, method="leapfrog")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene("hot_cylinder")
+
+
+def some(rng, count, of=60):
+    return rng.choice(count, of, replace=False)
+
+
+@pytest.mark.parametrize("pose", [{}, {"beta": 12.0}], ids=["above", "turned"])
+def test_long_lines_are_found_to_a_millionth_of_a_pixel(pose):
+    """Against every ray marched with much finer steps: the paper's own are no better."""
+    rng = np.random.default_rng(1)
+    scene = vs.load_scene("hot_cylinder", **pose)
+    y = rng.uniform(-10.4, 10.4, newton_search.MANY)
+    found = ray_search(scene, y, "newton")
+    assert np.all(found.status == SearchStatus.FOUND)
+    assert found.distance_um.max() < 1e-3
+    assert np.mean(found.iterations == 0) > 0.8  # no fine march of their own
+    rows = some(rng, y.size)
+    fine = ray_search(scene, y[rows], "newton", march=FINE)
+    error = np.linalg.norm(found.pixel[rows] - fine.pixel, axis=1)
+    assert np.sqrt(np.mean(error**2)) < 6e-7
+    assert error.max() < 2e-6
+    assert np.linalg.norm(found.laser_point_mm[rows] - fine.laser_point_mm, axis=1).max() < 5e-8
+
+
+def test_rays_beside_the_part_and_at_its_limb_are_marched(scene):
+    """Nothing is interpolated where there is nothing, nor where the surface bends away."""
+    rng = np.random.default_rng(2)
+    y = rng.uniform(-14.5, 14.5, newton_search.MANY)
+    found = ray_search(scene, y, "newton")
+    rows = np.concatenate([some(rng, y.size), np.flatnonzero(np.abs(np.abs(y) - 13.3) < 0.15)])
+    single = ray_search(scene, y[rows], "newton", march=REFERENCE)
+    np.testing.assert_array_equal(found.status[rows], single.status)
+    assert {SearchStatus.FOUND, SearchStatus.LASER_MISSED} <= set(single.status)
+    np.testing.assert_allclose(found.pixel[rows], single.pixel, rtol=0, atol=2e-6)
+
+
+def test_what_hides_a_point_or_lies_on_the_line_is_seen(scene):
+    """Every ray looks for itself: what hides one point, or lies on the line, is no one else's."""
+    rng = np.random.default_rng(3)
+    y = np.sort(rng.uniform(-10.0, 10.0, newton_search.MANY))
+    free = ray_search(scene, y, "newton", march=replace(REFERENCE, step_mm=2.0))
+    hidden, raised = 700, 1300
+    toward = scene.sensor.camera.pose.origin_mm - free.laser_point_mm[hidden]
+    bead = free.laser_point_mm[hidden] + 20.0 * oracles.unit(toward)
+    tube = {"type": "cylinder", "p0": [-85, 0, -13.5], "p1": [85, 0, -13.5], "radius": 13.5}
+    spheres = {
+        "bead": {"type": "sphere", "center": bead.tolist(), "radius": 0.3},
+        "speck": {
+            "type": "sphere",
+            "center": free.laser_point_mm[raised].tolist(),
+            "radius": 0.02,
+        },
+    }
+    surface = SceneSurface(mi.load_dict({"type": "scene", "part": tube, **spheres}))
+    with_beads = replace(scene, surface=surface)
+    rows = np.concatenate([np.arange(at - 60, at + 61, 5) for at in (hidden, raised)])
+    found = ray_search(with_beads, y, "newton")
+    single = ray_search(with_beads, y[rows], "newton", march=REFERENCE)
+    np.testing.assert_array_equal(found.status[rows], single.status)
+    assert single.status[12] == SearchStatus.UNDERCUT
+    np.testing.assert_allclose(found.laser_point_mm[rows], single.laser_point_mm, atol=1e-6)
+    np.testing.assert_allclose(found.pixel[rows], single.pixel, rtol=0, atol=2e-5)  # float32's hits

@@ -1,0 +1,128 @@
+"""Where searches fail, each is told: no pixel that is called FOUND is another point's."""
+
+import numpy as np
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor import ray_search
+from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.studies.chart import search_failures
+from virtual_sensor.studies.chart.search_failures import MARCH, UM_PER_PX, moved
+from virtual_sensor.studies.chart.searches import rungs
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene("hot_cylinder")
+
+
+@pytest.fixture(scope="module")
+def y():
+    return np.random.default_rng(6).uniform(-10.0, 10.0, 300)
+
+
+def assert_found_is_right(scene, found, y):
+    """Within r_max on the part, which air magnifies by a few per cent, of Newton's root."""
+    root = ray_search(scene, y, "newton", march=MARCH)
+    apart = np.linalg.norm(found.pixel - root.pixel, axis=1) * UM_PER_PX
+    good = found.status == SearchStatus.FOUND
+    assert np.all(apart[good] < 1.1)
+    np.testing.assert_array_equal(search_failures.wrong(scene, found, y), False)
+
+
+@pytest.mark.parametrize(("beta", "along"), [(0.0, 0.0), (25.0, -10.0)])
+def test_halving_may_end_above_the_radius_and_newton_does_not(scene, y, beta, along):
+    """Both axes are halved together: where one runs ahead of the other, the paper's stops."""
+    there = moved(scene, beta, along)
+    papers = ray_search(there, y, "paper", march=MARCH)
+    above = papers.status == SearchStatus.ABOVE_RADIUS
+    assert np.all((papers.distance_um > 1.0) == above)
+    assert above.mean() < 0.02
+    assert_found_is_right(there, papers, y)
+    newtons = ray_search(there, y, "newton", march=MARCH)
+    assert np.all(newtons.status == SearchStatus.FOUND)
+    assert newtons.distance_um.max() < 1e-5
+
+
+def test_a_moved_scene_is_the_posed_one(scene):
+    """The chart turns the sensor by itself: as the scene file's own parameters do."""
+    posed, here = (
+        vs.load_scene("hot_cylinder", beta=20.0, along=7.0).sensor,
+        moved(scene, 20.0, 7.0),
+    )
+    for one, other in ((posed.camera, here.sensor.camera), (posed.laser, here.sensor.laser)):
+        np.testing.assert_allclose(one.pose.rotation, other.pose.rotation, atol=1e-6)
+        np.testing.assert_allclose(one.pose.origin_mm, other.pose.origin_mm, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"grid_px": (g, g)} for g in (16.0, 4.0, 1.0)] + [{"k_stop": k} for k in (11, 8, 4)],
+    ids=str,
+)
+def test_too_small_a_grid_and_too_few_steps_are_told(scene, y, options):
+    """What the grid can't reach, or the steps can't halve away, is ABOVE_RADIUS."""
+    found = ray_search(scene, y, "paper", march=MARCH, **options)
+    assert set(found.status) <= {SearchStatus.FOUND, SearchStatus.ABOVE_RADIUS}
+    above = found.status == SearchStatus.ABOVE_RADIUS
+    assert above.any()
+    assert np.all((found.distance_um > 1.0) == above)
+    assert_found_is_right(scene, found, y)
+
+
+@pytest.mark.parametrize("method", ["paper", "newton"])
+def test_undercut_points_are_rejected_by_a_small_z_max_and_accepted_by_a_large(method):
+    """The ledge hides 7.2 < |y| < 8.7 mm of the shaft's line: too large a z_max lets them in."""
+    shaft = vs.load_scene("stepped_shaft").cold()
+    y = np.linspace(6.0, 9.5, 141)
+    hidden = (y > 7.3) & (y < 8.6)
+    strict = ray_search(shaft, y, method, march=MARCH)
+    told = strict.status == SearchStatus.UNDERCUT
+    assert np.all(told[hidden])
+    assert not np.any(told[(y < 7.1) | (y > 8.8)])
+    assert np.all(np.isnan(strict.pixel[told]))
+    lenient = ray_search(shaft, y, method, march=MARCH, z_max_mm=1.0)
+    ends = {"paper": SearchStatus.FOUND, "newton": SearchStatus.ABOVE_RADIUS}  # only it arrived
+    assert np.all(lenient.status[hidden] == ends[method])
+    depth = np.linalg.norm(lenient.seen_point_mm - lenient.laser_point_mm, axis=1)
+    assert depth[hidden].min() > 0.1  # what is seen is told all the same
+
+
+def test_the_limb_is_told(scene):
+    """From where the laser grazes on, there is another status, and never a wrong pixel."""
+    y = np.linspace(13.3, 13.6, 61)
+    found = ray_search(scene, y, "newton", march=MARCH)
+    assert found.status[0] == SearchStatus.FOUND
+    assert found.status[-1] == SearchStatus.LASER_MISSED
+    used = np.isfinite(found.pixel[:, 0])
+    assert np.all(used == (found.status == SearchStatus.FOUND) | (found.distance_um > 1.0) & used)
+    assert np.all(found.distance_um[found.status == SearchStatus.FOUND] < 1e-3)
+
+
+def test_the_panel_has_a_line_for_each_and_none_is_mistaken():
+    """In the small: what the chart prints."""
+    told = search_failures.failures(lambda stage, fraction: None, quick=True)
+    assert {f.what for f in told} == {
+        "search: the two axes couple",
+        "search: grid too small",
+        "search: too few steps",
+        "search: undercut points accepted by z_max",
+        "search: at the limb",
+    }
+    for failure in told:
+        assert bool(failure.first_at) == (failure.failed > 0)
+        if "FOUND are wrong" in failure.note:
+            assert failure.note.split("; ")[-1].startswith("0 of those")
+
+
+def test_the_panels_rungs_are_ordered_by_their_march():
+    """Newton's default is right to 1e-6 px, the paper's to its r_max, and long steps to neither."""
+    stages = []
+    found = rungs(lambda stage, fraction: stages.append(fraction), quick=True)
+    assert stages == sorted(stages)
+    assert all(r.panel == "search" and r.item == "laser point" and r.seconds > 0.0 for r in found)
+    papers, lost, newtons, longer = found
+    assert newtons.largest_px < 1e-6 < 1e-4 < longer.largest_px < papers.largest_px
+    assert papers.largest_px < 1.1 / UM_PER_PX
+    assert lost.failed == lost.items
+    assert newtons.failed == longer.failed == papers.failed == 0

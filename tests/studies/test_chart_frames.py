@@ -1,0 +1,200 @@
+"""The chart's frames: errors against a reference, scalings, and troubles made worse on purpose."""
+
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from artificial import paper_sensor
+
+from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.line_peaks import LineCentres, Status
+from virtual_sensor.optics.ray_search import incidence_points
+from virtual_sensor.studies.chart import frame_failures, frames, scaling
+from virtual_sensor.studies.chart.frames import Truth, beside, with_lamp
+from virtual_sensor.studies.chart.machine import cuda_found
+from virtual_sensor.studies.chart.rung import Rung
+
+
+class SensorOnly:
+    """A scene of which only the sensor is asked for."""
+
+    sensor = paper_sensor()
+
+
+def line(row, lost=()):
+    """Line centres at rows (W,), with some columns lost."""
+    status = np.full(row.size, Status.OK, np.uint8)
+    status[list(lost)] = Status.LINE_END
+    row = np.where(status == Status.OK, row, np.nan)
+    blank = np.full(row.size, np.nan)
+    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, status)
+
+
+def test_a_known_error_comes_out_in_px_and_um():
+    """Rationale: seen at 60 degrees, 22 um across the image are 22/cos(30 deg) in the sheet."""
+    column = np.arange(600, 1400, 50)
+    row = np.full(2048, 1023.5)
+    offset = np.where(np.arange(2048) % 100 == 0, 0.3, -0.3)
+    truth = Truth(SensorOnly, column, row[column], "say")
+    apart = beside(truth, line(row + offset, lost=[600, 650, 601]))
+    assert apart.rms_px == pytest.approx(0.3)
+    assert apart.largest_px == pytest.approx(0.3)
+    assert apart.lost == 2
+    assert apart.rms_um == pytest.approx(0.3 * 22.0 / np.sin(np.radians(60.0)), rel=5e-3)
+    nothing = beside(truth, line(row, lost=column))
+    assert np.isnan([nothing.rms_px, nothing.largest_px, nothing.rms_um]).all()
+    assert nothing.lost == column.size
+
+
+def test_windows_reach_over_both_ends_of_the_line():
+    """Rationale: 'line ends included' is a promise; inner windows must not overlap the ends."""
+    windows = list(frames._windows(500, 1500, inner=4))
+    columns = np.concatenate([np.arange(*window) for window in windows])
+    assert len(set(columns)) == len(columns)
+    assert (columns.min(), columns.max()) == (495, 1504)
+    assert {500, 501, 1499, 1500} <= set(columns)
+
+
+def test_every_rung_is_a_choice_of_its_own():
+    """Rationale: two rungs of the same settings would be one, measured twice."""
+    for quick in (True, False):
+        chosen = [(name, *sorted(settings.items())) for name, settings in frames.ladder(quick)]
+        assert len(set(chosen)) == len(chosen)
+    ways = {settings["way"] for _, settings in frames.ladder()}
+    assert ways == {"straight", "first_order", "tabulated", "exact"}
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0])
+def test_exponents_of_power_laws_are_found(exponent):
+    """Rationale: the slope on logarithmic axes."""
+    sizes = (1.0, 4.0, 64.0)
+    points = [(n, 0.02 * n**exponent) for n in sizes]
+    assert scaling.power("x", points).exponent == pytest.approx(exponent)
+    assert np.isnan(scaling.power("x", points[:1]).exponent)
+
+
+def test_frames_that_differ_in_samples_only_are_put_together():
+    """Rationale: 0.5 s and 30 ms a sample, told apart from frames by another step."""
+
+    def rung(spp, seconds, **others):
+        settings = {"spp": spp, **others}
+        values = (0.1, 0.1, 2.2, seconds, "frame", 1, 0, "say")
+        return Rung("frames", "exact", settings, *values)
+
+    rungs = [rung(spp, 0.5 + 0.03 * spp, step=2) for spp in (1, 4, 16, 64)]
+    rungs += [rung(spp, 9.0, step=1) for spp in (1, 4)]
+    (found,) = scaling.by_samples(rungs)
+    assert "0.5 s and 30 ms for each sample" in found.note
+    assert "within 0 %" in found.note
+    assert [size for size, _ in found.points] == [1.0, 4.0, 16.0, 64.0]
+
+
+@pytest.fixture
+def smooth():
+    """A field, mirrored about x = 0, that a cubic spline follows closely."""
+    axes = [np.linspace(0.0, 8.0, 17), np.linspace(-4.0, 4.0, 17), np.linspace(-3.0, 5.0, 17)]
+    x, y, z = np.meshgrid(*axes, indexing="ij")
+    n = 2.7e-4 - 1e-4 * np.exp(-(x**2 + y**2 + (z - 1.0) ** 2) / 8.0)
+    place = [0.0, -4.0, -3.0]
+    return IndexField.from_arrays(n, place, [0.5] * 3, ambient=2.7e-4, mirror=(True, False, False))
+
+
+@pytest.mark.parametrize(("factor", "shape"), [(2, (33, 33, 33)), (-2, (9, 9, 9))])
+def test_resampled_air_is_the_same_air(smooth, factor, shape):
+    """Rationale: time over nodes means something only if the rays run alike."""
+    other = scaling.resampled(smooth, factor)
+    assert other.shape == shape
+    np.testing.assert_allclose(other.box, smooth.box)
+    points = np.random.default_rng(1).uniform([-4.0, -3.0, -2.0], [4.0, 3.0, 4.0], (200, 3))
+    apart = other.refractivity(points) - smooth.refractivity(points)
+    assert np.abs(apart).max() < 0.02e-4
+
+
+def test_more_contrast_scales_the_difference_from_the_surroundings(smooth):
+    """Rationale: the surroundings stay; a field scaled as a whole would refract at its border."""
+    points = np.array([[0.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
+    other = frame_failures.contrasted(smooth, 20.0)
+    difference = smooth.refractivity(points) - smooth.ambient
+    np.testing.assert_allclose(other.refractivity(points) - other.ambient, 20.0 * difference)
+    assert other.ambient == smooth.ambient
+
+
+def test_the_lamp_lights_all_and_moves_no_line():
+    """Rationale: every pixel must cost, and the line must stay comparable."""
+    film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5, "field": ""}  # cold
+    scenes = (load_scene("hot_cylinder", **film), with_lamp(**film))
+    dark, lit = (render_frame(scene).radiance for scene in scenes)
+    assert (dark > 0.0).mean() < 0.1
+    assert (lit > 0.0).mean() > 0.5
+    added = lit - dark
+    assert 0.0 < added.max() < 1e-3 * dark.max()
+
+
+@pytest.mark.slow
+def test_the_panel_ranks_what_is_known():
+    """Rationale: straight light misses by pixels, exact rays by next to nothing."""
+    made = frames.rungs(lambda stage, fraction: None, quick=True)
+    errors = {(r.name, r.settings["spp"], r.settings.get("light")): r.error_px for r in made}
+    assert errors["exact", 4, None] < 1e-3
+    assert errors["tabulated", 4, None] < 3e-3
+    assert errors["straight", 4, None] > 1.0
+    assert errors[frames.DIRECT, 4, None] == pytest.approx(errors["straight", 4, None], rel=1e-2)
+    assert errors["tabulated, whole scene lit", 4, frames.LAMP] < 3e-3
+    assert all(r.seconds > 0.0 and r.item == "frame" for r in made)
+    assert not any(r.failed for r in made if r.name != frames.DIRECT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", frame_failures.WAYS)
+def test_no_fold_goes_untold(way):
+    """Rationale: independent of any status: incidence points of ever larger b go back in y."""
+    found = frame_failures.folding(way, (10, 20))
+    first = float(found.first_at.split()[0])
+    scene = load_scene("hot_cylinder")
+
+    def runs_back(factor):
+        air = frame_failures.contrasted(scene.field, factor)
+        y = incidence_points(scene.with_field(air), np.linspace(-11.0, 11.0, 701))[:, 1]
+        return bool(np.any(np.diff(y[np.isfinite(y)]) < 0.0))
+
+    true = float(re.search(r"runs back over itself from ([\d.]+) times on", found.note)[1])
+    assert not runs_back(0.93 * true)
+    assert runs_back(1.05 * true)
+    assert 10.0 < first < 1.05 * true
+    assert found.failed > 0
+    assert found.note.startswith("0 of the unlit pixels have a truth all the same")
+
+
+@pytest.mark.slow
+def test_every_trouble_of_frames_shows_and_is_told():
+    """Rationale: the chart is to name a status or to say that none can tell."""
+    made = frame_failures.failures(lambda stage, fraction: None, quick=True)
+    assert len({(f.what, f.method) for f in made}) == len(made) >= 6
+    assert all(f.first_at and f.status and f.tried for f in made)
+
+
+@pytest.mark.slow
+def test_memory_is_the_frames_own():
+    """Rationale: a large parent's memory must not be told as the frame's (`getrusage` does)."""
+    code = (
+        "import numpy as np; held = np.ones(150_000_000)\n"
+        "from virtual_sensor.studies.chart.scaling import peak_memory_mb\n"
+        "print(peak_memory_mb(256, 1))"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert 50.0 < float(ended.stdout) < 1000.0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not cuda_found(), reason="no CUDA device")
+def test_the_gpu_gives_rows_of_its_own(tmp_path):
+    """Rationale: the same code under `cuda_ad_mono`, by the command as the chart calls it."""
+    from virtual_sensor.studies.chart.chart import on_gpu
+
+    rows, told = on_gpu(["frames"], quick=True)
+    assert told == []
+    assert {row.settings["variant"] for row in rows} == {"cuda_ad_mono"}

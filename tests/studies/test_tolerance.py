@@ -1,0 +1,187 @@
+"""A tolerance in px: the rung chosen keeps it, costs no more than it must, and says why."""
+
+import re
+
+import numpy as np
+import pytest
+from command_line import command
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.optics.ray_search import FoundPixels, ray_search
+from virtual_sensor.studies import tolerance
+from virtual_sensor.studies.chart.trials import random_scene, random_tolerance, trial
+from virtual_sensor.studies.tolerance import STEPS_MM, choose, whole_columns, with_rung
+
+FILM = {"width": 512, "height": 512}
+WEAK = {"blur": 12, "beta": 60}
+
+
+@pytest.fixture(scope="module")
+def weak():
+    """Air so broad that it hardly bends light."""
+    return load_scene("hot_cylinder", **FILM, **WEAK)
+
+
+@pytest.fixture(scope="module")
+def hot():
+    """Light runs along the plume and is bent by pixels."""
+    return load_scene("hot_cylinder", **FILM)
+
+
+@pytest.fixture(scope="module")
+def rung(hot):
+    """What is chosen for 0.02 px there."""
+    return choose(hot, 0.02)
+
+
+def moved_px(scene):
+    """Largest distance of the hot line from the cold one, from 2001 rays of the float64 search."""
+    y = np.linspace(-0.5, 0.5, 2001) * scene.sensor.laser.length_mm
+    (u, v), (cold_u, cold_v) = (
+        ray_search(s, y, "newton").pixel[::-1].T for s in (scene, scene.cold())
+    )
+    if u[0] > u[-1]:
+        u, v, cold_u, cold_v = u[::-1], v[::-1], cold_u[::-1], cold_v[::-1]
+    columns = np.arange(np.ceil(u[0] + 1.0), u[-1] - 1.0)
+    return np.abs(np.interp(columns, u, v) - np.interp(columns, cold_u, cold_v)).max()
+
+
+def test_a_weak_field_needs_no_bent_rays(weak):
+    """Rationale: the line moves by less than is asked for; to bend its light is wasted work."""
+    px = moved_px(weak)
+    rung = choose(weak, 1.3 * px)
+    assert rung.way == "straight"
+    assert rung.estimate_px["refraction left out"] == pytest.approx(px, rel=0.01)
+
+
+def test_where_the_line_moves_further_light_is_bent(weak, hot):
+    """Rationale: just below what refraction moves the line by, straight light is wrong."""
+    assert choose(weak, 0.9 * moved_px(weak)).way == "tabulated"
+    assert choose(hot, 1.0).way == "tabulated"
+
+
+def test_less_tolerance_is_never_had_for_less(hot):
+    """Rationale: each rung asked for less error is as costly in every respect, or more."""
+    rungs = [choose(hot, px) for px in (100.0, 0.1, 0.01, 0.003)]
+    cost = [(-r.step_mm, r.spp, -r.table_px) for r in rungs]
+    assert [r.way for r in rungs] == ["straight"] + 3 * ["tabulated"]
+    assert (np.diff(cost[1:], axis=0) >= 0).all()
+    assert all(r.error_px <= px for r, px in zip(rungs, (100.0, 0.1, 0.01, 0.003), strict=True))
+
+
+def test_a_cold_scene_is_rendered_straight():
+    """Rationale: without a field there is nothing to weigh but samples."""
+    rung = choose(load_scene("cold_cylinder", **FILM), 0.01)
+    assert (rung.way, set(rung.estimate_px)) == ("straight", {"samples"})
+    assert rung.error_px <= 0.01
+
+
+@pytest.mark.parametrize("px", [0.0, -0.01, float("nan"), float("inf")])
+def test_a_tolerance_that_is_none_is_refused(hot, px):
+    """Rationale: nothing keeps it, or anything does."""
+    with pytest.raises(InputError, match=rf"tolerance {px}: give a positive number of px"):
+        choose(hot, px)
+
+
+def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_best(hot):
+    """Rationale: float32 ends at about 1e-5 px; a rung that misses must not be handed out."""
+    with pytest.raises(InputError, match=r"tolerance 1e-07 px: the best that was found is .*march"):
+        choose(hot, 1e-7)
+
+
+def test_a_line_that_has_no_centres_is_refused_with_a_remedy():
+    """Rationale: where no column has a centre, no error can be judged."""
+    scene = load_scene("hot_cylinder", **FILM, line_radius=0.03)
+    with pytest.raises(InputError, match=r"no column has a line centre.*wider line"):
+        choose(scene, 0.01)
+
+
+def test_dots_are_refused():
+    """Rationale: what is judged are a line's centres."""
+    scene = load_scene("hot_cylinder", **FILM, dots="-2, 2")
+    with pytest.raises(InputError, match="the laser makes dots"):
+        choose(scene, 0.01)
+
+
+def test_it_says_what_it_weighed(rung):
+    """Rationale: a user must be able to see which part of the error rules."""
+    assert set(rung.estimate_px) == {"march", "tables", "samples"}
+    for words in ("refraction moves the line", "a step of", "samples a pixel err"):
+        assert any(words in each for each in rung.why)
+    for part, px in rung.estimate_px.items():
+        assert f"{part} {px:.2g}" in str(rung)
+
+
+def test_the_chosen_scene_is_the_rungs(hot, rung):
+    """Rationale: what was judged is what the user gets."""
+    chosen = with_rung(hot, rung)
+    assert chosen.integrator.way == rung.way
+    assert chosen.integrator.march.step_mm == rung.step_mm
+    assert chosen.integrator.tolerance_px == pytest.approx(rung.table_px, rel=1e-5)
+    assert chosen.mitsuba.sensors()[0].sampler().sample_count() == rung.spp
+
+
+def test_choosing_leaves_the_scene_as_it_was(hot):
+    """Rationale: many samples are tried on the scene's own sampler."""
+    before = hot.mitsuba.sensors()[0].sampler().sample_count()
+    choose(hot, 0.1)
+    assert hot.mitsuba.sensors()[0].sampler().sample_count() == before
+
+
+def test_a_scene_without_the_parameters_is_refused_by_name(hot, tmp_path):
+    """Rationale: a user's own scene may fix what the rung would set."""
+    text = hot.path.read_text(encoding="utf-8")
+    fixed = tmp_path / "fixed.xml"
+    fixed.write_text(
+        re.sub(r'<default name="way".*', "", text).replace("$way", "exact"), encoding="utf-8"
+    )
+    field = hot.path.parent / "fields/hot_cylinder_1250C_quarter.nc"
+    scene = load_scene(fixed, **FILM, field=field)
+    with pytest.raises(InputError, match=r"no parameter 'way'; the scene has: .*step"):
+        with_rung(scene, choose(scene, 100.0))
+
+
+def test_where_rays_are_turned_away_the_shortest_step_is_taken(hot, monkeypatch):
+    """Rationale: an error that is not known must not be given out as none."""
+
+    def turned_away(*_):
+        raise tolerance.NoMapError("a ray did not reach its depth")
+
+    monkeypatch.setattr(tolerance, "_step", turned_away)
+    rung = choose(hot, 0.02)
+    assert rung.step_mm == min(STEPS_MM)
+    assert "march" not in rung.estimate_px
+    assert any("a ray did not reach its depth" in each for each in rung.why)
+
+
+def test_columns_beyond_the_line_are_not_judged():
+    """Rationale: a column that the line only partly covers has no centre of it."""
+    u, nothing = np.array([12.3, np.nan, 3.9]), np.full((3, 3), np.nan)
+    none = np.zeros(3, int)
+    found = FoundPixels(nothing, np.stack([u, u], axis=1), nothing, nothing[:, 0], none, none)
+    np.testing.assert_array_equal(whole_columns(found), np.arange(5, 12))
+
+
+def test_the_command_tells_the_rung(tmp_path):
+    """Rationale: what was chosen for the user, and why, must be seen without looking for it."""
+    film = ["-D", "width=512", "-D", "height=512"]
+    status, out, err = command(
+        "measure", "hot_cylinder", *film, "--tolerance", 0.02, "-o", tmp_path / "out"
+    )
+    assert status == 0, err
+    assert re.search(r"0\.02 px: tabulated, steps of \d+ mm, \d+ samples a pixel: about 0\.0", out)
+    assert "because refraction moves the line by up to" in out
+
+
+@pytest.mark.slow
+def test_the_tolerance_is_kept_in_random_scenes():
+    """Rationale: promised of 200 scenes (tests/benchmarks/random_scenes.py); here of twelve."""
+    ratios = []
+    for number in range(12):
+        rng = np.random.default_rng((1, number))
+        scene, parameters = random_scene(rng)
+        done = trial(scene, parameters, random_tolerance(rng), rng, clock=None)
+        assert not done.failure
+        ratios.append(done.error_ratio)
+    assert max(ratios) <= 1.0

@@ -1,0 +1,106 @@
+"""Air at a wall temperature between those that were computed, and how it changes with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import IndexField
+
+
+@dataclass(frozen=True)
+class FieldFamily:
+    """Fields of one flow at several wall temperatures, on one grid and in the same surroundings.
+
+    Between them every node follows the polynomial through its values, in Lagrange's form.
+
+    Attributes
+    ----------
+    fields : mapping from float to IndexField
+        By wall temperature in degC; at least two.
+
+    Raises
+    ------
+    InputError
+        If they are too few, or do not share grid, mirror planes and ambient.
+    """
+
+    fields: Mapping[float, IndexField]
+
+    def __post_init__(self) -> None:
+        if len(self.fields) < 2:
+            raise InputError("a family of fields needs those of two wall temperatures at least")
+        (at, first), *others = self.fields.items()
+        for temperature, field in others:
+            if (field.shape, field.mirror) != (first.shape, first.mirror) or not np.allclose(
+                [*field.box.ravel(), *field.spacing],
+                [*first.box.ravel(), *first.spacing],
+                rtol=1e-9,
+                atol=1e-9,
+            ):
+                raise InputError(
+                    f"the fields of {at:g} and {temperature:g} degC differ in their grids (shape,"
+                    " origin, spacing or mirror planes); bring them onto one grid first"
+                )
+            if not np.isclose(field.ambient, first.ambient, rtol=1e-9, atol=0.0):
+                raise InputError(
+                    f"the fields of {at:g} and {temperature:g} degC have different surroundings:"
+                    f" n - 1 is {first.ambient:.6g} and {field.ambient:.6g}; give the same air"
+                )
+
+    def at(self, temperature_c: float) -> IndexField:
+        """The field at a wall temperature, degC.
+
+        Raises
+        ------
+        InputError
+            If it is not between those of the family.
+        """
+        first = next(iter(self.fields.values()))
+        nodes = self._blend([float(p(temperature_c)) for p in self._weights(temperature_c)])
+        return IndexField.from_arrays(
+            first.ambient + nodes,
+            first.origin,
+            first.spacing,
+            ambient=first.ambient,
+            mirror=first.mirror,
+            source=f"between {', '.join(f'{t:g}' for t in self.fields)} degC: {temperature_c:g}",
+        )
+
+    def derivative(self, temperature_c: float) -> IndexField:
+        """The derivative of n - 1 by the wall temperature, 1/K, there, as a field.
+
+        Raises
+        ------
+        InputError
+            If the temperature is not between those of the family.
+        """
+        first = next(iter(self.fields.values()))
+        weights = [float(p.deriv()(temperature_c)) for p in self._weights(temperature_c)]
+        return IndexField.from_arrays(
+            self._blend(weights), first.origin, first.spacing, mirror=first.mirror
+        )
+
+    def _weights(self, temperature_c: float) -> list[Polynomial]:
+        """Lagrange's polynomials, one for each of the family's temperatures."""
+        known = sorted(self.fields)
+        if not known[0] <= temperature_c <= known[-1]:
+            raise InputError(
+                f"{temperature_c:g} degC is not between {known[0]:g} and {known[-1]:g} degC, the"
+                " wall temperatures of the fields given; give a field beyond it"
+            )
+        others = {t: [other for other in self.fields if other != t] for t in self.fields}
+        roots = {t: Polynomial.fromroots(each) for t, each in others.items()}
+        return [roots[t] / roots[t](t) for t in self.fields]
+
+    def _blend(self, weights: list[float]) -> NDArray[np.float64]:
+        """The fields' weighted sum: differences from the surroundings (nx, ny, nz)."""
+        blend = np.zeros(next(iter(self.fields.values())).shape)
+        for weight, field in zip(weights, self.fields.values(), strict=True):
+            blend += weight * (field.nodes - field.ambient)
+        return blend

@@ -1,0 +1,269 @@
+"""Newton's search for the pixels that see laser points, and its short cut along a long line.
+
+Long steps find the root and its slopes first.  They err by a thousandth of a pixel, so that one or
+two fine marches are left to make.  Along a line of thousands of rays even those are made for some
+only: by how much long steps err is a smooth function of the place along the line, and a small one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.sight import (
+    REFERENCE,
+    SearchScene,
+    incidence_points,
+    misses,
+    seen_points,
+)
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MANY = 2000
+"""So many laser rays lie close enough for the short cut."""
+
+_LADDER_MM = (2.0, 0.5)  # long steps, 2e-3 and 1e-5 px off on the field that comes with the program
+_NODES = (2001, 301)  # where it is seen by how much the next finer ones differ
+_DOUBLED = 2  # times at most that there are too few of them
+_GAIN = 4.0  # at least so much less do cubics err when their nodes are doubled
+_ALLOWED_PX = 1e-6  # estimate of what is interpolated wrongly
+_NEAR_MM = 0.01  # a point farther from what its neighbours tell lies behind an edge, or is hidden
+_LINEAR_PX = 1e-3  # so near the root the slopes do: they are good to 1e-4
+_NUDGE_PX = 0.01  # for slopes
+_SETTLED_PX = 1e-5  # what remains is this times the slopes' error
+_MOST_MARCHES = 8
+
+
+@dataclass(frozen=True)
+class Roots:
+    """Pixels whose lines of sight meet laser points, one row per laser ray.
+
+    Attributes
+    ----------
+    target : ndarray of shape (N, 3)
+        Where the laser meets the surface, world, mm; NaN if it misses.
+    pixel : ndarray of shape (N, 2)
+    slopes : ndarray of shape (N, 2, 2)
+        Derivative by the pixel of where its line of sight goes, parallel to the sensor, mm/px.
+    seen : ndarray of shape (N, 3)
+        What the line of sight meets, mm: the target, or what hides it; NaN if nothing.
+    marches : ndarray of shape (N,)
+        Fine marches of the camera's ray.
+    """
+
+    target: Array
+    pixel: Array
+    slopes: Array
+    seen: Array
+    marches: NDArray[np.int64]
+
+
+def newton(scene: SearchScene, b: Array, march: March) -> Roots:
+    """Search by Newton's method, all marches of the result being those asked for.
+
+    Parameters
+    ----------
+    scene : SearchScene
+    b : ndarray of shape (N,)
+        Places of the rays along the laser line, mm.
+    march : March
+    """
+    target = incidence_points(scene, b, march)
+    pixel, slopes = _rough_roots(scene, target, _rough(march))
+    pixel, marches = _chords(scene, target, pixel, slopes, march)
+    seen = seen_points(scene, pixel, march)
+    known = np.isfinite(target[:, 0])
+    return Roots(target, pixel, slopes, seen, np.where(known, marches + 1, 0))
+
+
+def newton_along_line(scene: SearchScene, b: Array) -> Roots:
+    """Search by Newton's method with `REFERENCE`, with fine marches at some places b only.
+
+    Every ray is marched with long steps, to the surface and back, from where its neighbours tell
+    that its pixel is: what is seen is off by some 1e-5 px, and one of Newton's steps, without a
+    march, puts the pixel right.  By how much long steps err is interpolated between nodes.  Rays
+    where that is not good to 1e-6 px by an estimate, or that meet no smooth surface, or see
+    something else than their point, are searched with `newton`.
+    """
+    if len(b) < MANY or scene.field is None or not np.isfinite(b).all() or np.ptp(b) == 0.0:
+        return newton(scene, b, REFERENCE)
+    camera = scene.sensor.camera
+    table: _Table | None = None
+    for step_mm, nodes in reversed(list(zip(_LADDER_MM, _NODES, strict=True))):
+        table = _good_table(scene, np.linspace(b.min(), b.max(), nodes), step_mm, table, len(b))
+    assert table is not None
+    told = table.at(b)
+    long = _steps_of(_LADDER_MM[0])
+    target = incidence_points(scene, b, long)
+    start = camera.project(target) + told.bent_px
+    seen = seen_points(scene, start, long)
+
+    away = (target - seen) @ camera.pose.rotation
+    sight = camera.lines_of_sight(np.nan_to_num(start)) @ camera.pose.rotation
+    change = _step(told.slopes, away[:, :2] - sight[:, :2] * (away[:, 2] / sight[:, 2])[:, None])
+    linear = np.abs(change).max(axis=1) <= _LINEAR_PX
+    near = np.linalg.norm(np.stack([away, target - told.target]), axis=2).max(axis=0) <= _NEAR_MM
+    off = ~(linear & near)  # NaN too
+    found = Roots(
+        target + told.target_off,
+        start + change + told.pixel_off,
+        told.slopes,
+        seen + told.target_off,
+        np.zeros(len(b), int),
+    )
+    if off.any():
+        again = newton(scene, b[off], REFERENCE)
+        for values, better in zip(vars(found).values(), vars(again).values(), strict=True):
+            values[off] = better
+    return found
+
+
+def _steps_of(step_mm: float) -> March:
+    """The reference's march with other steps: the same kernels."""
+    return replace(REFERENCE, step_mm=step_mm)
+
+
+def _rough(march: March) -> March:
+    """The march with long steps."""
+    return replace(march, step_mm=max(march.step_mm, _LADDER_MM[0]))
+
+
+def _rough_roots(scene: SearchScene, target: Array, rough: March) -> tuple[Array, Array]:
+    """Two of Newton's steps from the straight projection: pixels (N, 2), and slopes (N, 2, 2)."""
+    pixel = scene.sensor.camera.project(target)
+    nudges = _NUDGE_PX * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
+    for _ in range(2):
+        three = (pixel + nudges).reshape(-1, 2)
+        miss, by_u, by_v = misses(scene, np.tile(target, (3, 1)), three, rough).reshape(3, -1, 2)
+        slopes = np.stack([miss - by_u, miss - by_v], axis=-1) / _NUDGE_PX
+        pixel = pixel + _step(slopes, miss)
+    return pixel, slopes
+
+
+def _chords(
+    scene: SearchScene,
+    target: Array,
+    pixel: Array,
+    slopes: Array,
+    march: March,
+    most: int = _MOST_MARCHES,
+) -> tuple[Array, int]:
+    """Newton's method with slopes that stay: the pixels, and how many marches it took."""
+    marches, change = 0, np.array([np.inf])
+    while marches < most and np.nanmax(np.abs(change), initial=0.0) > _SETTLED_PX:
+        change = _step(slopes, misses(scene, target, pixel, march))
+        pixel = pixel + change
+        marches += 1
+    return pixel, marches
+
+
+def _step(slopes: Array, miss: Array) -> Array:
+    """Solve slopes @ step = miss, (N, 2, 2) and (N, 2), by Cramer's rule; NaN where it can't be."""
+    (a, b), (c, d) = np.moveaxis(slopes, 0, -1)
+    x, y = miss.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[:, None]
+
+
+def _mm_per_px(slopes: Array) -> Array:
+    return np.linalg.norm(slopes.reshape(-1, 4), axis=1) / np.sqrt(2.0)
+
+
+# --------------------------------------------------------------------- what long steps err by
+
+
+@dataclass(frozen=True)
+class _Row:
+    """What is interpolated along the line; arrays of N rows.
+
+    Of long steps: where the laser goes (N, 3), how far from the straight projection the pixel is
+    (N, 2), the slopes (N, 2, 2).  Of the reference's steps: by how much the target (N, 3) and the
+    pixel (N, 2) differ.
+    """
+
+    target: Array
+    bent_px: Array
+    slopes: Array
+    target_off: Array
+    pixel_off: Array
+
+    @property
+    def array(self) -> Array:
+        return np.concatenate([v.reshape(len(self.target), -1) for v in vars(self).values()], 1)
+
+    @staticmethod
+    def of(array: Array) -> "_Row":
+        target, bent_px, slopes, target_off, pixel_off = np.split(array, [3, 5, 9, 12], axis=1)
+        return _Row(target, bent_px, slopes.reshape(-1, 2, 2), target_off, pixel_off)
+
+
+@dataclass(frozen=True)
+class _Table:
+    """Rows at places b (N,), and in which of the N - 1 intervals cubics tell what is between."""
+
+    b: Array
+    rows: _Row
+    settled: Mask
+
+    def at(self, b: Array) -> _Row:
+        """Rows at other places; NaN in intervals that are not settled."""
+        rows = _interpolated(self.b, self.rows.array, b)
+        interval = np.clip(np.searchsorted(self.b, b) - 1, 0, len(self.settled) - 1)
+        return _Row.of(np.where(self.settled[interval, None], rows, np.nan))
+
+
+def _good_table(
+    scene: SearchScene, b: Array, step_mm: float, finer: _Table | None, rays: int
+) -> _Table:
+    """A table with nodes enough, if there may be so many."""
+    table = _table(scene, b, step_mm, finer)
+    for _ in range(_DOUBLED):
+        if table.settled.mean() > 0.9 or 8 * len(table.b) > rays:
+            break
+        b = np.linspace(b[0], b[-1], 2 * len(b) - 1)
+        table = _table(scene, b, step_mm, finer)
+    return table
+
+
+def _table(scene: SearchScene, b: Array, step_mm: float, finer: _Table | None) -> _Table:
+    """Search with long and with the next finer steps, and leave the rest to the finer table."""
+    long, fine = _steps_of(step_mm), REFERENCE
+    target = incidence_points(scene, b, long)
+    if finer is None:
+        start, slopes = _rough_roots(scene, target, _rough(long))
+        start, _ = _chords(scene, target, start, slopes, long, most=1)
+        rest = np.zeros((len(b), 3)), np.zeros((len(b), 2))
+    else:
+        told, fine = finer.at(b), _steps_of(_LADDER_MM[1])
+        start, slopes = scene.sensor.camera.project(target) + told.bent_px, told.slopes
+        rest = told.target_off, told.pixel_off
+    pixel, _ = _chords(scene, target, start, slopes, long, most=1)
+    next_target = incidence_points(scene, b, fine)
+    next_pixel, _ = _chords(scene, next_target, pixel, slopes, fine, most=1)
+    target_off, pixel_off = next_target - target, next_pixel - pixel
+
+    # Every other node tells the one between: cubics through all of them err less.
+    both = np.concatenate([pixel_off, target_off / _mm_per_px(slopes)[:, None]], axis=1)
+    between = (9.0 * (both[2:-4] + both[4:-2]) - both[:-6] - both[6:]) / 16.0
+    wrong = np.abs(between - both[3:-3]).max(axis=1)
+    wrong = np.pad(wrong, 3, mode="edge") / _GAIN
+    settled = np.maximum(wrong[:-1], wrong[1:]) <= _ALLOWED_PX  # not so beside NaN
+    bent = pixel - scene.sensor.camera.project(target)
+    rows = _Row(target, bent, slopes, target_off + rest[0], pixel_off + rest[1])
+    return _Table(b, rows, settled)
+
+
+def _interpolated(x: Array, values: Array, at: Array) -> Array:
+    """Cubics through four rows each of values (N, C) at rising x (N,); NaN beside a NaN."""
+    first = np.clip(np.searchsorted(x, at) - 2, 0, len(x) - 4)
+    four = first[:, None] + np.arange(4)
+    nodes = x[four]
+    result = np.zeros((len(at), values.shape[1]))
+    for k in range(4):
+        others = np.delete(nodes, k, axis=1)
+        weight = np.prod((at[:, None] - others) / (nodes[:, [k]] - others), axis=1)
+        result += weight[:, None] * values[four[:, k]]
+    return result

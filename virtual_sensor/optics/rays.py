@@ -1,0 +1,160 @@
+"""Rays and how to march them: the straight ray, the bent one beside it, and what bends it."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
+
+
+class Lookup(Protocol):
+    """Difference of n - 1 from the surroundings at points in a field's box, in Dr.Jit."""
+
+    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
+        """Value, and gradient in 1/mm."""
+        ...
+
+    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
+        """Value, gradient in 1/mm, and Hessian in 1/mm^2."""
+        ...
+
+
+class Field(Protocol):
+    """What a ray needs to know of a field: `IndexField` and the closed-form fields have it."""
+
+    @property
+    def box(self) -> np.ndarray:
+        """Lower and upper corner in mm, shape (2, 3)."""
+        ...
+
+    @property
+    def ambient(self) -> float:
+        """Refractivity outside the box."""
+        ...
+
+    def lookup(self, precision: str) -> Lookup:
+        """Evaluator for "single" or "double"."""
+        ...
+
+
+@dataclass(frozen=True)
+class March:
+    """How to march.
+
+    Attributes
+    ----------
+    step_mm : float
+        Step in t: the arc length where n is that of the surroundings.  The longest one, for
+        methods that control it.
+    method : str
+        A key of `steppers.STEPPERS`.
+    precision : str
+        "single" or "double".
+    first_order : bool
+        Light is deflected by the gradient along the straight ray: the deflection integral.
+    tolerance_mm : float
+        Error allowed in each step, by the estimate of methods that control it (`CONTROLLED`).
+    max_steps : int
+        A ray still in the field after so many steps, rejected ones too, gets status OUT_OF_STEPS.
+
+    Raises
+    ------
+    InputError
+        If one of them can't be marched with.
+    """
+
+    step_mm: float = 1.0
+    method: str = "rk4"
+    precision: str = "double"
+    first_order: bool = False
+    tolerance_mm: float = 1e-6
+    max_steps: int = 20_000
+
+    def __post_init__(self) -> None:
+        if not self.step_mm > 0.0:
+            raise InputError(f"step_mm must be positive, not {self.step_mm}")
+        if not self.tolerance_mm > 0.0:
+            raise InputError(f"tolerance_mm must be positive, not {self.tolerance_mm}")
+        if self.method not in STEPPERS:
+            raise InputError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
+        if self.precision not in ("single", "double"):
+            raise InputError(f"precision must be single or double, not '{self.precision}'")
+
+    def __str__(self) -> str:
+        steps = f"steps of {self.step_mm:g} mm"
+        if self.method in CONTROLLED:
+            steps = f"{steps} at most, each to {self.tolerance_mm:g} mm"
+        order = ", first order" if self.first_order else ""
+        return f"{self.method}, {steps}, {self.precision} precision{order}"
+
+    @property
+    def vector(self) -> Any:
+        """Dr.Jit's 3-vector in this precision."""
+        return mi.Array3f if self.precision == "single" else mi.Array3f64
+
+    @property
+    def scalar(self) -> Any:
+        """Dr.Jit's float in this precision."""
+        return mi.Float if self.precision == "single" else mi.Float64
+
+
+@dataclass
+class Straight:
+    """Straight rays, to which bent ones are the difference: r = anchor + t direction."""
+
+    anchor: Any
+    direction: Any
+    start: Any  # t at the ray's origin
+
+    @staticmethod
+    def through(origin: Any, direction: Any, march: March) -> "Straight":
+        """Rays from origins (mm, world) along unit directions, either in any precision.
+
+        The anchor is the point nearest to the world's origin, where the part is: positions near the
+        part are then free of the rounding of a far start.
+        """
+        o, d = mi.Array3f64(origin), mi.Array3f64(direction)
+        start = dr.dot(o, d)
+        return Straight(march.vector(o - d * start), march.vector(d), march.scalar(start))
+
+
+@dataclass
+class BentRays:
+    """Rays on their way; every member is a Dr.Jit array over the rays.
+
+    Attributes
+    ----------
+    t : scalar
+    offset : tuple of vectors
+        First the ray's offset from its straight ray in mm, then derivatives of its position.
+    tau : tuple of vectors
+        First T minus the straight direction, then derivatives of T.
+    arc, path : scalar
+        Arc length since the start minus elapsed t; likewise optical path, relative to the
+        surroundings.  In mm.
+    status : int
+        `RayStatus`.
+    """
+
+    t: Any
+    offset: Vectors
+    tau: Vectors
+    arc: Any
+    path: Any
+    status: Any
+
+    def position(self, line: Straight) -> Any:
+        """World position in mm."""
+        return line.anchor + line.direction * self.t + self.offset[0]
+
+    def tangent(self, line: Straight) -> Any:
+        """T = n dr/ds, relative to the surroundings."""
+        return line.direction + self.tau[0]
+
+    def moved(self, dt: Any) -> "BentRays":
+        """The same rays a straight piece further on."""
+        offset = tuple(x + v * dt for x, v in zip(self.offset, self.tau, strict=True))
+        return replace(self, t=self.t + dt, offset=offset)

@@ -1,0 +1,254 @@
+"""Panel "frames": the line's centres in rendered frames, against the time that a frame takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
+from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.studies.chart.rung import Report, Rung, timed
+
+Array = NDArray[np.float64]
+Settings = dict[str, Any]
+
+SCENE = "hot_cylinder"
+FILM_PX, QUICK_FILM_PX = 2048, 512
+DIRECT = "stock direct, cold"
+LAMP = "laser and lamp"
+
+_SPP = (1, 4, 9, 16, 64)
+_PAUSE_S = 4.0  # a rung is measured again for about so long, five times at most
+_END_PX, _INNER_PX = 16, 10  # columns of the reference's windows, at the line's ends and between
+_CUT_PX = 2  # columns beside a window's cut are taken for a line's end
+_LOST = 0.02  # a frame that loses this share of the columns has failed
+_LAMP = (  # so faint that it moves no line, and costs what any lamp does
+    '<emitter type="point"><point name="position" x="0" y="0" z="300"/>'
+    '<spectrum name="intensity" value="0.1"/></emitter>'
+)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The line's centres by the reference, in some columns.
+
+    Attributes
+    ----------
+    scene : Scene
+        That they were rendered from.
+    column : ndarray of shape (N,)
+    row : ndarray of shape (N,)
+        Finite.
+    words : str
+        How they were made.
+    """
+
+    scene: Scene
+    column: NDArray[np.intp]
+    row: Array
+    words: str
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A frame's line beside the reference: rms and largest in px, rms in um, columns lost."""
+
+    rms_px: float
+    largest_px: float
+    rms_um: float
+    lost: int
+
+
+def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any) -> Truth:
+    """Render the line in float64 by exact rays, in windows at its ends and between.
+
+    The whole line would take minutes, and shows no more than these windows do.
+    """
+    best = {"way": "exact", "method": "rk4", "precision": "double", "step": step_mm, "spp": spp}
+    scene = load_scene(SCENE, width=film_px, height=film_px, **(best | settings))
+    half = 0.5 * scene.sensor.laser.length_mm
+    seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
+    first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
+    image = np.zeros((film_px, film_px), np.float32)
+    keep = np.zeros(film_px, bool)
+    sensor = scene.mitsuba.sensors()[0]
+    held = mi.traverse(sensor)
+    for left, right in _windows(first, last, inner=6 if film_px > QUICK_FILM_PX else 1):
+        held["film.crop_offset"] = mi.ScalarPoint2u(left, 0)
+        held["film.crop_size"] = mi.ScalarVector2u(right - left, film_px)
+        held.update()
+        part = scene.integrator.render(scene.mitsuba, sensor)
+        image[:, left:right] = np.array(part, np.float32).reshape(film_px, right - left, -1)[..., 0]
+        sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
+        keep[sound] = True
+    line = line_centres(image)
+    column = np.flatnonzero(keep & (line.status == Status.OK))
+    words = f"exact rays in float64, RK4 of {step_mm:g} mm, {spp} samples a pixel"
+    return Truth(scene, column, line.row[column], words)
+
+
+def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
+    """Columns [left, right) of the windows on a line from column `first` to `last`."""
+    beyond = _END_PX // 3
+    yield first - beyond, first - beyond + _END_PX
+    for middle in np.linspace(first, last, inner + 2)[1:-1].astype(int):
+        yield int(middle) - _INNER_PX // 2, int(middle) + _INNER_PX // 2
+    yield last + beyond - _END_PX, last + beyond
+
+
+def beside(truth: Truth, line: LineCentres) -> Apart:
+    """Compare a frame's line with the reference, in the columns where both have a centre."""
+    found = line.status[truth.column] == Status.OK
+    lost = int(np.sum(~found))
+    if not found.any():
+        return Apart(np.nan, np.nan, np.nan, lost)
+    u = truth.column[found].astype(float)
+    row, true = line.row[truth.column][found], truth.row[found]
+    points, exact = (triangulate(truth.scene.sensor, np.stack([u, v], axis=1)) for v in (row, true))
+    apart_um = UM_PER_MM * np.linalg.norm(points - exact, axis=1)
+    rms = (float(np.sqrt(np.mean(d**2))) for d in (row - true, apart_um))
+    return Apart(next(rms), float(np.abs(row - true).max()), next(rms), lost)
+
+
+def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
+    """The rungs' names and their scene parameters."""
+    each: list[tuple[str, Settings]]
+    if quick:
+        each = [("exact", {"way": "exact", "spp": spp}) for spp in (1, 4)]
+        return [*each, *((way, {"way": way, "spp": 4}) for way in ("straight", "tabulated"))]
+    spps: dict[str, tuple[int, ...]] = dict.fromkeys(("straight", "tabulated"), _SPP)
+    # These two take long: the first of them never gets better by more samples.
+    spps |= {"first_order": (1, 16), "exact": (1, 4, 16, 64)}
+    each = [
+        (way.replace("_", " "), {"way": way, "spp": spp})
+        for way, chosen in spps.items()
+        for spp in chosen
+    ]
+    table: Settings = {"way": "tabulated", "spp": 16}
+    exact: Settings = {"way": "exact", "spp": 4}
+    each += [("tabulated, tolerance", table | {"tolerance": t}) for t in (0.1, 0.01)]
+    varied: list[tuple[str, Settings]] = [
+        ("Euler", {"method": "euler"}),
+        ("leapfrog", {"method": "leapfrog", "step": 8}),
+        ("leapfrog", {"method": "leapfrog", "step": 4}),
+        ("leapfrog", {"method": "leapfrog", "step": 1}),
+        ("Sharma", {"method": "sharma", "step": 4}),
+        ("RK4", {"method": "rk4", "step": 4}),
+        ("Dormand-Prince", {"method": "dopri5"}),
+        ("double", {"precision": "double"}),
+        ("linear", {"interpolation": "linear"}),
+        ("2-D", {"dimensions": 2}),
+    ]
+    for name, choices in varied:
+        each.append((f"tabulated, {name}", table | choices))
+        if name in ("RK4", "double", "linear", "2-D"):
+            each.append((f"exact, {name}", exact | choices))
+    return each
+
+
+def rungs(report: Report, quick: bool = False) -> list[Rung]:
+    """Measure the ladder, the same with a lamp that lights the whole scene, and the baseline."""
+    film_px = QUICK_FILM_PX if quick else FILM_PX
+    report("the frames' reference", 0.0)
+    truth = reference(film_px, *(4, 2.0) if quick else ())
+    chosen = ladder(quick)
+    lit = [{"way": "tabulated", "spp": spp} for spp in ((4,) if quick else (1, 4, 16))]
+    spps = (4,) if quick else (1, 4, 16)
+    total, done, made = len(chosen) + len(lit) + 2 * len(spps), 0, []
+
+    def measured(name: str, scene: Scene, work: Callable[[], Any], settings: Settings) -> None:
+        nonlocal done
+        done += 1
+        report(f"frames: {name}, {settings['spp']} samples", done / total)
+        made.append(measure(truth, name, scene, work, settings, 1 if quick else 5))
+
+    for name, settings in chosen:
+        scene = load_scene(SCENE, width=film_px, height=film_px, **settings)
+        measured(name, scene, partial(frame_anew, scene), settings)
+    for settings in lit:
+        scene = with_lamp(width=film_px, height=film_px, **settings)
+        settings |= {"light": LAMP}
+        measured("tabulated, whole scene lit", scene, partial(frame_anew, scene), settings)
+    for light, load in (("", partial(load_scene, SCENE)), (LAMP, with_lamp)):
+        for spp in spps:
+            scene = load(width=film_px, height=film_px, spp=spp)
+            settings = {"spp": spp} | ({"light": light} if light else {})
+            measured(DIRECT, scene, partial(frame_direct, scene), settings)
+    return made
+
+
+def frame_anew(scene: Scene) -> NDArray[np.float32]:
+    """The whole work of a frame: tables are made and lit pixels looked for as if it were new."""
+    return render_frame(scene.with_field(scene.field)).radiance
+
+
+def frame_direct(scene: Scene) -> NDArray[np.float32]:
+    """A frame by Mitsuba's own `direct` integrator, which knows no hot air."""
+    image = mi.load_dict({"type": "direct"}).render(scene.mitsuba, scene.mitsuba.sensors()[0])
+    width, height = scene.sensor.camera.size
+    return np.array(image, np.float32).reshape(height, width, -1)[:, :, 0]
+
+
+def with_lamp(**settings: Any) -> Scene:
+    """The scene with a lamp, so that all of it is lit, and every pixel is to be rendered."""
+    path = find_scene(SCENE)
+    if "field" not in settings:
+        settings["field"] = load_scene(SCENE).integrator.field_file
+    with TemporaryDirectory() as folder:
+        lit = Path(folder, f"{SCENE}.xml")
+        text = path.read_text(encoding="utf-8").replace("</scene>", f"{_LAMP}</scene>")
+        lit.write_text(text, encoding="utf-8")
+        return load_scene(lit, **settings)
+
+
+def measure(
+    truth: Truth,
+    name: str,
+    scene: Scene,
+    work: Callable[[], NDArray[np.float32]],
+    settings: Settings,
+    runs: int = 5,
+) -> Rung:
+    """Measure one rung: `work` makes its frame's radiance (H, W)."""
+    work()  # else kernels would be compiled within what is measured
+    began = time.perf_counter()
+    image = work()
+    dr.sync_thread()
+    seconds = time.perf_counter() - began
+    again = int(np.clip(_PAUSE_S / seconds, 1, runs)) - 1
+    if again:
+        seconds = timed(work, again + 1, warm_ups=0)
+    apart = beside(truth, line_centres(image))
+    baseline = name == DIRECT
+    march = scene.integrator.march
+    used = {"step": march.step_mm, "method": march.method, "precision": march.precision}
+    given = {"film": f"{image.shape[1]} x {image.shape[0]}"} | ({} if baseline else used) | settings
+    told = ["baseline: straight light, no hot air"] if baseline else []
+    lost = f"{apart.lost} of {truth.column.size} columns lost" if apart.lost else ""
+    return Rung(
+        panel="frames",
+        name=name,
+        settings=given,
+        error_px=apart.rms_px,
+        largest_px=apart.largest_px,
+        error_um=apart.rms_um,
+        seconds=seconds,
+        item="frame",
+        items=1,
+        failed=int(apart.lost > _LOST * truth.column.size),
+        reference=truth.words,
+        note="; ".join([*told, *([lost] if lost else [])]),
+    )

@@ -1,0 +1,136 @@
+"""How time and memory grow: with the samples of a pixel, and with the nodes of the field."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import zoom
+
+from virtual_sensor import engine
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE, frame_anew
+from virtual_sensor.studies.chart.rung import Report, Rung, Scaling, timed
+
+WAYS = ("exact", "tabulated")
+_MEMORY_SPP = 64
+
+_MEMORY = """
+import sys
+from pathlib import Path
+from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.scene import load_scene
+name, film, spp = sys.argv[1:]
+render_frame(load_scene(name, width=film, height=film, spp=spp))
+status = Path("/proc/self/status")
+if status.is_file():
+    print(next(l.split()[1] for l in status.read_text().splitlines() if l.startswith("VmHWM:")))
+else:
+    import resource
+    unit = 1024 if sys.platform == "darwin" else 1
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
+"""
+
+
+def power(name: str, points: Sequence[tuple[float, float]], note: str = "") -> Scaling:
+    """Fit a power law through points (size, seconds); one needs two different sizes."""
+    sizes, seconds = np.array(points, float).reshape(-1, 2).T
+    exponent = np.nan
+    if np.unique(sizes).size > 1:
+        exponent = float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
+    return Scaling(name, exponent, tuple((float(n), float(t)) for n, t in points), note)
+
+
+def by_samples(rungs: Sequence[Rung]) -> list[Scaling]:
+    """Time over samples per pixel, of frames that differ in nothing else.
+
+    A part of it is the same for any number of samples, which a power law does not know: the note
+    tells it, and what each sample costs, by a straight line.
+    """
+    groups: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    for rung in rungs:
+        others = {name: value for name, value in rung.settings.items() if name != "spp"}
+        if rung.panel == "frames":
+            groups[rung.name, repr(others)].append((float(rung.settings["spp"]), rung.seconds))
+    found = []
+    for (name, _), points in groups.items():
+        if len(points) > 2:
+            sizes, seconds = np.array(points).T
+            # Relative errors count alike: else the longest time alone would say it all.
+            each, fixed = np.polyfit(sizes, seconds, 1, w=1.0 / seconds)
+            off = np.abs((fixed + each * sizes) / seconds - 1.0).max()
+            note = (
+                f"{fixed:.3g} s and {1e3 * each:.3g} ms for each sample of a pixel,"
+                f" within {100.0 * off:.0f} %"
+            )
+            found.append(power(f"{name} frame, samples per pixel", points, note))
+    return found
+
+
+def resampled(field: IndexField, factor: int) -> IndexField:
+    """The same air on a grid `factor` times finer, or, of a negative factor, coarser.
+
+    Finer: by the cubic spline through the nodes; coarser: every so many-th node.
+    """
+    if factor < 0:
+        nodes, spacing = field.nodes[(slice(None, None, -factor),) * 3], field.spacing * -factor
+    else:
+        finer = [(n - 1) * factor + 1 for n in field.shape]
+        ratio = [new / old for new, old in zip(finer, field.shape, strict=True)]
+        nodes, spacing = zoom(field.nodes, ratio, order=3, mode="nearest"), field.spacing / factor
+    return IndexField.from_arrays(
+        nodes,
+        field.origin,
+        spacing,
+        ambient=field.ambient,
+        mirror=field.mirror,
+        source=f"{field.source}, resampled by {factor}",
+    )
+
+
+def by_field(report: Report, quick: bool = False) -> list[Scaling]:
+    """Time of a frame over the nodes of the field: every 2nd node, all, and 8 times as many."""
+    film = QUICK_FILM_PX if quick else FILM_PX
+    factors = (-2, 1) if quick else (-2, 1, 2)
+    found = []
+    for number, way in enumerate(WAYS):
+        scene = load_scene(SCENE, width=film, height=film, way=way, spp=4)
+        field = scene.field
+        assert field is not None
+        points = []
+        for i, factor in enumerate(factors):
+            done = (number + i / len(factors)) / len(WAYS)
+            report(f"{way} frames in finer and coarser fields", done)
+            air = resampled(field, factor)
+            other = scene.with_field(air)
+            seconds = timed(partial(frame_anew, other), runs=1 if quick else 3)
+            points.append((float(np.prod(air.shape)), seconds))
+        found.append(power(f"{way} frame, nodes of the field", points, "4 samples a pixel"))
+    return found
+
+
+def memory_task(quick: bool = False) -> tuple[int, int]:
+    """Film in px and samples per pixel of the frame whose memory is told."""
+    return (QUICK_FILM_PX, 4) if quick else (FILM_PX, _MEMORY_SPP)
+
+
+def peak_memory_mb(film_px: int, spp: int) -> float:
+    """Most memory, MB, that a process of its own ever holds to render one frame; NaN if unknown.
+
+    Linux's own record of the process is asked: `getrusage` tells the parent's, too.
+    """
+    ended = subprocess.run(
+        [sys.executable, "-c", _MEMORY, SCENE, str(film_px), str(spp)],
+        env=os.environ | {"VIRTUAL_SENSOR_VARIANT": engine.activate().variant},
+        cwd=Path.cwd(),
+        capture_output=True,
+        text=True,
+    )
+    return float(ended.stdout) * 1024e-6 if ended.returncode == 0 else np.nan

@@ -1,0 +1,323 @@
+"""Modelling no more than a scene needs: the cheapest rung that keeps an error asked for.
+
+The error is that of the line centres, in px, the largest of all columns.  It is estimated in parts,
+each by a few rays or a few columns of the very scene:
+
+* refraction left out: how far the searched line moves from cold to hot;
+* the march's step: bent rays by this step beside those by a quarter of the finest;
+* the tables: their own estimate;
+* samples: line centres of some columns by so many samples, beside those by many.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from virtual_sensor_plugins.lit_pixels import LitPixels, rows
+from virtual_sensor_plugins.refractive import Refractive
+
+from virtual_sensor.engine import mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.optics.ray_search import FoundPixels, ray_search
+from virtual_sensor.optics.rays import Field, March
+from virtual_sensor.optics.tabulate import NoMapError, displaced, laser_moved
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+STEPS_MM = (8.0, 4.0, 2.0, 1.0, 0.5)
+"""Steps of the march that are tried, coarsest first."""
+SAMPLES = (1, 4, 9, 16, 36)
+"""Samples per pixel that are tried, fewest first."""
+
+_MANY_SAMPLES = 100
+_RAYS = 33  # along the line
+_GROUPS = 16  # of columns, the line's ends among them
+_BESIDE = 2  # columns each side: one with none beside it is taken for the line's end
+_SHARE = {"refraction left out": 0.98, "march": 0.2, "tables": 0.3}  # of the tolerance, at most
+_LOST = 0.1  # of the columns: a rung that finds fewer centres does not do
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What to make frames with, and why.
+
+    Attributes
+    ----------
+    way : str
+    step_mm : float
+    spp : int
+    table_px : float
+        Tolerance of the tables.
+    estimate_px : dict
+        The parts of its estimated error.
+    why : list of str
+        In words, what was weighed.
+    """
+
+    way: str
+    step_mm: float
+    spp: int
+    table_px: float
+    estimate_px: dict[str, float]
+    why: list[str]
+
+    @property
+    def error_px(self) -> float:
+        """The sum of the parts."""
+        return float(sum(self.estimate_px.values()))
+
+    @property
+    def parameters(self) -> dict[str, str]:
+        """The scene's parameters that choose it."""
+        return {
+            "way": self.way,
+            "step": f"{self.step_mm:g}",
+            "spp": str(self.spp),
+            "tolerance": f"{self.table_px:g}",
+        }
+
+    def __str__(self) -> str:
+        parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
+        step = f", steps of {self.step_mm:g} mm" if self.way != "straight" else ""
+        return (
+            f"{self.way}{step}, {self.spp} samples a pixel: about {self.error_px:.2g} px ({parts})"
+        )
+
+
+def choose(scene: Scene, tolerance_px: float) -> Rung:
+    """The cheapest rung whose estimated error keeps a tolerance.
+
+    Straight light is cheapest, then tables, then marching; fewer samples before more.
+
+    Parameters
+    ----------
+    scene : Scene
+    tolerance_px : float
+        Of the line centres.
+
+    Raises
+    ------
+    InputError
+        If the tolerance is no positive number, the scene has no line whose centres could be judged,
+        or no rung keeps it.
+    """
+    if not (np.isfinite(tolerance_px) and tolerance_px > 0.0):
+        raise InputError(f"tolerance {tolerance_px}: give a positive number of px")
+    if scene.sensor.laser.dots_mm.size:
+        raise InputError(f"{scene.path}: a tolerance is of a line's centres; the laser makes dots")
+    why: list[str] = []
+    hot, cold = (search_line(s) for s in (scene, scene.cold()))
+    whole = whole_columns(hot)
+    if not whole.size:
+        check_scene(scene)  # may know why
+        raise InputError(f"{scene.path}: the laser's line fills no column of the image")
+    column = groups(whole, np.linspace(0.0, 1.0, _GROUPS))
+    if scene.field is None:
+        why = ["no field: light runs straight"]
+        rung = _straight(scene, tolerance_px, column, {}, why)
+    else:
+        moved = _apart(hot, cold)
+        why.append(f"refraction moves the line by up to {moved:.2g} px")
+        if moved <= _SHARE["refraction left out"] * tolerance_px:
+            left_out = {"refraction left out": moved}
+            rung = _straight(scene, tolerance_px, column, left_out, why)
+            if rung.error_px <= tolerance_px:
+                return rung
+        rung = _bent(scene, scene.field, hot, tolerance_px, column, why)
+    if rung.error_px > tolerance_px:
+        raise InputError(
+            f"tolerance {tolerance_px:g} px: the best that was found is {rung}; ask for more, or"
+            " set method, step and spp (-D) yourself"
+        )
+    return rung
+
+
+def _straight(
+    scene: Scene,
+    tolerance_px: float,
+    column: Index,
+    left_out: dict[str, float],
+    why: list[str],
+) -> Rung:
+    """Straight light, with the fewest samples that do."""
+    step_mm = scene.integrator.march.step_mm
+    tried = scene_on(scene, "straight", step_mm, tolerance_px)
+    left_px = tolerance_px - sum(left_out.values())
+    spp, error, words = _samples(tried, lit_pixels(tried), column, left_px)
+    estimate = left_out | {"samples": error}
+    return Rung("straight", step_mm, spp, tolerance_px, estimate, [*why, words])
+
+
+def _bent(
+    scene: Scene,
+    field: Field,
+    hot: FoundPixels,
+    tolerance_px: float,
+    column: Index,
+    why: list[str],
+) -> Rung:
+    """Bent light by tables, marched where there are none, with the fewest samples that do."""
+    estimate: dict[str, float] = {}
+    try:
+        step, estimate["march"] = _step(scene, field, hot, _SHARE["march"] * tolerance_px)
+        why.append(f"a step of {step:g} mm errs by {estimate['march']:.2g} px")
+    except NoMapError as no_rays:  # the march by samples has a status for each
+        step = min(STEPS_MM)
+        why.append(f"the march's error is not known, so its step is the shortest: {no_rays}")
+    table_px = _SHARE["tables"] * tolerance_px
+    if estimate.get("march", 0.0) > tolerance_px:
+        return Rung("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
+    tried = scene_on(scene, "tabulated", step, table_px)
+    lit = lit_pixels(tried)
+    if lit.account.way == "tabulated":
+        estimate["tables"] = lit.account.error_px
+    else:
+        why.append(f"no tables: {lit.account.reason}")
+    left_px = tolerance_px - sum(estimate.values())
+    spp, estimate["samples"], words = _samples(tried, lit, column, left_px)
+    return Rung(lit.account.way, step, spp, table_px, estimate, [*why, words])
+
+
+def with_rung(scene: Scene, rung: Rung) -> Scene:
+    """The scene loaded anew with a rung's parameters.
+
+    Raises
+    ------
+    InputError
+        If the scene has no such parameters.
+    """
+    return load_scene(scene.path, **(scene.parameters | rung.parameters))
+
+
+def search_line(scene: Scene) -> FoundPixels:
+    """Search some rays all along the line."""
+    line_y = np.linspace(-0.5, 0.5, _RAYS) * scene.sensor.laser.length_mm
+    return ray_search(scene, line_y, "newton")
+
+
+def scene_on(scene: Scene, way: str, step_mm: float, table_px: float) -> Scene:
+    """The scene with the same air and another way through it."""
+    integrator: Refractive = scene.integrator
+    march = replace(integrator.march, step_mm=step_mm, first_order=False)
+    return replace(scene, integrator=integrator.with_way(way, march, table_px))
+
+
+def lit_pixels(scene: Scene) -> LitPixels:
+    """The pixels that the laser lights."""
+    found: LitPixels = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba.sensors()[0])
+    return found
+
+
+def whole_columns(found: FoundPixels) -> Index:
+    """Columns that lie wholly on a searched line: only these can have its centre.
+
+    The line's middle ends where the search does; its flanks as much as half a pixel sooner.
+    """
+    u = found.pixel[np.isfinite(found.pixel[:, 0]), 0]
+    if not u.size:
+        return np.zeros(0, np.intp)
+    return np.arange(np.ceil(u.min() + 1.0), np.floor(u.max() - 1.0) + 1.0).astype(np.intp)
+
+
+def groups(column: Index, middle: Array) -> Index:
+    """Some of the columns, five side by side: a centre with none beside it is held for an end's.
+
+    `middle` are the groups' places among the columns, from 0 to 1: from end to end.
+    """
+    at = np.rint(_BESIDE + middle * (column.size - 1 - 2 * _BESIDE)).astype(int)
+    beside = at[:, None] + np.arange(-_BESIDE, _BESIDE + 1)
+    return np.unique(column.take(beside, mode="clip"))
+
+
+def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
+    """Lit pixels of some columns only."""
+    keep = np.flatnonzero(np.isin(lit.index % width, column)).astype(np.uint32)
+    if not keep.size:
+        keep = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
+    return replace(lit, index=lit.index[keep], sight=rows(lit.sight, mi.UInt32(keep)))
+
+
+def line_rows(scene: Scene, lit: LitPixels, spp: int) -> Array:
+    """Row of the line's centre in each column of a frame of lit pixels; NaN where there is none."""
+    sensor = scene.mitsuba.sensors()[0]
+    own = sensor.sampler().sample_count()
+    image = np.array(scene.integrator.render(scene.mitsuba, sensor, spp=spp, lit=lit))
+    sensor.sampler().set_sample_count(own)
+    return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0]).row
+
+
+def largest_apart(rows_px: Array, true_px: Array) -> float:
+    """Largest difference of two lines of centres, px; infinite if too many columns are lost."""
+    known = np.isfinite(true_px)
+    both = known & np.isfinite(rows_px)
+    if both.sum() < (1.0 - _LOST) * known.sum():
+        return float("inf")
+    return float(np.abs(rows_px - true_px)[both].max(initial=0.0))
+
+
+def _apart(one: FoundPixels, other: FoundPixels) -> float:
+    """Largest distance in v of two searched lines, at the same u; too large where they break."""
+    lines = []
+    for found in (one, other):
+        u, v = found.pixel[np.isfinite(found.pixel[:, 0])].T
+        if u.size < 4 or np.unique(u).size < u.size:
+            return float("inf")
+        order = np.argsort(u)
+        lines.append(CubicSpline(u[order], v[order]))
+    u = np.intersect1d(whole_columns(one), whole_columns(other))
+    return float(np.abs(lines[0](u) - lines[1](u)).max()) if u.size else float("inf")
+
+
+def _step(
+    scene: Scene, field: Field, found: FoundPixels, tolerance_px: float
+) -> tuple[float, float]:
+    """The longest step whose bent rays err by less than a tolerance, and that error in px.
+
+    Raises
+    ------
+    NoMapError
+        If a ray does not get to the line.
+    """
+    point = found.laser_point_mm[np.isfinite(found.pixel[:, 0])]
+    camera, laser, march = scene.sensor.camera, scene.sensor.laser, scene.integrator.march
+    seen, lit = camera.pose.to_local(point), laser.pose.to_local(point)
+    depth = lit[:, 2] - laser.distance_mm
+    b = lit[:, 1] / (1.0 + laser.fan_per_mm * depth)
+    origins = np.broadcast_to(camera.pose.origin_mm, seen.shape)
+    pixel_mm = seen[:, 2] / camera.matrix[0, 0]
+
+    def moved_px(march: March) -> Array:
+        camera_mm = displaced(field, march, camera.pose, origins, seen, seen[:, 2])
+        laser_mm = laser_moved(field, march, laser, lit[:, 0], b, depth)
+        return np.hstack([camera_mm[:, :2], laser_mm[:, :2]]) / pixel_mm[:, None]
+
+    best = moved_px(March(STEPS_MM[-1] / 4.0, "leapfrog", "double"))
+    for step in STEPS_MM:
+        wrong = np.abs(moved_px(replace(march, step_mm=step)) - best)
+        error = float(wrong[:, :2].max() + wrong[:, 2:].max())
+        if error <= tolerance_px:
+            break
+    return step, error
+
+
+def _samples(
+    scene: Scene, lit: LitPixels, column: Index, tolerance_px: float
+) -> tuple[int, float, str]:
+    """The fewest samples a pixel whose centres keep a tolerance, their error in px, and words."""
+    some = in_columns(lit, scene.sensor.camera.size[0], column)
+    best = line_rows(scene, some, _MANY_SAMPLES)
+    if not np.isfinite(best).any():
+        raise InputError(
+            "no column has a line centre with which a tolerance could be judged; give a wider line"
+            " (line_radius) or a finer film (width, height)"
+        )
+    for spp in SAMPLES:
+        error = largest_apart(line_rows(scene, some, spp), best)
+        if error <= tolerance_px:
+            break
+    return spp, error, f"{spp} samples a pixel err by {error:.2g} px"
