@@ -31,7 +31,7 @@ DIRECT = "stock direct, cold"
 LAMP = "laser and lamp"
 
 _SPP = (1, 4, 9, 16, 64)
-_PAUSE_S = 4.0  # a rung is measured again for about so long, five times at most
+_PAUSE_S = 2.0  # a rung is measured again for about so long, five times at most
 _END_PX, _INNER_PX = 16, 10  # columns of the reference's windows, at the line's ends and between
 _CUT_PX = 2  # columns beside a window's cut are taken for a line's end
 _LOST = 0.02  # a frame that loses this share of the columns has failed
@@ -131,14 +131,14 @@ def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
         return [*each, *((way, {"way": way, "spp": 4}) for way in ("straight", "tabulated"))]
     spps: dict[str, tuple[int, ...]] = dict.fromkeys(("straight", "tabulated"), _SPP)
     # These two take long: the first of them never gets better by more samples.
-    spps |= {"first_order": (1, 16), "exact": (1, 4, 16, 64)}
+    spps |= {"first_order": (1,), "exact": (1, 4, 16)}
     each = [
         (way.replace("_", " "), {"way": way, "spp": spp})
         for way, chosen in spps.items()
         for spp in chosen
     ]
     table: Settings = {"way": "tabulated", "spp": 16}
-    exact: Settings = {"way": "exact", "spp": 4}
+    exact: Settings = {"way": "exact", "spp": 1}
     each += [("tabulated, tolerance", table | {"tolerance": t}) for t in (0.1, 0.01)]
     varied: list[tuple[str, Settings]] = [
         ("Euler", {"method": "euler"}),
@@ -153,7 +153,8 @@ def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
         ("2-D", {"dimensions": 2}),
     ]
     for name, choices in varied:
-        each.append((f"tabulated, {name}", table | choices))
+        if name != "linear":  # its kinks let no table keep the tolerance
+            each.append((f"tabulated, {name}", table | choices))
         if name in ("RK4", "double", "linear", "2-D"):
             each.append((f"exact, {name}", exact | choices))
     return each
