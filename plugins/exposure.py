@@ -36,6 +36,8 @@ class Exposure:
 
     def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
         """Expose pixels, with so many samples in flight at once."""
+        if not pixels.size:  # Dr.Jit knows no empty array
+            return
         spp = self.sampler.sample_count()
         # Each pixel's samples are summed in their order: added to the film one by one, as other
         # filters and spectra need it, the last bits would depend on which thread comes first.

@@ -262,14 +262,28 @@ class Refractive(mi.SamplingIntegrator):
         else:
             exposure.add(lit.index, by_tables, _LANES["tabulated"])
             if not laser_alone:
-                bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
-
-                def without_laser(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
-                    return self._shaded(scene, sampler, bent(ray, pixel), True, None)
-
-                exposure.add(np.delete(every, lit.index), without_laser, _LANES["elsewhere"])
+                exposure.add(np.delete(every, lit.index), *self._elsewhere(scene, sensor, lit))
         film.put_block(exposure.block)
         return film.develop() if develop else None
+
+    def _elsewhere(
+        self, scene: mi.Scene, sensor: mi.Sensor, lit: LitPixels
+    ) -> tuple[Callable[[Any, Any, Any], tuple[Any, Any]], int]:
+        """How pixels without the laser's light are shaded, and so many samples at once."""
+        try:
+            bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
+        except NoMapError as why:
+            lit.account.reason = f"pixels without laser light were marched: {why}"
+            bent = None
+
+        def shade(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            if bent:
+                sampler = sensor.sampler()
+                return self._shaded(scene, sampler, bent(ray, pixel), True, None)
+            sight = self.look(scene, ray)
+            return self.radiance(scene, sensor.sampler(), sight), sight.hit
+
+        return shade, _LANES["elsewhere" if bent else "marched"]
 
     def _tabulated(self, scene: mi.Scene, ray: Any, lit: LitPixels) -> Sight:
         """What rays see by the tables; those of which these can't tell are marched, and counted."""

@@ -32,6 +32,7 @@ _MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the p
 _EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels at an edge
 _PROBES = 64  # rays that tell about how far light is moved
 _FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes tell
+_MOST_TRIALS = 6
 _PAD_PX = 2.0  # what the maps hold round the lit pixels
 _PAD_MM = 0.2
 _ELSEWHERE_PX = 0.1  # tolerance of the map for light that is not the laser's
@@ -98,7 +99,7 @@ def lit_pixels_and_tables(
         raise NoMapError("the camera is no pinhole")
     width, height = (int(n) for n in sensor.film().crop_size())
     margin = np.full(2, _FIRST_MARGIN_MM)
-    while True:
+    for _ in range(_MOST_TRIALS):
         index, distance = _straight_candidates(scene, sensor, emitter, margin)
         if not index.size:
             return None
@@ -107,6 +108,8 @@ def lit_pixels_and_tables(
         if np.all(moves.light_mm <= margin):
             break
         margin = 2.0 * moves.light_mm
+    else:
+        raise NoMapError("refraction moves light too far for what is lit to be found beforehand")
     near = _near(emitter, places, moves.light_mm)
     size = 2 * int(np.ceil(moves.sight_px)) + 1
     candidates = _candidates(index[near], distance.reshape(height, width), size, places.pixel_mm)

@@ -8,6 +8,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.medium.broadening import blurred, widened
+from virtual_sensor.optics.tabulate import NoMapError
 
 COARSE = {"width": 512, "height": 512, "spp": 4}
 
@@ -159,6 +160,22 @@ def test_nothing_is_lit_behind_a_screen(screened_frame):
     pixel_mm = 0.16
     assert np.diff(np.sort(on_plane)).max() == pytest.approx(3.0, abs=2.0 * pixel_mm)
     assert np.abs(on_plane).max() == pytest.approx(10.0, abs=pixel_mm)
+
+
+def test_where_no_map_holds_the_whole_film_its_pixels_are_marched(tmp_path, monkeypatch):
+    """Rationale: light that is not the laser's must not be lost with the map, and why is told."""
+    scene = screened(tmp_path, POINT, size=64)
+    expected = render_frame(scene)
+    assert not expected.account.reason
+
+    def refuse(*given):
+        raise NoMapError("too rough")
+
+    monkeypatch.setattr("virtual_sensor_plugins.refractive.Elsewhere", refuse)
+    frame = render_frame(scene)
+    assert "too rough" in frame.account.reason
+    apart = np.abs(frame.radiance - expected.radiance)
+    assert np.mean(apart > 1e-3 * expected.radiance.max()) < 0.005
 
 
 def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):

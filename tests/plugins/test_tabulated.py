@@ -319,6 +319,7 @@ def test_another_choice_runs_the_same_kernels(other):
     assert frame.account.way == "tabulated"
     assert large
     anew = [k["operation_count"] for k in large if not k["cache_hit"]]
-    # Mitsuba's samplers have their number of samples compiled in: that kernel makes the rays only.
-    assert len(anew) <= ("spp" in other)
+    # Mitsuba's samplers have their number of samples compiled in: in kernels that make rays, and
+    # that add samples up, but not in those that follow light.
+    assert len(anew) <= 3 * ("spp" in other)
     assert max(anew, default=0) < 400
