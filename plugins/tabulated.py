@@ -247,9 +247,9 @@ def _probe(
 
 
 def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
-    a, b = (mi.Float(np.ascontiguousarray(c, np.float32)) for c in places.laser[:, :2].T)
+    held = [np.ascontiguousarray(c, np.float32) for c in places.laser[:, :2].T]
     margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
-    near = np.array(emitter.reaches(a, b, margin))
+    near = np.array(emitter.reaches(mi.Float(held[0]), mi.Float(held[1]), margin))
     return near if near.any() else ~near
 
 

@@ -142,7 +142,7 @@ def test_the_panel_ranks_what_is_known():
     assert errors["exact", 4, None] < 1e-3
     assert errors["tabulated", 4, None] < 3e-3
     assert errors["straight", 4, None] > 1.0
-    assert errors[frames.DIRECT, 4, None] == pytest.approx(errors["straight", 4, None], rel=1e-2)
+    assert errors[frames.DIRECT, 4, None] == pytest.approx(errors["straight", 4, None], rel=0.1)
     assert errors["tabulated, whole scene lit", 4, frames.LAMP] < 3e-3
     assert all(r.seconds > 0.0 and r.item == "frame" for r in made)
     assert not any(r.failed for r in made if r.name != frames.DIRECT)

@@ -84,8 +84,10 @@ class GridLookup(ABC):
 
         The product copies: an aliased NumPy array may be aligned too poorly for packet gathers.
         """
-        values = self._scalar(array.astype(self._dtype).ravel()) * dr.opaque(self._scalar, 1)
+        held = np.array(array, self._dtype, order="C").ravel()
+        values = self._scalar(held) * dr.opaque(self._scalar, 1)
         dr.eval(values)
+        dr.sync_thread()  # NumPy's memory must outlive the copying
         return values
 
     def _on_grid(self, p: Any, scale: Any, first: Any) -> tuple[Any, Any]:

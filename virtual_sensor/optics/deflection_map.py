@@ -123,9 +123,10 @@ class LinearTable:
 
     def __init__(self, grid: Grid, values: NDArray[np.floating]) -> None:
         self.grid = grid
-        flat = mi.Float(np.ascontiguousarray(values, np.float32).ravel())
-        flat = flat * dr.opaque(mi.Float, 1)  # NumPy's memory may be aligned too poorly
+        held = np.array(values, np.float32, order="C").ravel()
+        flat = mi.Float(held) * dr.opaque(mi.Float, 1)  # NumPy's memory may be aligned too poorly
         dr.eval(flat)
+        dr.sync_thread()  # and must outlive the copying
         tensor = mi.TensorXf(flat, values.shape)
         self._texture = mi.Texture3f(tensor, use_accel=False, wrap_mode=dr.WrapMode.Clamp)
         # Texel centres are at (i + 1/2) / N.  Opaque: one kernel for any grid.

@@ -102,15 +102,19 @@ def trace(
 
 def to_scalars(values: NDArray[np.float64]) -> mi.Float64:
     """Numbers (N,) in Dr.Jit's own memory: how NumPy's is aligned would be compiled in."""
-    scalars = mi.Float64(np.ascontiguousarray(values)) + dr.opaque(mi.Float64, 0.0)
+    held = np.array(values, float)
+    scalars = mi.Float64(held) + dr.opaque(mi.Float64, 0.0)
     dr.eval(scalars)
+    dr.sync_thread()  # NumPy's memory must outlive the copying
     return scalars
 
 
 def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     """Points (N, 3) as Dr.Jit vectors."""
-    vectors = mi.Array3f64(np.ascontiguousarray(points.T))
+    held = np.array(points.T, float, order="C")
+    vectors = mi.Array3f64(held)
     dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
+    dr.sync_thread()  # NumPy's memory must outlive the copying
     return vectors
 
 
