@@ -84,7 +84,7 @@ class GridLookup(ABC):
 
         The product copies: an aliased NumPy array may be aligned too poorly for packet gathers.
         """
-        held = np.array(array, self._dtype, order="C").ravel()
+        held: np.ndarray = np.array(array, self._dtype, order="C").ravel()
         values = self._scalar(held) * dr.opaque(self._scalar, 1)
         dr.eval(values)
         dr.sync_thread()  # NumPy's memory must outlive the copying
