@@ -240,9 +240,10 @@ class Refractive(mi.SamplingIntegrator):
         every = np.arange(width * height, dtype=np.uint32)
 
         def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
-            if not laser_alone:
-                sight = self.look(scene, ray)
-                return self.radiance(scene, sampler, sight), sight.hit
+            sight = self.look(scene, ray)
+            return self.radiance(scene, sampler, sight), sight.hit
+
+        def by_guess(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             centre = rows(lit.sight.light, row)
             sight = self.look(scene, ray, _guess(centre))
             # A guess from a dark centre beside a step leads astray; a folded one stays dark.
@@ -257,33 +258,27 @@ class Refractive(mi.SamplingIntegrator):
             sight = self._tabulated(scene, ray, lit)
             return self.radiance(scene, sampler, sight), sight.hit
 
-        if lit.tables is None:
-            exposure.add(lit.index if laser_alone else every, by_marching, _LANES["marched"])
-        else:
+        if lit.tables is not None:
             exposure.add(lit.index, by_tables, _LANES["tabulated"])
-            if not laser_alone:
-                exposure.add(np.delete(every, lit.index), *self._elsewhere(scene, sensor, lit))
+        elif laser_alone:
+            exposure.add(lit.index, by_guess, _LANES["marched"])
+        else:
+            exposure.add(every, by_marching, _LANES["marched"])
+        if lit.tables is not None and not laser_alone:
+            rest = np.delete(every, lit.index)
+            try:
+                bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
+            except NoMapError as why:
+                lit.account.reason = f"pixels without laser light were marched: {why}"
+                exposure.add(rest, by_marching, _LANES["marched"])
+            else:
+
+                def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+                    return self._shaded(scene, sampler, bent(ray, pixel), True, None)
+
+                exposure.add(rest, by_tangents, _LANES["elsewhere"])
         film.put_block(exposure.block)
         return film.develop() if develop else None
-
-    def _elsewhere(
-        self, scene: mi.Scene, sensor: mi.Sensor, lit: LitPixels
-    ) -> tuple[Callable[[Any, Any, Any], tuple[Any, Any]], int]:
-        """How pixels without the laser's light are shaded, and so many samples at once."""
-        try:
-            bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
-        except NoMapError as why:
-            lit.account.reason = f"pixels without laser light were marched: {why}"
-            bent = None
-
-        def shade(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
-            if bent:
-                sampler = sensor.sampler()
-                return self._shaded(scene, sampler, bent(ray, pixel), True, None)
-            sight = self.look(scene, ray)
-            return self.radiance(scene, sensor.sampler(), sight), sight.hit
-
-        return shade, _LANES["elsewhere" if bent else "marched"]
 
     def _tabulated(self, scene: mi.Scene, ray: Any, lit: LitPixels) -> Sight:
         """What rays see by the tables; those of which these can't tell are marched, and counted."""

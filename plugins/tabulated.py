@@ -23,7 +23,13 @@ from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.illumination import LaserFrame
 from virtual_sensor.optics.sensor_model import Pose
 from virtual_sensor.optics.surfaces import SceneSurface
-from virtual_sensor.optics.tabulate import NoMapError, camera_map, displaced, laser_map, laser_moved
+from virtual_sensor.optics.tabulate import (
+    NoMapError,
+    camera_map,
+    laser_map,
+    laser_moved,
+    sight_moved,
+)
 
 Array = NDArray[np.float64]
 
@@ -227,10 +233,7 @@ def _probe(
     if field is None:
         return _Moves(np.zeros(2), np.full(2, spare_mm), 0.0)
     some = np.linspace(0, len(places.camera) - 1, _PROBES).astype(int)
-    p, q, depth = places.camera[some].T
-    local = np.stack([p, q, np.ones_like(p)], axis=1)
-    origins = np.broadcast_to(pose.origin_mm, local.shape)
-    sideways = displaced(field, march, pose, origins, local, depth)[:, :2]
+    sideways = sight_moved(field, march, pose, *places.camera[some].T)[:, :2]
     seen = sideways @ pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
     ray = rows(places.ray, mi.UInt32(some))
@@ -331,9 +334,7 @@ class Elsewhere:
         corners = [np.array([float(c[0]) for c in corner]) for corner in (low, high)]
         corners[1][2] += 1.0
         pixel_mm = float(dr.max(dr.norm(ray.d_x - ray.d))[0]) * corners[0][2]
-        camera, self.fineness = camera_map(
-            field, pose, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm
-        )
+        camera, _ = camera_map(field, pose, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm)
         depth = dr.select(valid, depth, float(corners[1][2]))
         across, along, by_x, by_y = camera.table.at(mi.Array3f(p, q, depth))
         self._distance = (depth - dr.dot(ahead, axes[2])) / z

@@ -136,13 +136,18 @@ def test_the_lamp_lights_all_and_moves_no_line():
 
 @pytest.mark.slow
 def test_the_panel_ranks_what_is_known():
-    """Rationale: straight light misses by pixels, exact rays by next to nothing."""
+    """Rationale: straight light misses by pixels, exact rays by next to nothing.
+
+    Mitsuba's `direct` shades itself in the middle of the cylinder and loses columns there, so that
+    an rms is of others; the largest error is on the flanks, which both have.
+    """
     made = frames.rungs(lambda stage, fraction: None, quick=True)
     errors = {(r.name, r.settings["spp"], r.settings.get("light")): r.error_px for r in made}
     assert errors["exact", 4, None] < 1e-3
     assert errors["tabulated", 4, None] < 3e-3
     assert errors["straight", 4, None] > 1.0
-    assert errors[frames.DIRECT, 4, None] == pytest.approx(errors["straight", 4, None], rel=0.1)
+    largest = {r.name: r.largest_px for r in made if not r.settings.get("light")}
+    assert largest[frames.DIRECT] == pytest.approx(largest["straight"], rel=1e-2)
     assert errors["tabulated, whole scene lit", 4, frames.LAMP] < 3e-3
     assert all(r.seconds > 0.0 and r.item == "frame" for r in made)
     assert not any(r.failed for r in made if r.name != frames.DIRECT)

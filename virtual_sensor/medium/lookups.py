@@ -19,6 +19,21 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.medium.spline import bspline_coefficients
 
 
+def in_own_memory(array: np.ndarray, scalar: Any) -> Any:
+    """Numbers in C order, flat, as Dr.Jit's own of type `scalar`: mi.Float or mi.Float64.
+
+    The product copies: an aliased NumPy array may be aligned too poorly for packet gathers, and how
+    it is aligned would be compiled in.  The copying is waited for with the array held: without it,
+    workers that give memory back at once (Dask's) died here by signal 11; why is not known.
+    """
+    kind = np.float64 if dr.type_v(scalar) == dr.VarType.Float64 else np.float32
+    held: np.ndarray = np.array(array, kind, order="C").ravel()
+    own = scalar(held) * dr.opaque(scalar, 1)
+    dr.eval(own)
+    dr.sync_thread()
+    return own
+
+
 class GridLookup(ABC):
     """What the lookups have in common.
 
@@ -48,7 +63,6 @@ class GridLookup(ABC):
         if precision not in ("single", "double"):
             raise InputError(f"precision '{precision}': give 'single' or 'double'")
         double = precision == "double"
-        self._dtype: type = np.float64 if double else np.float32
         self._scalar = mi.Float64 if double else mi.Float
         self._vector = mi.Array3f64 if double else mi.Array3f
         self._matrix = mi.Matrix3f64 if double else mi.Matrix3f
@@ -78,17 +92,6 @@ class GridLookup(ABC):
     def _opaque(self, numbers: np.ndarray) -> Any:
         """Numbers for the axes, which compile no kernel of their own."""
         return dr.opaque(self._grid_vector(*np.asarray(numbers, dtype=np.float64).tolist()))
-
-    def _values(self, array: np.ndarray) -> Any:
-        """An array in C order in Dr.Jit's own memory.
-
-        The product copies: an aliased NumPy array may be aligned too poorly for packet gathers.
-        """
-        held: np.ndarray = np.array(array, self._dtype, order="C").ravel()
-        values = self._scalar(held) * dr.opaque(self._scalar, 1)
-        dr.eval(values)
-        dr.sync_thread()  # NumPy's memory must outlive the copying
-        return values
 
     def _on_grid(self, p: Any, scale: Any, first: Any) -> tuple[Any, Any]:
         """Coordinates on the grid, and their derivative by the world coordinates."""
@@ -120,7 +123,7 @@ class CubicLookup(GridLookup):
     def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
         # Texels are one coefficient wider than the nodes at either end; the last index is x.
         coefficients = bspline_coefficients(difference, self._mirror).T
-        double = self._dtype is np.float64
+        double = self._scalar is mi.Float64
         tensor = mi.TensorXf64 if double else mi.TensorXf
         texture = {
             (3, True): mi.Texture3d,
@@ -128,7 +131,7 @@ class CubicLookup(GridLookup):
             (2, True): mi.Texture2d,
             (2, False): mi.Texture2f,
         }[difference.ndim, double]
-        values = tensor(self._values(coefficients), (*coefficients.shape, 1))
+        values = tensor(in_own_memory(coefficients, self._scalar), (*coefficients.shape, 1))
         self._texture = texture(values, use_accel=False)
 
         # Texel centres are at (i + 1/2) / N and node 0 is texel 1. Opaque: one kernel for any grid.
@@ -158,7 +161,7 @@ class LinearLookup(GridLookup):
     """Linear interpolation along each axis: continuous, with a gradient that jumps."""
 
     def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
-        self._nodes = self._values(difference)
+        self._nodes = in_own_memory(difference, self._scalar)
         self._scale = self._opaque(1.0 / spacing)
         self._last = dr.opaque(
             dr.int32_array_t(self._grid_vector)(*(n - 2 for n in difference.shape))

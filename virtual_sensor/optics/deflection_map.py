@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, NdBSpline
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.medium.spline import bspline_coefficients
 from virtual_sensor.optics.eikonal import March, Straight
 from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
@@ -123,10 +124,7 @@ class LinearTable:
 
     def __init__(self, grid: Grid, values: NDArray[np.floating]) -> None:
         self.grid = grid
-        held = np.array(values, np.float32, order="C").ravel()
-        flat = mi.Float(held) * dr.opaque(mi.Float, 1)  # NumPy's memory may be aligned too poorly
-        dr.eval(flat)
-        dr.sync_thread()  # and must outlive the copying
+        flat = in_own_memory(values, mi.Float)
         tensor = mi.TensorXf(flat, values.shape)
         self._texture = mi.Texture3f(tensor, use_accel=False, wrap_mode=dr.WrapMode.Clamp)
         # Texel centres are at (i + 1/2) / N.  Opaque: one kernel for any grid.

@@ -81,10 +81,7 @@ def camera_map(
         return CameraMap(pose, nought), Fineness(_STRAIGHT)
 
     def marched(place: Array) -> Array:
-        p, q, depth = place.T
-        local = np.stack([p, q, np.ones_like(p)], axis=1)
-        origins = np.broadcast_to(pose.origin_mm, local.shape)
-        return displaced(field, march, pose, origins, local, depth)
+        return sight_moved(field, march, pose, *place.T)
 
     linear_mm, spline_mm = _LINEAR * tolerance_mm, (1.0 - _LINEAR) * tolerance_mm
     table, fineness = _refined(marched, Grid(low, high, _FIRST_CAMERA), spline_mm)
@@ -164,6 +161,19 @@ def _inverted(ahead: Table, grid: Grid, laser: LaserLine, settled_mm: float) -> 
     # The ray itself is another than the straight one through the place: its slope is, too.
     slope[:, 1] += laser.fan_per_mm * shift[:, 1]
     return np.column_stack([shift, slope, 1.0 / determinant - 1.0])
+
+
+def sight_moved(field: Field, march: March, pose: Pose, p: Array, q: Array, depth: Array) -> Array:
+    """How bent lines of sight (p, q) differ from straight ones at depths; see `displaced`.
+
+    Parameters
+    ----------
+    p, q, depth : ndarray of shape (N,)
+        Of the camera's frame, `pose`; depth in mm.
+    """
+    local = np.stack([p, q, np.ones_like(p)], axis=1)
+    origins = np.broadcast_to(pose.origin_mm, local.shape)
+    return displaced(field, march, pose, origins, local, depth)
 
 
 def laser_moved(

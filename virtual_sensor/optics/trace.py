@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.eikonal import Field, March, Straight, after_length, bend
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
@@ -102,11 +103,7 @@ def trace(
 
 def to_scalars(values: NDArray[np.float64]) -> mi.Float64:
     """Numbers (N,) in Dr.Jit's own memory: how NumPy's is aligned would be compiled in."""
-    held = np.array(values, float)
-    scalars = mi.Float64(held) + dr.opaque(mi.Float64, 0.0)
-    dr.eval(scalars)
-    dr.sync_thread()  # NumPy's memory must outlive the copying
-    return scalars
+    return in_own_memory(values, mi.Float64)
 
 
 def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
@@ -114,7 +111,7 @@ def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     held = np.array(points.T, float, order="C")
     vectors = mi.Array3f64(held)
     dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
-    dr.sync_thread()  # NumPy's memory must outlive the copying
+    dr.sync_thread()  # see `in_own_memory`
     return vectors
 
 

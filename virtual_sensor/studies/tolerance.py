@@ -24,7 +24,7 @@ from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.rays import Field, March
-from virtual_sensor.optics.tabulate import NoMapError, displaced, laser_moved
+from virtual_sensor.optics.tabulate import NoMapError, laser_moved, sight_moved
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -288,11 +288,11 @@ def _step(
     seen, lit = camera.pose.to_local(point), laser.pose.to_local(point)
     depth = lit[:, 2] - laser.distance_mm
     b = lit[:, 1] / (1.0 + laser.fan_per_mm * depth)
-    origins = np.broadcast_to(camera.pose.origin_mm, seen.shape)
+    p, q = (seen[:, :2] / seen[:, 2:]).T
     pixel_mm = seen[:, 2] / camera.matrix[0, 0]
 
     def moved_px(march: March) -> Array:
-        camera_mm = displaced(field, march, camera.pose, origins, seen, seen[:, 2])
+        camera_mm = sight_moved(field, march, camera.pose, p, q, seen[:, 2])
         laser_mm = laser_moved(field, march, laser, lit[:, 0], b, depth)
         return np.hstack([camera_mm[:, :2], laser_mm[:, :2]]) / pixel_mm[:, None]
 
