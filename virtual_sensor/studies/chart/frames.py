@@ -31,7 +31,7 @@ DIRECT = "stock direct, cold"
 LAMP = "laser and lamp"
 
 _SPP = (1, 4, 9, 16, 64)
-_PAUSE_S = 2.0  # a rung is measured again for about so long, five times at most
+_RUNS, _LONG_RUNS = 5, 3  # of which the median is told; frames of over 1 s are long
 _END_PX, _INNER_PX = 16, 10  # columns of the reference's windows, at the line's ends and between
 _CUT_PX = 2  # columns beside a window's cut are taken for a line's end
 _LOST = 0.02  # a frame that loses this share of the columns has failed
@@ -139,7 +139,7 @@ def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
     ]
     table: Settings = {"way": "tabulated", "spp": 16}
     exact: Settings = {"way": "exact", "spp": 1}
-    each += [("tabulated, tolerance", table | {"tolerance": t}) for t in (0.1, 0.01)]
+    each += [("tabulated", table | {"tolerance": t}) for t in (0.1, 0.01)]
     varied: list[tuple[str, Settings]] = [
         ("Euler", {"method": "euler"}),
         ("leapfrog", {"method": "leapfrog", "step": 8}),
@@ -174,7 +174,7 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
         nonlocal done
         done += 1
         report(f"frames: {name}, {settings['spp']} samples", done / total)
-        made.append(measure(truth, name, scene, work, settings, 1 if quick else 5))
+        made.append(measure(truth, name, scene, work, settings, 1 if quick else _RUNS))
 
     for name, settings in chosen:
         scene = load_scene(SCENE, width=film_px, height=film_px, **settings)
@@ -221,7 +221,7 @@ def measure(
     scene: Scene,
     work: Callable[[], NDArray[np.float32]],
     settings: Settings,
-    runs: int = 5,
+    runs: int = _RUNS,
 ) -> Rung:
     """Measure one rung: `work` makes its frame's radiance (H, W)."""
     work()  # else kernels would be compiled within what is measured
@@ -229,9 +229,8 @@ def measure(
     image = work()
     dr.sync_thread()
     seconds = time.perf_counter() - began
-    again = int(np.clip(_PAUSE_S / seconds, 1, runs)) - 1
-    if again:
-        seconds = timed(work, again + 1, warm_ups=0)
+    if runs > 1:
+        seconds = timed(work, runs if seconds < 1.0 else min(runs, _LONG_RUNS), warm_ups=0)
     apart = beside(truth, line_centres(image))
     baseline = name == DIRECT
     march = scene.integrator.march

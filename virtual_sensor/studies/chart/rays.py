@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor import engine
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import Field, March
@@ -31,7 +32,9 @@ Array = NDArray[np.float64]
 
 SCENE = "hot_cylinder"
 
-_RAYS, _QUICK_RAYS = 100_000, 2_000
+_RAYS = {"llvm": 32_768, "cuda": 1_000_000}  # two blocks of Dr.Jit's on a CPU; what fills a GPU
+_TABLE_RAYS = 100_000  # share the making of a table: fewer than one a pixel of a frame's line
+_QUICK_RAYS = 2_000
 _JUDGED, _QUICK_JUDGED = 2_001, 51
 _RUNS, _QUICK_RUNS = 3, 1
 _STEPS_MM = (8.0, 4.0, 2.0, 1.0, 0.5)
@@ -97,17 +100,20 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
     """
     scene = load_scene(SCENE)
     judged = _QUICK_JUDGED if quick else _JUDGED
+    rays = _QUICK_RAYS if quick else _RAYS[engine.activate().backend]
     work: list[tuple[Task, Choice]] = []
     report("rays: the reference", 0.0)
-    camera = _camera_task(scene, _QUICK_RAYS if quick else _RAYS, judged)
+    camera = _camera_task(scene, rays, judged)
     work += [(camera, choice) for choice in _choices(quick)]
-    for task in _closed_form_tasks(_QUICK_RAYS if quick else _RAYS, judged):
+    for task in _closed_form_tasks(rays, judged):
         work += [(task, choice) for choice in _plain_choices(quick)]
     found = []
     for number, (task, choice) in enumerate(work):
         report(f"rays: {choice.name}", (number + 1) / (len(work) + 2))
         found.append(_measured(task, choice, _QUICK_RUNS if quick else _RUNS))
-    return found + _tabulated(scene, camera, quick)
+    report("rays: tabulated", 1.0)
+    shared = camera if rays > _TABLE_RAYS or quick else _camera_task(scene, _TABLE_RAYS, judged)
+    return found + _tabulated(scene, shared, quick)
 
 
 def _tabulated(scene: Scene, task: Task, quick: bool) -> list[Rung]:

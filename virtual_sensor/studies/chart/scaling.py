@@ -58,7 +58,9 @@ def by_samples(rungs: Sequence[Rung]) -> list[Scaling]:
     for rung in rungs:
         others = {name: value for name, value in rung.settings.items() if name != "spp"}
         if rung.panel == "frames":
-            groups[rung.name, repr(others)].append((float(rung.settings["spp"]), rung.seconds))
+            light = f", {others['light']}" if "light" in others else ""
+            same = (f"{rung.name} frame{light}", repr(others))
+            groups[same].append((float(rung.settings["spp"]), rung.seconds))
     found = []
     for (name, _), points in groups.items():
         if len(points) > 2:
@@ -70,7 +72,7 @@ def by_samples(rungs: Sequence[Rung]) -> list[Scaling]:
                 f"{fixed:.3g} s and {1e3 * each:.3g} ms for each sample of a pixel,"
                 f" within {100.0 * off:.0f} %"
             )
-            found.append(power(f"{name} frame, samples per pixel", points, note))
+            found.append(power(f"{name}, samples per pixel", points, note))
     return found
 
 
