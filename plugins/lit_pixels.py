@@ -108,15 +108,18 @@ def film_rays(sensor: mi.Sensor, place: Any, aperture: Any) -> tuple[Any, Any]:
     film = sensor.film()
     in_window = (place - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
     ray, weight = sensor.sample_ray_differential(0.0, 0.5, in_window, aperture)
-    if pose := pinhole(sensor):
-        centre = dr.opaque(mi.Point3f(*map(float, pose.origin_mm)))
-        ray.o = centre + mi.Vector3f(0.0 * ray.d)
+    if _has_pinhole(sensor):  # no pose is read: to read numbers waits for all that is under way
+        ray.o = mi.Point3f(sensor.world_transform().translation()) + mi.Vector3f(0.0 * ray.d)
     return ray, weight
+
+
+def _has_pinhole(sensor: mi.Sensor) -> bool:
+    return sensor.class_name() == "PerspectiveCamera"
 
 
 def pinhole(sensor: mi.Sensor) -> Pose | None:
     """Pose of a pinhole camera's projection centre, z forward; None of any other camera."""
-    if not str(sensor).startswith("PerspectiveCamera"):
+    if not _has_pinhole(sensor):
         return None
     to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     return Pose.from_matrix(to_world)

@@ -38,7 +38,8 @@ def chart(
     """Chart error against time on this machine, and tell where each method fails.
 
     Every rung of the ladder is measured: bent rays, rendered frames, searches, line detectors.
-    Leave the machine idle meanwhile. A CUDA device that is found gets rows of its own.
+    Leave the machine idle meanwhile: some ten minutes on two cores. A CUDA device that is found
+    gets rows of its own.
     """
     from virtual_sensor.studies.chart.chart import PANELS, check_panels
     from virtual_sensor.studies.chart.chart import chart as run

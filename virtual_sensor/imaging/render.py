@@ -11,6 +11,7 @@ import OpenEXR
 from numpy.typing import NDArray
 from virtual_sensor_plugins.lit_pixels import Account
 
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
 
@@ -90,8 +91,8 @@ def render_frame(
     reached = np.isfinite(a) & (np.abs(b) <= emitter.length_mm / 2.0)
     point = np.array(lit.sight.point)
     depth = camera.pose.to_local(point.T)[:, 2]
-    # Channel by channel, as files want it; the lit pixels are few, and to fill this takes time.
-    truth = np.full((6, height * width), np.nan, np.float32)
+    # Channel by channel, as files want it.  Dr.Jit has the memory: new one takes 0.1 s to fill.
+    truth = dr.opaque(mi.Float, np.nan, 6 * height * width).numpy().reshape(6, -1)
     index = np.asarray(lit.index)[reached]
     for channel, values in zip(truth, (*point, depth, a, b), strict=True):
         channel[index] = values[reached]

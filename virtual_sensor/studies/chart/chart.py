@@ -50,10 +50,10 @@ class Panel:
 
 
 PANELS = {
-    "rays": Panel("Bent rays", "rays", "ray_failures", "ray", 0.2, on_gpu=True),
-    "frames": Panel("Rendered frames", "frames", "frame_failures", "frame", 0.6, on_gpu=True),
-    "search": Panel("Search for laser points", "searches", "search_failures", "laser point", 0.1),
-    "lines": Panel("Line detectors", "detectors", "line_failures", "column", 0.1),
+    "rays": Panel("Bent rays", "rays", "ray_failures", "ray", 0.35, on_gpu=True),
+    "frames": Panel("Rendered frames", "frames", "frame_failures", "frame", 0.5, on_gpu=True),
+    "search": Panel("Search for laser points", "searches", "search_failures", "laser point", 0.12),
+    "lines": Panel("Line detectors", "detectors", "line_failures", "column", 0.03),
 }
 
 

@@ -128,7 +128,8 @@ def front_table(chart: Chart) -> str:
             title = "" if number else PANELS[name].title
             error, _, largest = _errors(r)
             way = label(r, chart.of(name))
-            lines.append(f"| {title} | {way} | {error} | {largest} | {told_time(r.seconds)} |")
+            each = f"{told_time(r.seconds)} a {PANELS[name].counted}"
+            lines.append(f"| {title} | {way} | {error} | {largest} | {each} |")
     lines += [
         "",
         f"Made by `virtual-sensor chart` in {chart.seconds:.0f} s; "
