@@ -1,7 +1,7 @@
-"""Put results into the README, those that are given.
+"""Put results into the README and the pages beside this file, those that are given.
 
 ``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR
---charted DIR``
+--charted DIR --peers DIR``
 """
 
 import argparse
@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 
 HERE = Path(__file__).parent
+README = HERE.parent / "README.md"
 END = "<!-- end of table -->"
 
 
@@ -17,8 +18,9 @@ def main(
     fineness: Path | None,
     reproduced: Path | None,
     charted: Path | None,
+    peers: Path | None,
 ) -> None:
-    """Replace what stands between the README's marks, and the pictures."""
+    """Replace what stands between the marks, and the pictures."""
     if measured:
         replace("<!-- table: measure -->\n", measured / "table.md")
         shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
@@ -32,19 +34,21 @@ def main(
     if charted:
         replace("<!-- table: chart -->\n", charted / "front.md")
         shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
+    if peers:
+        replace("<!-- table: peers -->\n", peers / "peers.md", HERE / "speed_accuracy.md")
 
 
-def replace(begin: str, table: Path) -> None:
-    """Put a table between its mark and the next end."""
-    readme = HERE.parent / "README.md"
-    before, rest = readme.read_text(encoding="utf-8").split(begin)
+def replace(begin: str, table: Path, page: Path = README) -> None:
+    """Put a table, without the heading that it has as a page, between its mark and the next end."""
+    before, rest = page.read_text(encoding="utf-8").split(begin)
     _, after = rest.split(END, maxsplit=1)
-    text = table.read_text(encoding="utf-8")
-    readme.write_text(f"{before}{begin}\n{text}\n{END}{after}", encoding="utf-8")
+    lines = table.read_text(encoding="utf-8").splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("# ")).strip()
+    page.write_text(f"{before}{begin}\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("measured", "fineness", "reproduced", "charted"):
+    for name in ("measured", "fineness", "reproduced", "charted", "peers"):
         parser.add_argument(f"--{name}", type=Path)
     main(**vars(parser.parse_args()))

@@ -1,7 +1,7 @@
 """Bent rays and frames side by side with peers: same cores, grid, rays and stated error, one run.
 
 python -m pip install -e '.[bench]'
-python tests/benchmarks/peers.py --output peers           everything: half an hour on two cores
+python tests/benchmarks/peers.py --output peers           everything: ten minutes on two cores
 python tests/benchmarks/peers.py --output p --quick       few rays: to see that all works
 python tests/benchmarks/peers.py --output p --only numba --only ours
 """
