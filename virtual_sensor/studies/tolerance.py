@@ -38,7 +38,7 @@ _MANY_SAMPLES = 100
 _RAYS = 33  # along the line
 _GROUPS = 16  # of columns, the line's ends among them
 _BESIDE = 2  # columns each side: one with none beside it is taken for the line's end
-_SHARE = {"refraction left out": 0.98, "march": 0.2, "tables": 0.3}  # of the tolerance, at most
+_SHARE = {"march": 0.2, "tables": 0.3}  # of the tolerance, at most
 _LOST = 0.1  # of the columns: a rung that finds fewer centres does not do
 
 
@@ -123,7 +123,7 @@ def choose(scene: Scene, tolerance_px: float) -> Rung:
     else:
         moved = _apart(hot, cold)
         why.append(f"refraction moves the line by up to {moved:.2g} px")
-        if moved <= _SHARE["refraction left out"] * tolerance_px:
+        if moved < tolerance_px:
             left_out = {"refraction left out": moved}
             rung = _straight(scene, tolerance_px, column, left_out, why)
             if rung.error_px <= tolerance_px:
