@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from virtual_sensor_plugins.lit_pixels import film_place, film_rays
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.medium.lookups import in_own_memory
 
 Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
 """From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
@@ -42,7 +43,7 @@ class Exposure:
         # Each pixel's samples are summed in their order: added to the film one by one, as other
         # filters and spectra need it, the last bits would depend on which thread comes first.
         own_pixel = self.film.rfilter().is_box_filter() and not mi.is_spectral
-        dr.eval(numbers := mi.UInt32(pixels) + dr.opaque(mi.UInt32, 0))
+        numbers = in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
         for first in range(0, pixels.size, chunk):
             # What changes from chunk to chunk is opaque, so that one kernel serves them all.

@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
 from virtual_sensor.optics.sensor_model import Pose
 from virtual_sensor.optics.tabulate import Fineness
@@ -161,7 +162,7 @@ def find_lit_pixels(
     near = every[on_lattice & _reached(emitter, a, b, (_FAR_MM, _FAR_MM))]
     margin = (_FAR_MM, _FAR_MM)
     if near.size:
-        light = look(centre_rays(sensor, mi.UInt32(near))).light
+        light = look(centre_rays(sensor, in_own_memory(near, mi.UInt32))).light
         moved_a, margin_a = _spread(light.a.numpy() - a[near], near, width, height)
         moved_b, margin_b = _spread(light.b.numpy() - b[near], near, width, height)
         a, b = a + moved_a, b + moved_b
@@ -170,7 +171,7 @@ def find_lit_pixels(
     candidates = every[grown(_reached(emitter, a, b, margin), height, width)]
     if not candidates.size:
         candidates = every[:1]  # Dr.Jit knows no empty array
-    sight = look(centre_rays(sensor, mi.UInt32(candidates)))
+    sight = look(centre_rays(sensor, in_own_memory(candidates, mi.UInt32)))
     dr.eval(sight)
     account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
     lit = np.zeros(width * height, bool)
@@ -178,7 +179,7 @@ def find_lit_pixels(
     keep = np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         keep = np.zeros(1, np.uint32)
-    return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)), account)
+    return LitPixels(candidates[keep], rows(sight, in_own_memory(keep, mi.UInt32)), account)
 
 
 def _straight_coordinates(
@@ -221,7 +222,9 @@ def _reached(
 ) -> NDArray[np.bool_]:
     # Opaque, since it is another number for any air, and the kernel is to serve them all.
     margin = (dr.opaque(mi.Float, margin_mm[0]), dr.opaque(mi.Float, margin_mm[1]))
-    return np.asarray(emitter.reaches(mi.Float(a), mi.Float(b), margin).numpy(), bool)
+    return np.asarray(
+        emitter.reaches(*(in_own_memory(x, mi.Float) for x in (a, b)), margin).numpy(), bool
+    )
 
 
 def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from virtual_sensor_plugins.lit_pixels import (
 )
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.deflection_map import CameraMap, LaserMap
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.illumination import LaserFrame
@@ -137,7 +138,7 @@ def lit_pixels_and_tables(
     account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
     tables = Tables(camera, laser, emitter, SceneSurface(scene), march)
 
-    sight, _ = tables.look(centre_rays(sensor, mi.UInt32(candidates)))
+    sight, _ = tables.look(centre_rays(sensor, in_own_memory(candidates, mi.UInt32)))
     pixel_mm = dr.opaque(mi.Float, places.pixel_mm)
     reached = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
     mask = np.zeros(height * width, bool)
@@ -145,7 +146,7 @@ def lit_pixels_and_tables(
     keep = np.flatnonzero(grown(mask, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         return None
-    return LitPixels(candidates[keep], rows(sight, mi.UInt32(keep)), account, tables)
+    return LitPixels(candidates[keep], rows(sight, in_own_memory(keep, mi.UInt32)), account, tables)
 
 
 @dataclass(frozen=True)
@@ -207,11 +208,11 @@ def _places(
     emitter: LaserLineEmitter,
 ) -> _Places:
     """Where pixels look if light runs straight."""
-    ray = centre_rays(sensor, mi.UInt32(index))
+    ray = centre_rays(sensor, in_own_memory(index, mi.UInt32))
     axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
     x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
     pitch = dr.max(dr.norm(ray.d_x - ray.d) / z)
-    point = mi.Array3f(ray(mi.Float(distance)))
+    point = mi.Array3f(ray(in_own_memory(distance, mi.Float)))
     depth = dr.dot(point - dr.opaque(mi.Array3f(*map(float, pose.origin_mm))), axes[2])
     frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
     numbers = [x / z, y / z, depth, *frame.straight(point), frame.coordinates(point)[2]]
@@ -236,7 +237,7 @@ def _probe(
     sideways = sight_moved(field, march, pose, *places.camera[some].T)[:, :2]
     seen = sideways @ pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
-    ray = rows(places.ray, mi.UInt32(some))
+    ray = rows(places.ray, in_own_memory(some, mi.UInt32))
     normal = np.array(scene.ray_intersect(ray).n, float).T
     heading = np.array(ray.d, float).T
     lean = np.einsum("ij,ij->i", normal, heading)
@@ -250,9 +251,9 @@ def _probe(
 
 
 def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
-    held = [np.ascontiguousarray(c, np.float32) for c in places.laser[:, :2].T]
+    a, b = (in_own_memory(c, mi.Float) for c in places.laser[:, :2].T)
     margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
-    near = np.array(emitter.reaches(mi.Float(held[0]), mi.Float(held[1]), margin))
+    near = np.array(emitter.reaches(a, b, margin))
     return near if near.any() else ~near
 
 
