@@ -1,6 +1,6 @@
 """Which pixels the laser lights, and what is seen at their centres: the ground truth of a frame."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
@@ -126,14 +126,21 @@ def pinhole(sensor: mi.Sensor) -> Pose | None:
     return Pose.from_matrix(to_world)
 
 
-def centre_rays(sensor: mi.Sensor, index: Any) -> Any:
-    """Camera rays through the centres of pixels."""
-    middle = mi.Point2f(0.5)
-    return film_rays(sensor, film_place(sensor.film(), index, middle), middle)[0]
+def centre_rays(sensor: mi.Sensor, pixels: NDArray[np.uint32] | None = None) -> Any:
+    """Camera rays through the centres of pixels; of all without their numbers."""
+    film, middle = sensor.film(), mi.Point2f(0.5)
+    if pixels is None:
+        size = film.crop_size()
+        index = dr.arange(mi.UInt32, size.x * size.y)
+    else:
+        index = in_own_memory(pixels, mi.UInt32)
+    return film_rays(sensor, film_place(film, index, middle), middle)[0]
 
 
 def rows(tree: Any, index: Any) -> Any:
-    """Gather some rows of Dr.Jit arrays nested in tuples and dataclasses."""
+    """Gather some rows of Dr.Jit arrays nested in tuples and dataclasses; NumPy's numbers serve."""
+    if isinstance(index, np.ndarray):
+        index = in_own_memory(index, mi.UInt32)
     if isinstance(tree, tuple):
         return tuple(rows(leaf, index) for leaf in tree)
     if is_dataclass(tree) and not isinstance(tree, type):
@@ -159,19 +166,19 @@ def find_lit_pixels(
     every = np.arange(width * height, dtype=np.uint32)
     middle = _LATTICE_PX // 2
     on_lattice = (every % width % _LATTICE_PX == middle) & (every // width % _LATTICE_PX == middle)
-    near = every[on_lattice & _reached(emitter, a, b, (_FAR_MM, _FAR_MM))]
+    near = every[on_lattice & reached(emitter, a, b, (_FAR_MM, _FAR_MM))]
     margin = (_FAR_MM, _FAR_MM)
     if near.size:
-        light = look(centre_rays(sensor, in_own_memory(near, mi.UInt32))).light
+        light = look(centre_rays(sensor, near)).light
         moved_a, margin_a = _spread(light.a.numpy() - a[near], near, width, height)
         moved_b, margin_b = _spread(light.b.numpy() - b[near], near, width, height)
         a, b = a + moved_a, b + moved_b
         margin = (pixel_mm + margin_a, pixel_mm + margin_b)
     # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
-    candidates = every[grown(_reached(emitter, a, b, margin), height, width)]
+    candidates = every[grown(reached(emitter, a, b, margin), height, width)]
     if not candidates.size:
         candidates = every[:1]  # Dr.Jit knows no empty array
-    sight = look(centre_rays(sensor, in_own_memory(candidates, mi.UInt32)))
+    sight = look(centre_rays(sensor, candidates))
     dr.eval(sight)
     account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
     lit = np.zeros(width * height, bool)
@@ -179,15 +186,14 @@ def find_lit_pixels(
     keep = np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         keep = np.zeros(1, np.uint32)
-    return LitPixels(candidates[keep], rows(sight, in_own_memory(keep, mi.UInt32)), account)
+    return LitPixels(candidates[keep], rows(sight, keep), account)
 
 
 def _straight_coordinates(
     scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Straight laser coordinates (a, b) in mm at all pixels' centres, and a pixel's size there."""
-    size = sensor.film().crop_size()
-    ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
+    ray = centre_rays(sensor)
     met = scene.ray_intersect_preliminary(ray)
     frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
     a, b = frame.straight(mi.Array3f(ray(met.t)))
@@ -217,14 +223,17 @@ def _spread(
     return whole[:height, :width].ravel(), min(1.5 * bound, _FAR_MM)
 
 
-def _reached(
-    emitter: LaserLineEmitter, a: Any, b: Any, margin_mm: tuple[float, float]
+def reached(
+    emitter: LaserLineEmitter,
+    a: NDArray[np.floating],
+    b: NDArray[np.floating],
+    margin_mm: Sequence[float],
 ) -> NDArray[np.bool_]:
+    """Which laser coordinates in mm the line reaches, or misses by no more than a margin."""
     # Opaque, since it is another number for any air, and the kernel is to serve them all.
-    margin = (dr.opaque(mi.Float, margin_mm[0]), dr.opaque(mi.Float, margin_mm[1]))
-    return np.asarray(
-        emitter.reaches(*(in_own_memory(x, mi.Float) for x in (a, b)), margin).numpy(), bool
-    )
+    margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
+    a, b = (in_own_memory(x, mi.Float) for x in (a, b))
+    return np.asarray(emitter.reaches(a, b, margin).numpy(), bool)
 
 
 def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:

@@ -21,7 +21,6 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
 from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
 from virtual_sensor.optics.ray_status import RayStatus
@@ -205,7 +204,7 @@ class Refractive(mi.SamplingIntegrator):
                 if found:
                     return found
                 none = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
-                sight = self.look(scene, centre_rays(sensor, in_own_memory(none, mi.UInt32)))
+                sight = self.look(scene, centre_rays(sensor, none))
                 return LitPixels(none, sight, account)
         return find_lit_pixels(
             scene, sensor, laser_of(scene), lambda ray: self.look(scene, ray), account

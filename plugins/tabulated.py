@@ -14,6 +14,7 @@ from virtual_sensor_plugins.lit_pixels import (
     centre_rays,
     grown,
     pinhole,
+    reached,
     rows,
 )
 
@@ -138,15 +139,15 @@ def lit_pixels_and_tables(
     account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
     tables = Tables(camera, laser, emitter, SceneSurface(scene), march)
 
-    sight, _ = tables.look(centre_rays(sensor, in_own_memory(candidates, mi.UInt32)))
+    sight, _ = tables.look(centre_rays(sensor, candidates))
     pixel_mm = dr.opaque(mi.Float, places.pixel_mm)
-    reached = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
+    is_lit = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
     mask = np.zeros(height * width, bool)
-    mask[candidates[np.array(reached)]] = True
+    mask[candidates[np.array(is_lit)]] = True
     keep = np.flatnonzero(grown(mask, height, width)[candidates]).astype(np.uint32)
     if not keep.size:
         return None
-    return LitPixels(candidates[keep], rows(sight, in_own_memory(keep, mi.UInt32)), account, tables)
+    return LitPixels(candidates[keep], rows(sight, keep), account, tables)
 
 
 @dataclass(frozen=True)
@@ -188,8 +189,7 @@ def _straight_candidates(
     scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter, margin_mm: Array
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
     """Pixels whose straight ray meets what the straight laser lights, or nearly; all distances."""
-    size = sensor.film().crop_size()
-    ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
+    ray = centre_rays(sensor)
     met = scene.ray_intersect_preliminary(ray)
     frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
     a, b = frame.straight(mi.Array3f(ray(met.t)))
@@ -208,7 +208,7 @@ def _places(
     emitter: LaserLineEmitter,
 ) -> _Places:
     """Where pixels look if light runs straight."""
-    ray = centre_rays(sensor, in_own_memory(index, mi.UInt32))
+    ray = centre_rays(sensor, index)
     axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
     x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
     pitch = dr.max(dr.norm(ray.d_x - ray.d) / z)
@@ -237,7 +237,7 @@ def _probe(
     sideways = sight_moved(field, march, pose, *places.camera[some].T)[:, :2]
     seen = sideways @ pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
-    ray = rows(places.ray, in_own_memory(some, mi.UInt32))
+    ray = rows(places.ray, some)
     normal = np.array(scene.ray_intersect(ray).n, float).T
     heading = np.array(ray.d, float).T
     lean = np.einsum("ij,ij->i", normal, heading)
@@ -251,9 +251,7 @@ def _probe(
 
 
 def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
-    a, b = (in_own_memory(c, mi.Float) for c in places.laser[:, :2].T)
-    margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
-    near = np.array(emitter.reaches(a, b, margin))
+    near = reached(emitter, *places.laser[:, :2].T, margin_mm)
     return near if near.any() else ~near
 
 
@@ -318,8 +316,7 @@ class Elsewhere:
         pose = pinhole(sensor)
         if pose is None:
             raise NoMapError("the camera is no pinhole")
-        size = sensor.film().crop_size()
-        ray = centre_rays(sensor, dr.arange(mi.UInt32, size.x * size.y))
+        ray = centre_rays(sensor)
         met = scene.ray_intersect_preliminary(ray)
         axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
         x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)

@@ -111,7 +111,7 @@ def test_no_lit_pixel_is_overlooked(temperature):
     crop(scene, (250, 490), size)
     sensor = scene.mitsuba.sensors()[0]
     every = np.arange(size[0] * size[1], dtype=np.uint32)
-    sight = scene.integrator.look(scene.mitsuba, centre_rays(sensor, mi.UInt32(every)))
+    sight = scene.integrator.look(scene.mitsuba, centre_rays(sensor, every))
     whole = image_by(scene.integrator, scene, lit=LitPixels(every, sight))
     found = image_by(scene.integrator, scene)
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for

@@ -17,7 +17,6 @@ from scipy.interpolate import CubicSpline
 from virtual_sensor_plugins.lit_pixels import LitPixels, rows
 from virtual_sensor_plugins.refractive import Refractive
 
-from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene, load_scene
@@ -239,7 +238,7 @@ def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
     keep = np.flatnonzero(np.isin(lit.index % width, column)).astype(np.uint32)
     if not keep.size:
         keep = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
-    return replace(lit, index=lit.index[keep], sight=rows(lit.sight, mi.UInt32(keep)))
+    return replace(lit, index=lit.index[keep], sight=rows(lit.sight, keep))
 
 
 def line_rows(scene: Scene, lit: LitPixels, spp: int) -> Array:
