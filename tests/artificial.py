@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.special import erf
+from scipy.stats import norm
 
 from virtual_sensor.optics.sensor_model import Camera, LaserLine, Pose, SensorModel
 
@@ -16,6 +17,18 @@ def line_image(centre, sigma, amplitude=1.0, background=0.0, height=64):
     edges = np.arange(height + 1)[:, None] - 0.5
     primitive = np.sqrt(np.pi / 2.0) * sigma * erf((edges - centre) / (np.sqrt(2.0) * sigma))
     return background + amplitude * np.diff(primitive, axis=0)
+
+
+def cramer_rao(sigma, noise_variance, centre=0.0):
+    """Smallest rms error in px of the centre of a unit-amplitude line: physics.md, Line centres.
+
+    `noise_variance` is a function of the expected grey value.
+    """
+    flux = np.sqrt(2.0 * np.pi) * sigma
+    edges = np.arange(-60, 62) - 0.5 - centre
+    expected = flux * np.diff(norm.cdf(edges, scale=sigma))
+    slope = -flux * np.diff(norm.pdf(edges, scale=sigma))
+    return np.sum(slope**2 / noise_variance(expected)) ** -0.5
 
 
 def rendered_line(centre, sigma, amplitude=1.0, height=64, width=64, samples=4, cut=18.0):

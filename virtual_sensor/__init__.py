@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from virtual_sensor.errors import EngineError, InputError
+    from virtual_sensor.imaging.camera_noise import CameraNoise, record
     from virtual_sensor.imaging.render import render, render_frame
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.medium.air import air_refractivity
     from virtual_sensor.medium.index_field import IndexField
+    from virtual_sensor.metrology.centres import LineCentres, Status
     from virtual_sensor.metrology.line_peaks import line_centres
     from virtual_sensor.metrology.triangulation import triangulate
     from virtual_sensor.optics.ray_search import ray_search
@@ -25,14 +27,18 @@ if TYPE_CHECKING:
     from virtual_sensor.optics.trace import trace
 
 _HOME = {
+    "CameraNoise": "imaging.camera_noise",
     "EngineError": "errors",
     "IndexField": "medium.index_field",
     "InputError": "errors",
+    "LineCentres": "metrology.centres",
     "RayStatus": "optics.ray_status",
+    "Status": "metrology.centres",
     "air_refractivity": "medium.air",
     "line_centres": "metrology.line_peaks",
     "load_scene": "imaging.scene",
     "ray_search": "optics.ray_search",
+    "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",
     "trace": "optics.trace",
@@ -40,14 +46,18 @@ _HOME = {
 }
 
 __all__ = [
+    "CameraNoise",
     "EngineError",
     "IndexField",
     "InputError",
+    "LineCentres",
     "RayStatus",
+    "Status",
     "air_refractivity",
     "line_centres",
     "load_scene",
     "ray_search",
+    "record",
     "render",
     "render_frame",
     "trace",

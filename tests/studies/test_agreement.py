@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
-from virtual_sensor.metrology.line_peaks import LineCentres, Status
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus
 from virtual_sensor.studies.agreement import compare, match_dots
 
@@ -31,7 +31,7 @@ def line(row, status=None):
     """Line centres at rows (W,)."""
     status = np.full(WIDTH, Status.OK, np.uint8) if status is None else status
     blank = np.full(WIDTH, np.nan)
-    return LineCentres(np.arange(WIDTH), row, blank, blank, blank, blank, status)
+    return LineCentres(np.arange(WIDTH), row, *[blank] * 5, status)
 
 
 def across(row):

@@ -11,7 +11,7 @@ from artificial import paper_sensor
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.line_peaks import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.chart import frame_failures, frames, scaling
 from virtual_sensor.studies.chart.frames import Truth, beside, with_lamp
@@ -31,7 +31,7 @@ def line(row, lost=()):
     status[list(lost)] = Status.LINE_END
     row = np.where(status == Status.OK, row, np.nan)
     blank = np.full(row.size, np.nan)
-    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, status)
+    return LineCentres(np.arange(row.size), row, *[blank] * 5, status)
 
 
 def test_a_known_error_comes_out_in_px_and_um():

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.line_peaks import checked_image, saturation_level
+from virtual_sensor.metrology.line_profiles import checked_image, saturation_level
 
 Array = NDArray[np.float64]
 

@@ -1,109 +1,85 @@
-"""Sub-pixel centres of a laser line that lies flat in the image: one peak in each column.
+"""Sub-pixel centres of a laser line, by any detector: image in, `LineCentres` out.
 
 A smoothed copy shows where the line is; its centre comes from the untouched pixels, so that the
 filter cannot shift it.
 """
 
-from dataclasses import dataclass
-from enum import IntEnum
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.line_fits import METHODS, Noise
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.detectors import (
+    COLUMNWISE,
+    NAMES,
+    STEGER,
+    Detector,
+    Foreign,
+    by_foreign,
+    find_detector,
+)
+from virtual_sensor.metrology.line_ends import line_ends
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
     REACH,
     Array,
     Index,
+    Noise,
     Peaks,
     Profile,
+    checked_image,
     find_peaks,
     noise_of,
+    saturation_level,
     window,
 )
-from virtual_sensor.metrology.line_shapes import skewed_and_flat
+from virtual_sensor.metrology.line_shapes import shapes
+from virtual_sensor.metrology.ridges import ridges
 
+ALONG = ("columns", "rows")
+
+EXTREME = 1e12  # grey values beyond it, or below its inverse, are brought to about 1 first
 IN_VIEW = 2.5  # a line counts as seen when so many sigma either side lie in the image
 MAX_RESIDUAL = 0.15  # rms misfit, relative to the amplitude, that is still a line
-LINE_END_STEP = 0.02  # relative drop of amplitude that betrays a partly lit column
+MAX_APART_PX = 0.02  # of a detector's centre and the Gaussian's, and so many of its sigma
+APART = 4.0
+NEIGHBOURS = 65  # columns in which most centres must be able to tell their sigma
 SAME_HEIGHT = 0.7  # from which on a second peak may be the line as well
-
-
-class Status(IntEnum):
-    """Why a column has a centre, or has none."""
-
-    OK = 0
-    NO_PEAK = 1
-    SATURATED = 2
-    TOO_NARROW = 3
-    AT_BORDER = 4
-    LINE_END = 5
-    POOR_FIT = 6
-    BAD_PIXELS = 7
-    SKEWED = 8
-    """Lopsided: a second line in its skirt, or an edge across it, would shift the centre."""
-    DOUBLED = 9
-    """Two peaks of much the same height, apart or merged into one flat one."""
-
-
-@dataclass(frozen=True)
-class LineCentres:
-    """The line's centre in every column of an image of W columns; NaN where `status` is not OK.
-
-    Attributes
-    ----------
-    column : ndarray of shape (W,)
-        u in px, 0 ... W-1.
-    row : ndarray of shape (W,)
-        v of the centre in px, integer at pixel centres.
-    sigma : ndarray of shape (W,)
-        Standard deviation along the column in px, before the pixels integrate the profile.
-    amplitude, background : ndarray of shape (W,)
-        Height of that profile above the level below it, and that level, in the image's unit.
-    row_error : ndarray of shape (W,)
-        Standard error of `row` in px, from the fit's residuals or the image's noise.
-    status : ndarray of shape (W,)
-        `Status` of each column.
-    """
-
-    column: Index
-    row: Array
-    sigma: Array
-    amplitude: Array
-    background: Array
-    row_error: Array
-    status: NDArray[np.uint8]
-
-    @property
-    def pixel(self) -> Array:
-        """The centres as pixels (u, v), shape (W, 2); NaN where there is none."""
-        u = np.where(self.status == Status.OK, self.column, np.nan)
-        return np.stack([u, self.row], axis=-1)
 
 
 def line_centres(
     image: ArrayLike,
-    method: str = "gaussian",
+    method: str | Foreign = "gaussian",
     *,
+    along: str = "columns",
+    peaks: int = 1,
     min_amplitude: float = 0.01,
     saturation: float | None = None,
     max_sigma: float = 32.0,
-    shot_noise: float = 0.0,
+    noise: float | None = None,
+    gain: float = 0.0,
 ) -> LineCentres:
-    """Find the centre of a laser line in every column of an image.
+    """Find the centres of a laser line in an image.
 
     Parameters
     ----------
     image : array_like of shape (H, W)
         Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels.
-    method : {"gaussian", "log_parabola"}
+    method : str or callable
         "gaussian" fits a pixel-integrated Gaussian on a level background by least squares in a
-        window that follows its width; it attains the Cramer-Rao bound.
-        "log_parabola" puts a parabola through the logarithms of the three highest rows; its
-        bias is d (1 - 4 d^2)/(1440 s^6) px at sub-pixel offset d and width s^2 = sigma^2 + 1/12.
-        What either finds is looked at for a second line and for edges (`line_shapes`).
+        window that follows its width, "weighted_gaussian" with weights by the measured grey values,
+        "max_likelihood" under shot and read noise, where it attains the Cramer-Rao bound (tell it
+        `noise` and `gain`).  In closed form: "log_parabola" (three-point Gaussian), "parabola",
+        "linear_interpolation", "centre_of_gravity", "fir4" and "fir8" (Blais and Rioux).
+        "steger" finds ridges of any direction.  Or a user's own: see `metrology.detectors`.
+    along : {"columns", "rows"}
+        Whether the line crosses each column (it lies flat in the image), or each row.
+    peaks : int
+        So many are looked for in each column, the highest first: reflections, undercuts.  With
+        more than one the arrays have shape (peaks, W).
     min_amplitude : float
         Smallest height of a line, relative to the highest in the image.  What stands out by less
         than six sigma of the smoothed noise is no line either.
@@ -112,9 +88,17 @@ def line_centres(
         largest value of an integer image; a float image has none.
     max_sigma : float
         Broadest line in px; broader peaks are POOR_FIT.
-    shot_noise : float
-        For "gaussian": growth of the noise's variance per unit of signal, relative to that in the
-        dark (EMVA 1288: K / sigma_dark^2 in grey values); 0 is white noise.
+    noise : float, optional
+        Standard deviation of the grey values beside the line.  By default it is taken from the
+        image, and a fit's from its residuals.
+    gain : float
+        Growth of the noise's variance per unit of signal: EMVA 1288's K, in grey values per
+        electron; 1 for an image in electrons; 0, none, where only read noise counts.
+
+    Returns
+    -------
+    LineCentres
+        Of shape (W,), or (H,) along rows, or (peaks, W); of "steger": (N,).
 
     Raises
     ------
@@ -122,63 +106,146 @@ def line_centres(
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
     image = checked_image(image)
-    if method not in METHODS:
-        known = " or ".join(repr(name) for name in METHODS)
-        raise InputError(f"line_centres: no method {method!r}; take {known}")
+    if along not in ALONG:
+        raise InputError(f"line_centres: along is {along!r}; take {' or '.join(ALONG)}")
+    if not (isinstance(peaks, int | np.integer) and peaks >= 1):
+        raise InputError(f"line_centres: peaks is {peaks!r}; give a whole number from 1 on")
     if not 0.0 <= min_amplitude < 1.0:
         raise InputError(f"line_centres: min_amplitude is {min_amplitude}; give it 0 <= ... < 1")
-    if not (max_sigma > MIN_SIGMA_PX and shot_noise >= 0.0):
-        raise InputError(f"line_centres: give max_sigma > {MIN_SIGMA_PX} px and shot_noise >= 0")
+    if not (MIN_SIGMA_PX < max_sigma < np.inf):
+        raise InputError(f"line_centres: max_sigma is {max_sigma}; give it > {MIN_SIGMA_PX} px")
+    if not (0.0 <= gain < np.inf and (noise is None or 0.0 <= noise < np.inf)):
+        raise InputError(f"line_centres: noise is {noise}, gain {gain}; give them >= 0")
+    if along == "rows":
+        image = np.ascontiguousarray(image.T)
 
+    if isinstance(method, str) and method in NAMES:
+        clipped = saturation_level(image, saturation)
+        line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
+    else:
+        line = by_foreign(image, find_detector(method) if isinstance(method, str) else method)
+    return line.transposed if along == "rows" else line
+
+
+def _ours(
+    image: NDArray,
+    method: str,
+    peaks: int,
+    min_amplitude: float,
+    saturation: float,
+    max_sigma: float,
+    noise: float | None,
+    gain: float,
+) -> LineCentres:
+    """By one of our own detectors, in a unit in which no square is too large or too small."""
     finite = np.isfinite(image)
     filled = image if finite.all() else np.where(finite, image, image[finite].min(initial=0))
-    noise = Noise(noise_of(filled), shot_noise)
-    peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma)
+    largest = max(abs(float(filled.max())), abs(float(filled.min())))
+    unit = 1.0
+    if largest > 0.0 and not 1.0 / EXTREME < largest < EXTREME:
+        unit = largest
+        image, filled = (values.astype(float) / unit for values in (image, filled))
+    # More than any signal is enough, and stays a number.
+    dark = noise_of(filled) if noise is None else min(float(noise) / unit, EXTREME)
+    told = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
+    if method == STEGER:
+        line = ridges(image, told, min_amplitude, saturation / unit, max_sigma)
+    else:
+        line = _columnwise(
+            image,
+            filled,
+            COLUMNWISE[method],
+            told,
+            peaks,
+            min_amplitude,
+            saturation / unit,
+            max_sigma,
+        )
+    if unit == 1.0:
+        return line
+    amplitude, background = line.amplitude * unit, line.background * unit
+    return replace(line, amplitude=amplitude, background=background)
 
-    status = np.where(finite.any(axis=0), Status.NO_PEAK, Status.BAD_PIXELS).astype(np.uint8)
-    status[peaks.column] = _screen(image, peaks, saturation_level(image, saturation), max_sigma)
-    peaks = peaks.take(status[peaks.column] == Status.OK)
 
-    found = np.full((len(Profile._fields), status.size), np.nan)
-    octave = np.ceil(np.log2(peaks.sigma))  # so that one broad peak widens no other's window
-    for group in (peaks.take(octave == each) for each in np.unique(octave)):
-        profile = METHODS[method](image, group, noise, max_sigma)
-        status[group.column] = _judge(image, profile, group, noise)
-        found[:, group.column] = profile
+def _columnwise(
+    image: NDArray,
+    filled: NDArray,
+    detector: Detector,
+    noise: Noise,
+    count: int,
+    min_amplitude: float,
+    saturation: float,
+    max_sigma: float,
+) -> LineCentres:
+    peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma, count)
+    seen = np.isfinite(image).any(axis=0)
+    status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
+    status[:, ~seen] = Status.BAD_PIXELS
+    status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)
+    peaks = peaks.take(status[peaks.rank, peaks.column] == Status.OK)
+
+    found = np.full((len(Profile._fields), count, seen.size), np.nan)
+    shape = shapes(filled, peaks, noise, max_sigma)
+    octave = np.ceil(2.0 * np.log2(shape.peaks.sigma))  # a broad peak widens no other's window
+    for each in np.unique(octave):
+        chosen = octave == each
+        group = shape.peaks.take(chosen)
+        profile = detector.estimate(filled, group, noise, max_sigma)
+        status[group.rank, group.column] = _judge(
+            image, profile, group, noise, shape.skewed[chosen], shape.flat[chosen]
+        )
+        found[:, group.rank, group.column] = profile
 
     found[:, status != Status.OK] = np.nan
-    status[_line_ends(status, Profile(*found)) & (status == Status.OK)] = Status.LINE_END
+    profile = Profile(*found)
+    ends = line_ends(
+        (status != Status.NO_PEAK) & seen,
+        profile.row,
+        profile.row_error,
+        profile.sigma,
+        profile.amplitude,
+    )
+    status[ends & (status == Status.OK)] = Status.LINE_END
     found[:, status != Status.OK] = np.nan
-    return LineCentres(np.arange(status.size), *Profile(*found)[:-1], status)
+    if count == 1:
+        found, status = found[:, 0], status[0]
+    row, row_error, width, amplitude, background = found
+    row_error[_told_by_chance(row_error, status == Status.OK)] = np.nan
+    return LineCentres(
+        column=np.broadcast_to(np.arange(seen.size), status.shape),
+        row=row,
+        sigma=row_error,
+        width=width,
+        amplitude=amplitude,
+        background=background,
+        normal_deg=np.full(status.shape, 90.0),
+        status=status,
+    )
 
 
-def checked_image(image: ArrayLike) -> NDArray:
-    """Return `image` (H, W) as a contiguous array of native byte order, or raise InputError."""
-    image = np.asarray(image)
-    if image.ndim != 2 or image.size == 0:
-        problem = f"image: shape {image.shape} is not (height, width)"
-        raise InputError(f"{problem}; give one grey channel, such as image[..., 1]")
-    native = image.dtype.newbyteorder("=")
-    if native not in (np.uint8, np.uint16, np.float32, np.float64):
-        problem = f"image: type {image.dtype} is not uint8, uint16, float32 or float64"
-        raise InputError(f"{problem}; convert it with image.astype('float32')")
-    return np.ascontiguousarray(image, native)
-
-
-def saturation_level(image: NDArray, saturation: float | None) -> float:
-    """Grey value from which on the pixels of `image` are clipped; infinity where there is none."""
-    if saturation is not None:
-        return float(saturation)
-    return float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else np.inf
+def _told_by_chance(sigma: Array, found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where most of the neighbours can't tell their sigma: those that can are a biased choice."""
+    told, there = (
+        uniform_filter1d(values.astype(float), NEIGHBOURS, axis=-1, mode="constant")
+        for values in (np.isfinite(sigma), found)
+    )
+    return told < 0.5 * there
 
 
 def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> Index:
     """Status of each peak before any fit: (L,)."""
-    rows, inside, values = window(image, at)
-    near = inside & (np.abs(rows - at.row) <= REACH * np.maximum(at.sigma, 1.0))
+    bad = np.zeros((2, at.row.size), bool)
+    doubtful = ~(image.max(axis=0) < saturation) | ~np.isfinite(image.min(axis=0))
+    some = np.flatnonzero(doubtful[at.column])
+    if some.size:
+        here = at.take(some)
+        rows, inside, values = window(image, here)
+        near = inside & (np.abs(rows - here.row) <= REACH * np.maximum(here.sigma, 1.0))
+        wrong = np.stack([~np.isfinite(values), values >= saturation])
+        bad[:, some] = (near & wrong).any(axis=1)
     reasons = {
-        Status.BAD_PIXELS: (near & ~np.isfinite(values)).any(axis=0),
-        Status.SATURATED: (near & (values >= saturation)).any(axis=0),
+        Status.BAD_PIXELS: bad[0],
+        Status.SATURATED: bad[1],
         Status.AT_BORDER: (at.peak == 0) | (at.peak == len(image) - 1),
         Status.POOR_FIT: at.sigma > max_sigma,
         Status.DOUBLED: at.second > SAME_HEIGHT,
@@ -186,44 +253,31 @@ def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> I
     return np.select(list(reasons.values()), list(reasons), Status.OK)
 
 
-def _judge(image: NDArray, profile: Profile, at: Peaks, noise: Noise) -> Index:
-    """Status of each fitted column: (L,)."""
-    margin = IN_VIEW * profile.sigma
-    in_view = (profile.row - margin >= -0.5) & (profile.row + margin <= len(image) - 0.5)
-    misfit = profile.residual > MAX_RESIDUAL * profile.amplitude + 2.0 * noise.dark
-    skewed, flat = skewed_and_flat(image, profile, at, noise)
-    reasons = {
-        # In noise a line too narrow may seem broad enough: its error then is large.
-        Status.TOO_NARROW: profile.sigma - np.nan_to_num(profile.row_error) < MIN_SIGMA_PX,
-        Status.POOR_FIT: np.isnan(profile.row) | misfit,
-        Status.AT_BORDER: ~in_view,
-        Status.DOUBLED: flat,
-        Status.SKEWED: skewed,
-    }
-    return np.select(list(reasons.values()), list(reasons), Status.OK)
-
-
-def _line_ends(status: NDArray[np.uint8], profile: Profile) -> NDArray[np.bool_]:
-    """Find columns, at most two at each end of a run of lit ones, that the line only partly covers.
-
-    There the centre is off by slope/2 times the missing part, and the amplitude is not what the
-    two columns further in extrapolate to.
-    """
-    lit = np.concatenate([[False], status != Status.NO_PEAK, [False]])
-    change = np.diff(lit.astype(int))
-    first, last = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
-    beyond = 3  # columns off the image that the look inward may touch
-    amplitude = np.pad(profile.amplitude, beyond, constant_values=np.nan)
-    # Noise moves the amplitude by about row_error/sigma of itself, its extrapolation by 3 times.
-    noise = np.pad(10.0 * profile.row_error / profile.sigma, beyond, constant_values=np.nan)
-    ends = np.zeros(amplitude.size, bool)
-    for outer, inward in ((first[first > 0], 1), (last[last < status.size - 1], -1)):
-        suspect = outer + beyond
-        for _ in range(2):
-            inner, innermost = suspect + inward, suspect + 2 * inward
-            expected = 2.0 * amplitude[inner] - amplitude[innermost]
-            allowed = (LINE_END_STEP + noise[inner]) * expected
-            whole = np.abs(amplitude[suspect] - expected) <= allowed
-            ends[suspect[~whole]] = True
-            suspect = inner[~whole]
-    return ends[beyond:-beyond]
+def _judge(
+    image: NDArray,
+    profile: Profile,
+    at: Peaks,
+    noise: Noise,
+    skewed: NDArray[np.bool_],
+    flat: NDArray[np.bool_],
+) -> Index:
+    """Status of each fitted peak: (L,)."""
+    found = np.isfinite(profile.row)
+    row = np.where(found, profile.row, at.row)
+    margin = IN_VIEW * at.sigma
+    in_view = (row - margin >= -0.5) & (row + margin <= len(image) - 0.5)
+    spread = np.sqrt(noise.variance(at.amplitude))
+    misfit = at.residual > MAX_RESIDUAL * at.amplitude + 2.0 * np.maximum(spread, at.speckle)
+    apart = np.abs(row - at.row) > MAX_APART_PX + APART * profile.row_error
+    width_error = np.sqrt(at.sigma) * np.maximum(spread, at.residual) / at.amplitude
+    narrow = np.where(found, profile.sigma, at.sigma) - width_error < MIN_SIGMA_PX
+    reasons = (
+        # In noise a line too narrow may seem broad enough.
+        (Status.TOO_NARROW, narrow),
+        (Status.AT_BORDER, ~in_view),
+        (Status.POOR_FIT, ~found),
+        (Status.DOUBLED, flat),
+        (Status.SKEWED, skewed | apart),  # of a symmetric line all centres are the same
+        (Status.POOR_FIT, misfit),
+    )
+    return np.select([is_so for _, is_so in reasons], [why for why, _ in reasons], Status.OK)

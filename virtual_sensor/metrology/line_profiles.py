@@ -1,12 +1,16 @@
-"""Where columns of an image have their peak: what every line detector starts from."""
+"""Where columns of an image have their peaks: what every columnwise detector starts from."""
 
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
+
+from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -15,33 +19,89 @@ SMOOTHING_PX = 1.5  # sigma of the filter that the coarse search runs on
 SIGNIFICANCE = 6.0  # a peak stands out by so many sigma of the smoothed noise
 REACH = 4.0  # half width of the fit's window in sigma; the outermost sigma is tapered
 MIN_SIGMA_PX = 0.5  # below it the pixels no longer sample the profile
+_QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
+_AT_ONCE = 5  # rows to look at for all peaks, before those that are broader
+_PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
+
+
+class Noise(NamedTuple):
+    """The image's noise: its variance is dark^2 + gain * signal (EMVA 1288).
+
+    Attributes
+    ----------
+    dark : float
+        Standard deviation beside the line, in the image's unit.
+    gain : float
+        Growth of the variance per unit of signal: K in grey values per electron; 0: none.
+    known : bool
+        Whether somebody told it; else what a Gaussian leaves of the profile tells it too.
+    """
+
+    dark: float
+    gain: float
+    known: bool
+
+    def variance(self, signal: Array) -> Array:
+        """Of pixels with so much `signal` above the background."""
+        return self.dark**2 + self.gain * np.maximum(signal, 0.0)
+
+    def variance_near(self, at: "Peaks", signal: Array) -> Array:
+        """Of the pixels (n, L) near peaks: as told, or as the residuals tell."""
+        if self.known:
+            return self.variance(signal) * at.excess
+        return np.broadcast_to(at.noise**2, signal.shape)
 
 
 class Peaks(NamedTuple):
-    """Where L lit columns have their peak and about what it looks like: arrays of shape (L,)."""
+    """L peaks, where they are and about what they look like: arrays of shape (L,)."""
 
     column: Index
+    rank: Index  # 0: the highest of its column
     peak: Index
     row: Array
     sigma: Array
     amplitude: Array
     background: Array
-    second: Array  # height of the next peak, relative
+    level: Array  # of the unlit rows of the column
+    second: Array  # height of the next peak, relative; 0 where several were asked for
+    residual: Array  # rms misfit of the Gaussian; NaN before there is one
+    noise: Array  # the same of the neighbours, in which no shape of one's own shows
+    excess: Array  # of its variance over what was told, where that is clear; else 1
+    speckle: Array  # noise that would scatter the neighbours' shapes as they are
 
     def take(self, chosen: NDArray) -> "Peaks":
         """Some of them."""
-        return Peaks(*(values[chosen] for values in self))
+        return Peaks._make(values[chosen] for values in self)
 
 
 class Profile(NamedTuple):
-    """What an estimator says about L columns: arrays of shape (L,); NaN where it fails."""
+    """What a detector says about L peaks: arrays of shape (L,); NaN where it fails."""
 
     row: Array
+    row_error: Array
     sigma: Array
     amplitude: Array
     background: Array
-    row_error: Array
-    residual: Array
+
+
+def checked_image(image: ArrayLike) -> NDArray:
+    """Return `image` (H, W) as a contiguous array of native byte order, or raise InputError."""
+    image = np.asarray(image)
+    if image.ndim != 2 or image.size == 0:
+        problem = f"image: shape {image.shape} is not (height, width)"
+        raise InputError(f"{problem}; give one grey channel, such as image[..., 1]")
+    native = image.dtype.newbyteorder("=")
+    if native not in (np.uint8, np.uint16, np.float32, np.float64):
+        problem = f"image: type {image.dtype} is not uint8, uint16, float32 or float64"
+        raise InputError(f"{problem}; convert it with image.astype('float32')")
+    return np.ascontiguousarray(image, native)
+
+
+def saturation_level(image: NDArray, saturation: float | None) -> float:
+    """Grey value from which on the pixels of `image` are clipped; infinity where there is none."""
+    if saturation is not None:
+        return float(saturation)
+    return float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else np.inf
 
 
 def noise_of(image: NDArray) -> float:
@@ -49,56 +109,112 @@ def noise_of(image: NDArray) -> float:
     sample = image[:, :: max(1, image.shape[1] // 64)].astype(float)
     steps = np.abs(np.diff(sample, axis=0))
     # The median of their magnitude does not see the few rows that the line covers.
-    noise = float(np.median(steps)) / (0.6745 * np.sqrt(2.0)) if steps.size else 0.0
+    noise = float(np.median(steps)) / (_QUARTILE * np.sqrt(2.0)) if steps.size else 0.0
     return max(noise, 12**-0.5) if image.dtype.kind == "u" else noise
 
 
-def find_peaks(image: NDArray, noise: float, min_amplitude: float, max_sigma: float) -> Peaks:
-    """Find the highest peak of each column in a smoothed copy, and its width at half height."""
+def find_peaks(
+    image: NDArray, noise: float, min_amplitude: float, max_sigma: float, count: int = 1
+) -> Peaks:
+    """Find the `count` highest peaks of each column in a smoothed copy, and their half widths."""
     kernel = cv2.getGaussianKernel(2 * int(4 * SMOOTHING_PX) + 1, SMOOTHING_PX)
     depth = cv2.CV_64F if image.dtype == np.float64 else cv2.CV_32F
     smooth = cv2.sepFilter2D(image, depth, np.ones(1), kernel, borderType=cv2.BORDER_REFLECT_101)
 
-    column = np.arange(image.shape[1])
     peak = smooth.argmax(axis=0)
+    column = np.arange(peak.size)
+    rank = np.zeros_like(peak)
     top = smooth[peak, column].astype(float)
-    sparse = smooth[:: max(1, len(smooth) // 128)]
+    sparse = smooth[:: max(len(smooth) // 128, 2)]  # smoothed rows next to each other are alike
     quartile = len(sparse) // 4
     background = np.partition(sparse, quartile, axis=0)[quartile].astype(float)
     contrast = top - background
-    lit = contrast > max(
+    lowest = max(
         min_amplitude * median_filter(contrast, 3, mode="nearest").max(),  # blind to hot pixels
         SIGNIFICANCE * noise * float(np.linalg.norm(kernel)),
         16.0 * np.finfo(smooth.dtype).eps * np.abs([top, background]).max(),  # rounding
     )
+    if count > 1:
+        column, peak, rank = _ranked(smooth, background + lowest, lowest, count)
+        background = background[column]
+        contrast = smooth[peak, column] - background
 
-    column, peak, contrast, background = (a[lit] for a in (column, peak, contrast, background))
+    lit = contrast > lowest
+    column, peak, rank, contrast, background = (
+        values[lit] for values in (column, peak, rank, contrast, background)
+    )
     half = background + contrast / 2.0
     to_half = np.sqrt(2.0 * np.log(2.0))  # half width at half height in sigma
     farthest = int(2.0 * to_half * np.hypot(max_sigma, SMOOTHING_PX)) + 2
     up = _rows_to(half, smooth, column, peak, -farthest)
     down = _rows_to(half, smooth, column, peak, farthest)
-    broadened = (up + down - 1) / 2.0 / to_half
+    above = _beyond(half, smooth, column, peak, -up)
+    below = _beyond(half, smooth, column, peak, down)
+    broadened = (up - above + down - below) / 2.0 / to_half
     sigma = np.sqrt(np.maximum(broadened**2 - SMOOTHING_PX**2, MIN_SIGMA_PX**2))
+    second = np.zeros_like(contrast)
+    if count == 1:
+        second = _next_height(smooth, column, peak, up, down) - background
+        second = np.maximum(second, 0.0) / contrast
+    middle = peak + (down - below - up + above) / 2.0
+    level = background + _QUARTILE * noise * float(np.linalg.norm(kernel))
+    profile = (middle, sigma, contrast, background, level, second)
+    return Peaks(column, rank, peak, *profile, *np.full((4, peak.size), np.nan))
+
+
+def _ranked(
+    smooth: NDArray, height: Array, prominence: float, count: int
+) -> tuple[Index, Index, Index]:
+    """Columns, rows and ranks of the `count` highest local maxima of each column, as (L,) each."""
+    rows = len(smooth) + 2  # between two columns, pixels that are lower than all
+    line = np.pad(smooth.T, ((0, 0), (1, 1)), constant_values=smooth.min() - 1.0).ravel()
+    found, about = signal.find_peaks(line, height=np.repeat(height, rows), prominence=prominence)
+    column, peak = np.divmod(found, rows)
+    own = _PROMINENCE * (about["peak_heights"] - height[column] + prominence)
+    stands_out = about["prominences"] > own
+    column, peak, tops = (a[stands_out] for a in (column, peak, about["peak_heights"]))
+    order = np.lexsort((-tops, column))
+    column, peak = column[order], peak[order] - 1
+    rank = np.arange(column.size) - np.searchsorted(column, column)
+    few = rank < count
+    return column[few], peak[few], rank[few]
+
+
+def _next_height(smooth: NDArray, column: Index, peak: Index, up: Index, down: Index) -> Array:
+    """Highest value of each column beside its peak; overwrites the peaks in `smooth`."""
     half_width = max(up.max(initial=1), down.max(initial=1))
     rows = peak + np.arange(1 - half_width, half_width)[:, None]
     own = (rows > peak - up) & (rows < peak + down) & (rows >= 0) & (rows < len(smooth))
     smooth[np.where(own, rows, peak), column] = -np.inf
-    second = np.maximum(smooth.max(axis=0)[column] - background, 0.0) / contrast
-    return Peaks(column, peak, peak + (down - up) / 2.0, sigma, contrast, background, second)
+    return smooth.max(axis=0)[column]
 
 
 def _rows_to(level: Array, image: NDArray, column: Index, peak: Index, farthest: int) -> Index:
     """Count the rows from each peak, up where `farthest` is negative, to the first at `level`."""
-    distance = np.zeros_like(peak)
-    walking = np.arange(peak.size)
-    for reached in range(1, abs(farthest) + 1):
+    step = np.sign(farthest)
+    at_once = min(_AT_ONCE, abs(farthest))
+    near = windows(image, column, peak - at_once, 2 * at_once + 1)[:, at_once + step :: step]
+    room = np.where(step > 0, len(image) - 1 - peak, peak)
+    above = (near > level[:, None]) & (np.arange(at_once) < room[:, None])
+    walking = np.flatnonzero(above.all(axis=1))
+    distance = above.argmin(axis=1) + 1
+    for reached in range(at_once + 1, abs(farthest) + 1):
+        if not walking.size:
+            break
         distance[walking] = reached
-        row = peak[walking] + np.sign(farthest) * reached
+        row = peak[walking] + step * reached
         inside = (row >= 0) & (row < len(image))
         walking, row = walking[inside], row[inside]
         walking = walking[image[row, column[walking]] > level[walking]]
     return distance
+
+
+def _beyond(level: Array, image: NDArray, column: Index, peak: Index, to: Index) -> Array:
+    """By which part of a row the profile is at `level` before the row that `_rows_to` counts."""
+    last = np.clip(peak + to, 0, len(image) - 1)
+    here, before = image[last, column], image[last - np.sign(to), column]
+    drop = np.where(before > here, before - here, np.inf)
+    return np.clip((level - here) / drop, 0.0, 1.0)
 
 
 def window(image: NDArray, at: Peaks) -> tuple[Index, NDArray[np.bool_], Array]:
@@ -106,15 +222,41 @@ def window(image: NDArray, at: Peaks) -> tuple[Index, NDArray[np.bool_], Array]:
     half = int(np.ceil(REACH * max(at.sigma.max(initial=0.0), 1.0)))
     rows = np.rint(at.row).astype(int) + np.arange(-half, half + 1)[:, None]
     inside = (rows >= 0) & (rows < len(image))
-    values = image[np.clip(rows, 0, len(image) - 1), at.column].astype(float)
-    return rows, inside, values
+    return rows, inside, pixels(image, rows, at.column).astype(float)
+
+
+def windows(image: NDArray, column: Index, first: Index, count: int) -> NDArray:
+    """Values (L, count) of columns from their `first` row on; beyond the border those at it."""
+    if not column.size:
+        return np.empty((0, count), image.dtype)
+    lowest = first.min()
+    rows = np.clip(np.arange(lowest, first.max() + count), 0, len(image) - 1)
+    upright = np.ascontiguousarray(image[rows].T)
+    return sliding_window_view(upright, count, axis=1)[column, first - lowest]
+
+
+def pixels(image: NDArray, rows: Index, column: Index) -> NDArray:
+    """Values of a contiguous image at rows and columns; beyond its border those at it."""
+    rows = np.clip(rows, 0, len(image) - 1)
+    return image.ravel().take(rows * image.shape[1] + column, mode="clip")
+
+
+def pixel_means(rows: Index, row: Array, sigma: Array) -> Array:
+    """Unit Gaussian, averaged over pixels (n, L) whose rows follow each other."""
+    edges = (np.concatenate([rows, rows[-1:] + 1]) - 0.5 - row) / sigma
+    return np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges), axis=0)
 
 
 def pixel_gaussian(rows: Index, row: Array, sigma: Array) -> Array:
-    """1, G = unit Gaussian integrated over a pixel, sigma dG/drow, sigma dG/dsigma: (4, n, L)."""
-    lower, upper = (rows - 0.5 - row) / sigma, (rows + 0.5 - row) / sigma
-    at_lower, at_upper = np.exp(-(lower**2) / 2.0), np.exp(-(upper**2) / 2.0)
-    value = np.sqrt(2.0 * np.pi) * sigma * (ndtr(upper) - ndtr(lower))
-    by_row = sigma * (at_lower - at_upper)
-    by_sigma = value + sigma * (lower * at_lower - upper * at_upper)
-    return np.stack([np.ones_like(value), value, by_row, by_sigma])
+    """1, G = unit Gaussian integrated over a pixel, sigma dG/drow, sigma dG/dsigma: (4, n, L).
+
+    `rows` (n, L) follow each other.
+    """
+    edges = (np.concatenate([rows, rows[-1:] + 1]) - 0.5 - row) / sigma
+    at_edges = np.exp(-0.5 * edges**2)
+    basis = np.empty((4, *rows.shape))
+    basis[0] = 1.0
+    basis[1] = np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges), axis=0)
+    basis[2] = -sigma * np.diff(at_edges, axis=0)
+    basis[3] = basis[1] - sigma * np.diff(edges * at_edges, axis=0)
+    return basis

@@ -1,17 +1,28 @@
-"""Is a profile that of one line?  Two lines that merge, or an edge across one, shift its centre."""
+"""What a peak looks like: the Gaussian that fits it best, and whether it is one line at all.
+
+Two lines that merge, or an edge across one, shift its centre; they show in the third and fourth
+Hermite terms that are left beside the Gaussian.  Least squares in a tapered window is linear about
+a place and a width; its matrices are tabulated for 16 places in a pixel and 16 widths an octave.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from virtual_sensor.metrology.line_fits import Noise, gauss_newton
 from virtual_sensor.metrology.line_profiles import (
     REACH,
     Array,
+    Index,
+    Noise,
     Peaks,
-    Profile,
     pixel_gaussian,
-    window,
+    windows,
 )
+
+Single = NDArray[np.float32]
 
 MAX_SKEW = 0.02  # of the third Hermite term; a skewed profile's centre is off by as many px or more
 MAX_FLAT = 0.03  # of the fourth: two lines of the same height, 2 sigma apart or more
@@ -19,102 +30,277 @@ MAX_STEP = 0.1  # of the level below the line from one side to the other, relati
 SIGNIFICANCE = 3.0  # times the noise, beyond these
 _OUTER = 2.5  # sigma from the centre on which the level below the line is seen
 _ROUGH_FROM_PX = 1.5  # sigma from which on rows next to each other tell noise from shape
-_CLOSE, _MOST_STEPS = 0.05, 4  # in sigma: how near the best Gaussian the shape is judged
+_CLOSE, _MOST_STEPS = 0.2, 3  # in sigma: the last step before the shape is judged
+
+_NEIGHBOURS = 31
+_QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
+_PHASES = 16
+_WIDTHS = 16  # an octave
+_IN_GROUP = 8  # of these share a window
+_NARROWEST_PX = 0.35
+_EXCESS = 1.5  # times the told variance: from there on the residuals are believed
+_MOST_EXCESS = 1e6
+_GRAINY = 1.5  # shapes that scatter by so much more than the residuals say
+_RIDGE = 1e-12  # no normal matrix is singular
 
 
-def skewed_and_flat(
-    image: NDArray, found: Profile, at: Peaks, noise: Noise
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Tell which profiles lean to a side, and which are flatter than one line can be.
+class Shapes(NamedTuple):
+    """The peaks at the Gaussians that fit best, and which of them are no such line: (L,) each."""
+
+    peaks: Peaks
+    skewed: NDArray[np.bool_]
+    flat: NDArray[np.bool_]
+
+
+class _Design(NamedTuple):
+    """Least squares about L places and widths, in windows of n rows.
+
+    `basis` (L, 4, n): 1, the Gaussian, its derivatives by place and width, whose coefficients
+    `gaussian` (L, 4, n) gives; `tests` (L, 3, n) gives the two Hermite terms', fitted with the
+    rest, and the step of the level from side to side.  In white noise of unit variance `left`
+    (L, 2) is what the Hermite terms take of the squares, `spread` (L, 3) the tests' variance.
+    """
+
+    taper: Single
+    basis: Single
+    gaussian: Single
+    tests: Single
+    left: Single
+    spread: Single
+
+
+class _Near(NamedTuple):
+    """L peaks of one group: the tabulated places and widths next to them, and their pixels (L, n).
+
+    `values` are above the background `level`.
+    """
+
+    place: Array
+    sigma: Array
+    level: Array
+    values: Single
+    table: _Design
+    entry: Index  # in the table
+    cut: Index  # those that the image cuts,
+    anew: _Design  # and what holds for them
+
+    def design(self, name: str) -> Single:
+        """A part of the designs."""
+        values = getattr(self.table, name)[self.entry]
+        if self.cut.size:
+            values[self.cut] = getattr(self.anew, name)
+        return values
+
+
+def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
+    """Fit Gaussians to L peaks, and tell which lean to a side or are flatter than one line can be.
 
     Parameters
     ----------
     image : ndarray of shape (H, W)
-    found : Profile
-        What a detector says of L columns.
     at : Peaks
-        The same columns.
     noise : Noise
-
-    Returns
-    -------
-    two ndarrays of bool of shape (L,)
+    max_sigma : float
+        Broadest line in px.
     """
-    good = np.isfinite(found.row) & np.isfinite(found.sigma) & (found.amplitude > 0.0)
-    refined = _refined(image, found, at, good, noise)
-    rows, inside, values = window(image, refined)
-    z = (rows - refined.row) / refined.sigma
-    gaussian = pixel_gaussian(rows, refined.row, refined.sigma)
-    hermite = [(z**3 - 3.0 * z) * gaussian[1], (z**4 - 6.0 * z**2 + 3.0) * gaussian[1]]
-    basis = np.concatenate([gaussian, hermite])
-    reach = np.maximum(refined.sigma, 1.0)
-    taper = np.clip(REACH - np.abs(rows - refined.row) / reach, 0.0, 1.0) * inside
-    weighted = taper * basis
-    normal = np.einsum("inl,jnl->lij", weighted, basis, optimize=True) + 1e-12 * np.eye(6)
-    covariance = np.linalg.inv(normal)
-    coefficients = np.einsum("lij,jnl,nl->il", covariance, weighted, values, optimize=True)
-    misfit = values - np.einsum("il,inl->nl", coefficients, basis)
-    variance = np.maximum(_noise_variance(misfit, taper, refined.sigma), noise.dark**2)
-
-    height = np.where(coefficients[1] > 0.0, coefficients[1], np.nan)
-    skew, flat = coefficients[4] / height, -coefficients[5] / height
-    skew_error, flat_error = (np.sqrt(variance * covariance[:, k, k]) / height for k in (4, 5))
-    step, step_error = _step(refined, rows, inside & (taper > 0.0), values, variance)
-    leans = np.abs(skew) > MAX_SKEW + SIGNIFICANCE * skew_error
-    leans |= np.abs(step) > (MAX_STEP * height + SIGNIFICANCE * step_error)
-    return good & leans, good & (flat > MAX_FLAT + SIGNIFICANCE * flat_error)
-
-
-def _refined(
-    image: NDArray, found: Profile, at: Peaks, good: NDArray[np.bool_], noise: Noise
-) -> Peaks:
-    """The peaks at the Gaussians that fit best: what else a centre may be would seem a shape."""
-    row, sigma, amplitude = (
-        np.where(good, new, old)
-        for new, old in (
-            (found.row, at.row),
-            (found.sigma, at.sigma),
-            (found.amplitude, at.amplitude),
-        )
-    )
-    index = np.arange(len(row))
+    at = at._replace(sigma=np.clip(at.sigma, _NARROWEST_PX, 2.0 * max_sigma))
+    found = np.stack([at.row, at.sigma, at.amplitude, at.background])
+    going = np.arange(at.row.size)
     for _ in range(_MOST_STEPS):
-        here = at.take(index)._replace(
-            row=row[index], sigma=sigma[index], amplitude=amplitude[index]
-        )
-        better, step = gauss_newton(image, here, noise.shot)
-        index = index[step > _CLOSE]
-        if not index.size:
+        if not going.size:
             break
-        row[index], sigma[index], amplitude[index] = (
-            values[step > _CLOSE] for values in (better.row, better.sigma, better.amplitude)
+        here = _moved(at.take(going), found[:, going])
+        for chosen, half in _groups(here.sigma):
+            near = _near(image, here.take(chosen), half)
+            gaussian = np.einsum("lin,ln->il", near.design("gaussian"), near.values)
+            found[:, going[chosen]] = _stepped(near, gaussian, here.take(chosen), max_sigma)
+        row, sigma = found[:2, going]
+        going = going[np.hypot(row - here.row, sigma - here.sigma) > _CLOSE * here.sigma]
+    residual, tests, errors, spread, told = (np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1))
+    at = _moved(at, found)
+    for chosen, half in _groups(at.sigma):
+        here = at.take(chosen)
+        near = _near(image, here, half)
+        gaussian = np.einsum("lin,ln->il", near.design("gaussian"), near.values)
+        residual[:, chosen], tests[:, chosen], errors[:, chosen], told[:, chosen] = _judged(
+            near, gaussian, here, noise
         )
-    return at._replace(row=row, sigma=sigma, amplitude=amplitude)
+        spread[:, chosen] = near.design("spread").T
+        found[:, chosen] = _stepped(near, gaussian, here, max_sigma)
+    scatter = _scatter(tests)
+    (skew, flat, step), (skew_error, flat_error, step_error) = (
+        tests,
+        SIGNIFICANCE * np.fmax(errors, scatter),
+    )
+    leans = (np.abs(skew) > MAX_SKEW + skew_error) | (np.abs(step) > MAX_STEP + step_error)
+    # As much noise in each pixel would scatter the shapes so.
+    speckle = np.nan_to_num(scatter[0] * at.amplitude / np.sqrt(spread[0]))
+    local = _local(residual[0], at.sigma)
+    local = np.where(speckle > _GRAINY * local, speckle, local)
+    excess = np.where(local**2 > _EXCESS * told[0] ** 2, local, told[0])
+    # Where no noise at all was told there is nothing to multiply.
+    sensible = (told[0] > local / _MOST_EXCESS) & np.isfinite(told[0])
+    excess = np.where(sensible, excess, 1.0) / np.where(sensible, told[0], 1.0)
+    at = _moved(at, found)._replace(
+        residual=residual[0], noise=local, excess=excess**2, speckle=speckle
+    )
+    return Shapes(at, leans, flat > MAX_FLAT + flat_error)
 
 
-def _noise_variance(misfit: Array, taper: Array, sigma: Array) -> Array:
+def _scatter(tests: Array) -> Array:
+    """How much the shapes (3, L) of neighbours differ, where they differ by chance: by speckle.
+
+    Their median absolute deviation from the local median, as a standard deviation; none where that
+    median is larger: a trouble of many columns.
+    """
+    scatter = np.nan_to_num(tests)
+    for values in scatter:  # row by row: in one dimension the filter is much faster
+        middle = median_filter(values, _NEIGHBOURS, mode="nearest")
+        away = median_filter(np.abs(values - middle), _NEIGHBOURS, mode="nearest") / _QUARTILE
+        values[:] = np.where(np.abs(middle) < away, away, 0.0)
+    return scatter
+
+
+def _moved(at: Peaks, found: Array) -> Peaks:
+    """The peaks at other rows, of other widths, heights and backgrounds (4, L)."""
+    row, sigma, amplitude, background = found
+    return at._replace(row=row, sigma=sigma, amplitude=amplitude, background=background)
+
+
+def _stepped(near: "_Near", gaussian: Array, at: Peaks, max_sigma: float) -> Array:
+    """Row, width, height and background (4, L) after a step to where the fits (4, L) point."""
+    background, amplitude, p, q = gaussian
+    amplitude = np.maximum(amplitude, 0.05 * at.amplitude)  # a peak stays a peak on its way
+    row = near.place + near.sigma * np.clip(p / amplitude, -0.5, 0.5)
+    sigma = near.sigma * (1.0 + np.clip(q / amplitude, -0.3, 0.5))
+    # What runs away is no line; the detectors will say so.
+    row = np.clip(row, at.peak - REACH * at.sigma - 2.0, at.peak + REACH * at.sigma + 2.0)
+    sigma = np.clip(sigma, _NARROWEST_PX, 2.0 * max_sigma)
+    return np.stack([row, sigma, amplitude, background + near.level])
+
+
+def _judged(
+    near: "_Near", gaussian: Array, at: Peaks, noise: Noise
+) -> tuple[Array, Array, Array, Array]:
+    """Misfit of the fits (4, L); skewness, flatness and step (3, L), and their noise (3, L).
+
+    And the misfit (L,) that the noise makes which was told; infinity if none was.
+    """
+    taper, basis, tests = near.design("taper"), near.design("basis"), near.design("tests")
+    beyond = np.einsum("lin,ln->il", tests, near.values)
+    misfit = near.values - np.einsum("il,lin->ln", gaussian, basis)
+    left = np.einsum("ln,ln->l", taper * misfit, misfit)
+    weight = taper.sum(axis=1)
+    if noise.known:
+        variance = noise.variance(at.amplitude[:, None] * basis[:, 1]).astype(np.float32)
+        errors = np.einsum("lin,lin,ln->il", tests, tests, variance)
+        expected = np.sqrt(np.einsum("ln,ln->l", taper, variance) / weight)
+    else:
+        hermite = (beyond[:2] ** 2 / near.design("left").T).sum(axis=0)
+        whole = np.maximum(left - hermite, 0.0) / np.maximum(weight - 6.0, 1.0)
+        measured = _noise_variance(misfit, taper, near.sigma, whole)
+        errors = near.design("spread").T * np.maximum(measured, noise.dark**2)
+        expected = np.full(at.row.size, np.inf)
+    height = np.where(gaussian[1] > 0.0, gaussian[1], np.nan)
+    told = beyond / height * [[1.0], [-1.0], [1.0]]
+    residual = np.sqrt(left / np.maximum(weight - 4.0, 1.0))
+    return residual, told, np.sqrt(errors) / height, expected
+
+
+def _groups(sigma: Array) -> list[tuple[Index, int]]:
+    """Peaks of about one width, and the half height of their windows in rows."""
+    group = _width(sigma) // _IN_GROUP
+    return [(np.flatnonzero(group == each), _half(int(each))) for each in np.unique(group)]
+
+
+def _width(sigma: Array) -> Index:
+    """Number of the tabulated width that is nearest."""
+    return np.rint(_WIDTHS * np.log2(sigma / _NARROWEST_PX)).astype(int)
+
+
+def _half(group: int) -> int:
+    broadest = _NARROWEST_PX * 2.0 ** ((group + 1) * _IN_GROUP / _WIDTHS)
+    return int(np.ceil(REACH * max(broadest, 1.0)))
+
+
+def _tabulated(width: Index) -> Array:
+    return _NARROWEST_PX * 2.0 ** (width / _WIDTHS)
+
+
+def _near(image: NDArray, at: Peaks, half: int) -> _Near:
+    """What lies near peaks of one group."""
+    middle = np.rint(at.row).astype(int)
+    phase = np.rint((at.row - middle) * _PHASES).astype(int)
+    width = _width(at.sigma)
+    values = windows(image, at.column, middle - half, 2 * half + 1) - at.background[:, None]
+    group = int(width[0]) // _IN_GROUP
+    entry = (width - _IN_GROUP * group) * (_PHASES + 1) + phase + _PHASES // 2
+    table, place, sigma = _table(group, half), phase / _PHASES, _tabulated(width)
+    cut = np.flatnonzero((middle < half) | (middle + half >= len(image)))
+    anew = table
+    if cut.size:
+        offset = np.arange(-half, half + 1)
+        rows = middle[cut, None] + offset
+        inside = (rows >= 0) & (rows < len(image))
+        anew = _design(offset, place[cut], sigma[cut], inside)
+    above = values.astype(np.float32)
+    return _Near(middle + place, sigma, at.background, above, table, entry, cut, anew)
+
+
+@lru_cache(maxsize=64)
+def _table(group: int, half: int) -> _Design:
+    """Designs of a group's widths and all phases, with the phase as the faster index."""
+    phase = np.arange(-_PHASES // 2, _PHASES // 2 + 1) / _PHASES
+    sigma = _tabulated(_IN_GROUP * group + np.arange(_IN_GROUP))
+    offset = np.arange(-half, half + 1)
+    place, width = np.tile(phase, sigma.size), np.repeat(sigma, phase.size)
+    return _design(offset, place, width, np.ones((place.size, offset.size), bool))
+
+
+def _design(offset: Index, place: Array, sigma: Array, inside: NDArray[np.bool_]) -> _Design:
+    away = (offset[:, None] - place).T
+    rows = np.repeat(offset[:, None], place.size, axis=1)
+    gaussian = np.moveaxis(pixel_gaussian(rows, place, sigma), -1, 0)
+    z = (away / sigma[:, None])[:, None]
+    hermite = np.concatenate([z**3 - 3.0 * z, z**4 - 6.0 * z**2 + 3.0], axis=1)
+    basis = np.concatenate([gaussian, hermite * gaussian[:, 1:2]], axis=1)
+    reach = np.maximum(sigma, 1.0)[:, None]
+    taper = np.clip(REACH - np.abs(away) / reach, 0.0, 1.0) * inside
+    four, six = (_solved(basis[:, :k], taper) for k in (4, 6))
+    step = np.zeros_like(taper)
+    for sign in (1.0, -1.0):
+        side = (taper > 0.0) & (sign * away > _OUTER * reach)
+        step += sign * side / np.maximum(side.sum(axis=1, keepdims=True), 1)
+    # Where the image cuts a side off there is no level to compare with.
+    step *= (inside | (np.abs(away) > REACH * reach)).all(axis=1, keepdims=True)
+    tests = np.concatenate([six[:, 4:], step[:, None]], axis=1)
+    normal = np.einsum("lin,ln,ljn->lij", basis, taper, basis) + _RIDGE * np.eye(6)
+    left = np.linalg.inv(normal)[:, [4, 5], [4, 5]]
+    parts = (taper, basis[:, :4], four, tests, left, (tests**2).sum(axis=2))
+    return _Design(*(part.astype(np.float32, order="C") for part in parts))
+
+
+def _solved(basis: Array, taper: Array) -> Array:
+    """Weights (L, k, n) that give the coefficients of a basis (L, k, n) by least squares."""
+    weighted = taper[:, None] * basis
+    normal = np.einsum("lin,ljn->lij", weighted, basis) + _RIDGE * np.eye(basis.shape[1])
+    return np.linalg.solve(normal, weighted)
+
+
+def _local(residual: Array, sigma: Array) -> Array:
+    """The neighbours' median residual, rms: of the noise of one peak only few rows tell."""
+    free = np.maximum(2.0 * REACH * np.maximum(sigma, 1.0) - REACH - 4.0, 1.0)
+    below_mean = (1.0 - 2.0 / (9.0 * free)) ** 3  # the median of chi square: Wilson and Hilferty
+    return np.sqrt(median_filter(residual**2, _NEIGHBOURS, mode="nearest") / below_mean)
+
+
+def _noise_variance(misfit: NDArray, taper: Single, sigma: Array, whole: Array) -> Array:
     """Of the noise alone: of rows next to each other, in which a wrong shape hardly shows.
 
-    Narrow lines have too few rows for that; there all of the misfit counts.
+    Narrow lines have too few rows for that; there the `whole` of the misfit counts.
     """
-    pair = np.sqrt(taper[1:] * taper[:-1])
-    rough = (pair * np.diff(misfit, axis=0) ** 2).sum(axis=0)
-    rough /= np.maximum(2.0 * pair.sum(axis=0) - 6.0, 1.0)
-    whole = (taper * misfit**2).sum(axis=0) / np.maximum(taper.sum(axis=0) - 6.0, 1.0)
+    pair = np.minimum(taper[:, 1:], taper[:, :-1])
+    change = misfit[:, 1:] - misfit[:, :-1]
+    rough = np.einsum("ln,ln->l", pair * change, change)
+    rough /= np.maximum(2.0 * pair.sum(axis=1) - 6.0, 1.0)
     return np.where(sigma < _ROUGH_FROM_PX, np.maximum(rough, whole), rough)
-
-
-def _step(
-    at: Peaks, rows: NDArray[np.intp], seen: NDArray[np.bool_], values: Array, variance: Array
-) -> tuple[Array, Array]:
-    """By how much the level below the line differs from side to side, and the error of that."""
-    far = _OUTER * np.maximum(at.sigma, 1.0)
-    sides = [seen & (rows - at.row > far), seen & (at.row - rows > far)]
-    counts = [side.sum(axis=0) for side in sides]
-    with np.errstate(invalid="ignore"):
-        levels = [
-            np.where(side, values, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan)
-            for side, count in zip(sides, counts, strict=True)
-        ]
-        error = np.sqrt(variance * sum(1.0 / np.maximum(count, 1) for count in counts))
-    return levels[0] - levels[1], error

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
-from virtual_sensor.metrology.line_peaks import LineCentres, Status
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus
 
 Array = NDArray[np.float64]

@@ -16,8 +16,9 @@ from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import field_times
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.deviation import UM_PER_MM
-from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.studies.measure import NINE_RAYS_MM, Report, made_with

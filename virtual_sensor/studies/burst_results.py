@@ -81,7 +81,7 @@ def _frames_table(result: Burst) -> dict[str, Any]:
         "time_s": np.repeat(result.time_s, len(columns)),
         "column": np.tile(columns, len(lines)),
         "row": np.concatenate([line.row for line in lines]),
-        "row_error": np.concatenate([line.row_error for line in lines]),
+        "sigma": np.concatenate([line.sigma for line in lines]),
         **vectors("point_mm", result.points_mm.reshape(-1, 3), "xyz"),
         "status": np.concatenate([status_names(line.status, Status) for line in lines]),
     }

@@ -17,9 +17,10 @@ from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean, round_pixel
 from virtual_sensor.metrology.dot_peaks import dot_centres
-from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.studies.agreement import Agreement, DotAgreement, compare, match_dots

@@ -7,8 +7,8 @@ from typing import Any
 
 from virtual_sensor.files import folder_written_whole, written_whole
 from virtual_sensor.imaging.render import write_exr, write_png
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import euclidean, separate_paths
-from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.studies.measure import (
@@ -110,8 +110,8 @@ def _line_table(state: State) -> dict[str, Any]:
     return {
         "column": line.column,
         "row": line.row,
-        "row_error": line.row_error,
         "sigma": line.sigma,
+        "width": line.width,
         "amplitude": line.amplitude,
         "status": status_names(line.status, Status),
         **vectors("point_mm", triangulate(state.scene.sensor, line.pixel), "xyz"),

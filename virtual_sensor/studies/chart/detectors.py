@@ -13,8 +13,9 @@ from scipy.special import ndtr
 
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import load_scene
-from virtual_sensor.metrology.line_fits import METHODS
-from virtual_sensor.metrology.line_peaks import Status, line_centres
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed
 
@@ -61,7 +62,7 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
         Small images, few of them.
     """
     tasks = [*_gaussians(quick), _frame(quick)]
-    work = [(task, method) for task in tasks for method in METHODS]
+    work = [(task, method) for task in tasks for method in COLUMNWISE]
     found = []
     for number, (task, method) in enumerate(work):
         report(f"lines: {method}", number / len(work))
@@ -73,9 +74,8 @@ def gaussian_lines(
     centre: Array, sigma: float | Array, height: int = HEIGHT_PX, amplitude: float | Array = 1.0
 ) -> Array:
     """Image (height, W) of Gaussian lines at rows `centre` (W,), integrated over each pixel."""
-    edges = np.arange(height + 1)[:, None] - 0.5
-    share = np.diff(ndtr((edges - centre) / sigma), axis=0)
-    return amplitude * np.sqrt(2.0 * np.pi) * sigma * share
+    edges = np.arange(height + 1)[:, None] - 0.5 - centre
+    return amplitude * np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges / sigma), axis=0)
 
 
 def _gaussians(quick: bool) -> Iterator[Task]:
@@ -126,7 +126,7 @@ def _measured(task: Task, method: str, runs: int) -> Rung:
     rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
     status = line.status[there]
     lost = {Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s != Status.OK}
-    stated = line.row_error[there]
+    stated = line.sigma[there]
     stated = stated[np.isfinite(stated)]
     told = np.sqrt(np.mean(stated**2)) if stated.size else np.nan
     return Rung(

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.line_peaks import Status, line_centres
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.chart.frames import (

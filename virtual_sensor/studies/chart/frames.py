@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.deviation import UM_PER_MM
-from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.metrology.line_fits import METHODS
-from virtual_sensor.metrology.line_peaks import LineCentres, Status, line_centres
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.studies.chart.detectors import gaussian_lines
 from virtual_sensor.studies.chart.rung import Failure, Report
 
@@ -61,7 +62,7 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     quick : bool
         Few columns.
     """
-    work = [(trouble, method) for trouble in troubles() for method in METHODS]
+    work = [(trouble, method) for trouble in troubles() for method in COLUMNWISE]
     found = []
     for number, (trouble, method) in enumerate(work):
         report(trouble.what, number / len(work))
@@ -72,7 +73,7 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
 def wrong(line: LineCentres, truth: Array) -> NDArray[np.bool_]:
     """Columns called OK whose centre is neither near the truth nor within its stated error."""
     error = np.abs(line.row - truth)
-    return (error > WRONG_PX) & (error > WRONG_ERRORS * line.row_error)
+    return (error > WRONG_PX) & (error > WRONG_ERRORS * line.sigma)
 
 
 def troubles() -> Iterator[Trouble]:

@@ -1,0 +1,85 @@
+"""Line centres: what every detector gives, and why a centre is missing."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """Why there is a centre, or none."""
+
+    OK = 0
+    NO_PEAK = 1
+    SATURATED = 2
+    TOO_NARROW = 3
+    AT_BORDER = 4
+    LINE_END = 5
+    POOR_FIT = 6
+    BAD_PIXELS = 7
+    SKEWED = 8
+    """Lopsided: a second line in its skirt, or an edge across it, would shift the centre."""
+    DOUBLED = 9
+    """Two peaks of much the same height, apart or merged into one flat one."""
+
+
+@dataclass(frozen=True)
+class LineCentres:
+    """Centres of a laser line; NaN where `status` is not OK.
+
+    The arrays have one shape: (W,) where each of W columns is searched for its highest peak, or
+    each of W rows; (K, W) where up to K peaks are, the highest first; (N,) where N points of lines
+    of any direction were found.
+
+    Attributes
+    ----------
+    column, row : ndarray
+        (u, v) in px, integer at pixel centres.  Where columns are searched, `column` is 0 ... W-1
+        and `row` is what is measured; where rows are searched, the other way round.
+    sigma : ndarray
+        Predicted standard deviation in px of the centre, across the line: the image's noise as the
+        detector passes it on, and the detector's own bias for such a line.  NaN too where the
+        detector can't tell it.
+    width : ndarray
+        Standard deviation of the line's profile in px, before the pixels integrate it.
+    amplitude, background : ndarray
+        Height of that profile above the level below it, and that level, in the image's unit.
+    normal_deg : ndarray
+        Direction in which the centre was sought, degrees from +u towards +v: 90 along columns,
+        0 along rows, the line's normal where it may have any direction.
+    status : ndarray of uint8
+        `Status` of each.
+    """
+
+    column: NDArray[Any]
+    row: NDArray[Any]
+    sigma: Array
+    width: Array
+    amplitude: Array
+    background: Array
+    normal_deg: Array
+    status: NDArray[np.uint8]
+
+    @property
+    def pixel(self) -> Array:
+        """The centres as pixels (u, v), shape (..., 2); NaN where there is none."""
+        there = self.status == Status.OK
+        return np.where(there[..., None], np.stack([self.column, self.row], axis=-1), np.nan)
+
+    @property
+    def transposed(self) -> "LineCentres":
+        """The same centres in the transposed image: rows are columns there."""
+        return LineCentres(
+            self.row,
+            self.column,
+            self.sigma,
+            self.width,
+            self.amplitude,
+            self.background,
+            90.0 - self.normal_deg,
+            self.status,
+        )

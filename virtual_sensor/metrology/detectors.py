@@ -1,0 +1,150 @@
+"""The detectors by their names; a user's own join them by an entry point, or are given as such.
+
+A detector of one's own is a function of the image (H, W) that returns the line's row in each column
+(W,), NaN where there is none, or a whole `LineCentres`.  A package makes it known by
+
+    [project.entry-points."virtual_sensor.detectors"]
+    mine = "my_package.my_module:my_function"
+"""
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.metrology import closed_forms, line_fits
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.line_profiles import Noise, Peaks, Profile
+
+ENTRY_POINTS = "virtual_sensor.detectors"
+
+Estimate = Callable[[NDArray, Peaks, Noise, float], Profile]
+Foreign = Callable[[NDArray], NDArray | LineCentres]
+
+
+@dataclass(frozen=True)
+class Detector:
+    """How the centre of a profile is found.
+
+    Attributes
+    ----------
+    estimate : callable
+        (image, peaks, noise, broadest line in px) to profiles.
+    source : str
+        Who described it.
+    iterative : bool
+        Whether it fits in steps; else it is in closed form.
+    """
+
+    estimate: Estimate
+    source: str
+    iterative: bool = False
+
+
+_FISHER = "Fisher and Naidu 1996"
+_BLAIS = "Blais and Rioux 1986"
+
+COLUMNWISE: dict[str, Detector] = {
+    "gaussian": Detector(line_fits.fit_gaussian, "Bjorck 1996, full least squares", True),
+    "weighted_gaussian": Detector(line_fits.fit_weighted, "Bevington 1969, weighted", True),
+    "max_likelihood": Detector(line_fits.fit_likeliest, "Huang et al. 2013", True),
+    "log_parabola": Detector(closed_forms.log_parabola, f"{_FISHER}, three-point Gaussian"),
+    "parabola": Detector(closed_forms.parabola, _FISHER),
+    "linear_interpolation": Detector(closed_forms.linear_interpolation, _FISHER),
+    "centre_of_gravity": Detector(closed_forms.centre_of_gravity, _FISHER),
+    "fir4": Detector(closed_forms.fir4, _BLAIS),
+    "fir8": Detector(closed_forms.fir8, _BLAIS),
+}
+"""Detectors that search columns one by one, or rows."""
+
+STEGER = "steger"
+"""The detector of lines of any direction: `ridges`."""
+
+NAMES = (*COLUMNWISE, STEGER)
+
+
+def find_detector(name: str) -> Foreign:
+    """A user's detector: of an installed package's entry point, or ``package.module:function``.
+
+    Raises
+    ------
+    InputError
+        If there is none of that name, or it can't be loaded.
+    """
+    known = {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
+    if name not in known and ":" not in name:
+        raise InputError(
+            f"line_centres: no method '{name}'; take {', '.join([*NAMES, *known])}, or a function"
+            " of your own as package.module:function"
+        )
+    try:
+        if name in known:
+            found = known[name].load()
+        else:
+            module, _, function = name.partition(":")
+            found = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InputError(
+            f"detector '{name}': can't be loaded ({error}); install its package, or set PYTHONPATH"
+        ) from None
+    if not callable(found):
+        raise InputError(f"detector '{name}': is not a function; give one of the image (H, W)")
+    return found
+
+
+def by_foreign(image: NDArray, detector: Foreign) -> LineCentres:
+    """What a user's detector finds, with what lies off the image, or is no number, refused."""
+    name = getattr(detector, "__name__", repr(detector))
+    answer = detector(image)
+    if not isinstance(answer, LineCentres):
+        answer = _from_rows(image, answer, name)
+    shapes = {values.shape for values in vars(answer).values()}
+    if len(shapes) != 1:
+        raise InputError(
+            f"detector {name}: its LineCentres has arrays of shapes {sorted(shapes)}; give them one"
+        )
+    inside = [
+        (place >= -0.5) & (place <= size - 0.5)
+        for place, size in zip((answer.column, answer.row), image.shape[::-1], strict=True)
+    ]
+    status = np.where(
+        (answer.status == Status.OK) & ~(inside[0] & inside[1]), Status.POOR_FIT, answer.status
+    )
+    return checked_centres(answer, status)
+
+
+def _from_rows(image: NDArray, rows: NDArray, name: str) -> LineCentres:
+    try:
+        row = np.asarray(rows, float)
+    except (TypeError, ValueError):
+        row = np.empty(0)
+    if row.shape != image.shape[1:]:
+        raise InputError(
+            f"detector {name}: gives {type(rows).__name__} of shape {np.shape(row)}; give a row for"
+            f" each of the {image.shape[1]} columns, or a LineCentres"
+        )
+    blank = np.full(row.size, np.nan)
+    status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
+    along = np.full(row.size, 90.0)
+    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, along, status)
+
+
+def checked_centres(line: LineCentres, status: NDArray) -> LineCentres:
+    """The centres with another status, and NaN where that is not OK."""
+    bad = status != Status.OK
+    measured = {
+        name: np.where(bad, np.nan, getattr(line, name))
+        for name in ("row", "sigma", "width", "amplitude", "background")
+    }
+    place = measured.pop("row")
+    return LineCentres(
+        column=np.asarray(line.column),
+        row=place,
+        normal_deg=np.asarray(line.normal_deg),
+        status=status.astype(np.uint8),
+        **measured,
+    )
