@@ -1,4 +1,4 @@
-"""The Mitsuba plugins: the refractive integrator and the laser line emitter.
+"""The Mitsuba plugins: the refractive integrator, the laser line and the glow of a hot part.
 
 Importing this package registers them for the variant that is set, and again whenever Mitsuba
 changes its variant: registration is per variant, and a class can only derive from Mitsuba's once
@@ -10,7 +10,7 @@ import sys
 
 from virtual_sensor.engine import mi
 
-_PLUGINS = ("virtual_sensor_plugins.laser_line", "virtual_sensor_plugins.refractive")
+_PLUGINS = tuple(f"virtual_sensor_plugins.{name}" for name in ("laser_line", "glow", "refractive"))
 
 
 def _register(old: str | None = None, new: str | None = None) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.exposure import Exposure
+from virtual_sensor_plugins.glow import Glow
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 from virtual_sensor_plugins.lit_pixels import (
     Account,
@@ -96,6 +97,7 @@ class Refractive(mi.SamplingIntegrator):
             raise InputError(
                 "refractive: 'widen' and 'blur' are of a field; give the 'field', or neither"
             )
+        self.glows = True
         self.field_file = _beside_scene(name) if name else None
         self.field = self._air(self.field_file, time_s) if self.field_file else None
 
@@ -115,9 +117,10 @@ class Refractive(mi.SamplingIntegrator):
         return other
 
     def with_field(self, field: IndexField | None) -> "Refractive":
-        """The same integrator in other air, taken as it is; None: light runs straight."""
+        """The same integrator in other air, taken as it is; None: a cold part, straight light."""
         other = self.with_way(self.way, self.march, self.tolerance_px)
         other.field = field
+        other.glows = self.glows and field is not None
         return other
 
     def with_way(self, way: str, march: March, tolerance_px: float) -> "Refractive":
@@ -125,7 +128,7 @@ class Refractive(mi.SamplingIntegrator):
         choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
         choices |= {"way": way, "tolerance": tolerance_px, **self.model}
         other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
-        other.field = self.field
+        other.field, other.glows = self.field, self.glows
         return other
 
     @property
@@ -169,8 +172,11 @@ class Refractive(mi.SamplingIntegrator):
         valid = active & si.is_valid()
         bsdf, context = si.bsdf(ray), mi.BSDFContext()
         si.wi = dr.select(valid, si.wi, -ray.d)  # what meets nothing sees the environment
-        radiance = si.emitter(scene).eval(si)
-        for emitter in scene.emitters():
+        others = self._other_lights(scene)
+        radiance = si.emitter(scene).eval(si) if others else mi.Spectrum(0.0)
+        for emitter in [laser_of(scene), *others]:
+            if isinstance(emitter, Glow):  # it is seen, and lights nothing else
+                continue
             if isinstance(emitter, LaserLineEmitter):
                 if light is None:
                     continue
@@ -183,6 +189,16 @@ class Refractive(mi.SamplingIntegrator):
             value = bsdf.eval(context, si, si.to_local(toward), lit) * weight
             radiance += dr.select(lit, value, 0.0)
         return radiance, valid
+
+    def glow(self, scene: mi.Scene) -> float:
+        """Radiance of the scene's brightest glowing surface, W/(mm^2 sr); 0 if none glows."""
+        lights = self._other_lights(scene)
+        return max((e.radiance for e in lights if isinstance(e, Glow)), default=0.0)
+
+    def _other_lights(self, scene: mi.Scene) -> list[Any]:
+        """The emitters beside the laser that shine: a cold part does not glow."""
+        others = [e for e in scene.emitters() if not isinstance(e, LaserLineEmitter)]
+        return [e for e in others if not isinstance(e, Glow) or (self.glows and e.radiance > 0.0)]
 
     def lit_pixels(self, scene: mi.Scene, sensor: mi.Sensor) -> LitPixels:
         """The pixels that the laser reaches, with the truth at their centres."""
@@ -234,7 +250,7 @@ class Refractive(mi.SamplingIntegrator):
         film.prepare([])
         lit = lit or self.lit_pixels(scene, sensor)
         width, height = (int(n) for n in film.crop_size())
-        laser_alone = all(isinstance(e, LaserLineEmitter) for e in scene.emitters())
+        laser_alone = not self._other_lights(scene)
         count = lit.index.size if laser_alone else width * height
         exposure = Exposure(sensor, seed, count, progress)
         every = np.arange(width * height, dtype=np.uint32)

@@ -24,6 +24,7 @@ FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """Of a field's box, in the order of `IndexField.border_jump`."""
 
 _INSIDE_MM = 1e-4
+_DULL = 0.2  # reflectance of an oxidised part
 _ELEMENT = {"camera": "<sensor>", "laser": '<emitter type="laser_line">'}
 _FIELD = '<integrator type="refractive">: the field'
 
@@ -77,9 +78,24 @@ def check_scene(scene: Scene) -> list[str]:
     """
     line = lit_line(scene)
     try:
-        return _check_border(scene.field, scene.sensor, line) if scene.field else []
+        told = _check_border(scene.field, scene.sensor, line) if scene.field else []
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
+    return told + _tell_glow(scene)
+
+
+def _tell_glow(scene: Scene) -> list[str]:
+    """How bright a glowing part is beside the line, if it glows."""
+    glow = scene.integrator.glow(scene.mitsuba)
+    if not glow:
+        return []
+    laser = scene.sensor.laser
+    irradiance = laser.power_w / laser.length_mm * np.sqrt(2.0 / np.pi) / laser.radius_mm
+    share = glow / (irradiance * _DULL / np.pi)
+    return [
+        f"the hot part glows with {glow:.2g} W/(mm^2 sr) through its filter: {share:.1g} of the"
+        f" laser line on a surface that reflects {_DULL:.0%}"
+    ]
 
 
 def lit_line(scene: Scene) -> LitLine:
