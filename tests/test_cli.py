@@ -26,6 +26,7 @@ FILES = {
     *("cold.exr", "cold.png", "line_cold.csv", "points_cold.ply"),
     *("hot.exr", "hot.png", "line_hot.csv", "points_hot.ply"),
     *("nine_rays.csv", "dense_search.csv", "report.png", "summary.json", "table.md"),
+    "calibration.yaml",
 }
 
 

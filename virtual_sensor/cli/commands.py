@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import chart, reproduce, simulation, sweep
+from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -264,6 +264,7 @@ app.command(
 )(sweep.sweep)
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 app.command(epilog=chart.EPILOG)(chart.chart)
+app.command(epilog=detect.EPILOG)(detect.detect)
 
 
 @app.command(

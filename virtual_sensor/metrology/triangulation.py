@@ -1,18 +1,44 @@
 """From pixels to points: the line of sight meets the laser plane (Beermann et al. 2018, 3.3)."""
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.sensor_model import SensorModel
+from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]
 
 PARALLEL = 1e-12  # sine of the angle to the laser plane: below it a line of sight never meets it
 SINGULAR = 1e-6  # the same angle, subtended by the triangulation base: below it there is no depth
+NEAREST_MM = 1.0  # to a projection centre, of all that is ever measured
 
 
-def check_geometry(sensor: SensorModel) -> None:
+class LaserPlane(Protocol):
+    """A laser plane, and about where on it things are measured (3,), mm."""
+
+    @property
+    def plane(self) -> tuple[Array, float]: ...  # noqa: D102
+
+    @property
+    def target_mm(self) -> Array: ...  # noqa: D102
+
+
+class Sensor(Protocol):
+    """A camera and a laser plane: the sensor of a scene, or a real one's calibration."""
+
+    @property
+    def camera(self) -> Camera: ...  # noqa: D102
+
+    @property
+    def laser(self) -> LaserPlane: ...  # noqa: D102
+
+    @property
+    def triangulation_angle_deg(self) -> float: ...  # noqa: D102
+
+
+def check_geometry(sensor: Sensor) -> None:
     """Check that the camera sees the laser plane from the side.
 
     From a projection centre in the laser plane every line of sight that meets the plane does so at
@@ -25,9 +51,8 @@ def check_geometry(sensor: SensorModel) -> None:
     """
     normal, offset = sensor.laser.plane
     centre = sensor.camera.pose.origin_mm
-    target = sensor.laser.pose.to_world([0.0, 0.0, sensor.laser.distance_mm])
     base = abs(normal @ centre - offset)
-    distance = np.linalg.norm(centre - target)
+    distance = max(float(np.linalg.norm(centre - sensor.laser.target_mm)), NEAREST_MM)
     if not base > SINGULAR * distance:
         raise InputError(
             f"sensor: the camera's projection centre lies {base:.3g} mm from the laser plane "
@@ -36,14 +61,14 @@ def check_geometry(sensor: SensorModel) -> None:
         )
 
 
-def triangulate(sensor: SensorModel, pixel: ArrayLike) -> Array:
+def triangulate(sensor: Sensor, pixel: ArrayLike) -> Array:
     """Measure the points on the laser plane E that pixels see along straight lines of sight g.
 
     Parameters
     ----------
-    sensor : SensorModel
+    sensor : SensorModel or Calibration
     pixel : array_like of shape (N, 2)
-        (u, v) in px, integer at pixel centres.
+        (u, v) in px, integer at pixel centres; undistorted first, where the camera distorts.
 
     Returns
     -------

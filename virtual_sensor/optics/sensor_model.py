@@ -5,12 +5,20 @@ along v, z forward, right-handed) and laser (x across the sheet, y along the lin
 Pixels are (u, v) with integers at pixel centres, as in OpenCV.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+# Of undoing a distortion.
+_MOST_STEPS = 30
+_SMALL_PX, _SOLVED_PX = 1e-3, 1e-10
+_REGULAR = 1e-6  # determinant from which on pixels next to each other see different things
+_LOOKS = 33  # for a fold, between the middle of the image and a pixel
+_NEAR = 2.0  # images: within so many, looks on a grid miss no fold
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Camera:
-    """The ideal pinhole camera of equations 2 and 3.
+    """The pinhole camera of equations 2 and 3, ideal unless it has a distortion.
 
     Attributes
     ----------
@@ -55,11 +63,15 @@ class Camera:
         Camera frame; its origin is the projection centre C_proj.
     size : tuple of int
         Width and height in px.
+    distortion : ndarray of shape (0,), (4,), (5,), (8,), (12,) or (14,)
+        OpenCV's coefficients k_1, k_2, p_1, p_2, k_3 ... s_4, tau_x, tau_y; the last two are the
+        tilt of the sensor (Scheimpflug).  Empty: none, as in every scene that is rendered.
     """
 
     matrix: Array
     pose: Pose
     size: tuple[int, int]
+    distortion: Array = field(default_factory=lambda: np.zeros(0))
 
     def project(self, points_mm: ArrayLike) -> Array:
         """Project world points (N, 3) straight onto the sensor: pixels (N, 2), equation 2.
@@ -68,13 +80,82 @@ class Camera:
         """
         local = self.pose.to_local(points_mm)
         depth = np.where(local[..., 2:] > 0.0, local[..., 2:], np.nan)
-        return (local / depth) @ self.matrix[:2].T
+        return self._distorted(local / depth)
+
+    def _distorted(self, homogeneous: Array) -> Array:
+        """Pixels (..., 2) of camera coordinates x/z, y/z, 1, shape (..., 3)."""
+        if not self.distortion.size:
+            return homogeneous @ self.matrix[:2].T
+        known = np.nan_to_num(homogeneous.reshape(-1, 3))
+        nowhere, K, d = np.zeros(3), self.matrix, self.distortion
+        pixel = cv2.projectPoints(known, nowhere, nowhere, K, d)[0] if known.size else known[:, :2]
+        seen = np.isfinite(homogeneous).all(axis=-1, keepdims=True)
+        return np.where(seen, pixel.reshape(*homogeneous.shape[:-1], 2), np.nan)
+
+    def distort(self, pixel: ArrayLike) -> Array:
+        """The pixels (..., 2) at which the camera sees what an ideal pinhole sees at `pixel`."""
+        return self._distorted(self._homogeneous(np.asarray(pixel, float)))
+
+    def undistorted(self, pixel: ArrayLike) -> Array:
+        """The pixels (..., 2) at which an ideal pinhole would see what pixels (..., 2) see.
+
+        By Newton's method to 1e-9 px; NaN where it does not get there, or only beyond a fold of
+        the image, where no lens sees: past its turning point a polynomial has other roots.
+        """
+        pixel = np.asarray(pixel, float)
+        if not self.distortion.size:
+            return pixel
+        ideal = pixel.copy()
+        for _ in range(_MOST_STEPS):
+            here, (a, b, c, d), area = self._derivatives(ideal)
+            x, y = np.moveaxis(pixel - here, -1, 0)
+            area = np.where(np.abs(area) > _REGULAR, area, np.nan)
+            step = np.stack([(d * x - b * y) / area, (a * y - c * x) / area], axis=-1)
+            ideal = ideal + step
+            if not np.any(np.abs(step) > _SOLVED_PX):
+                break
+        missed = np.abs(self.distort(ideal) - pixel).max(axis=-1)
+        ideal = np.where((missed < 10.0 * _SOLVED_PX)[..., None], ideal, np.nan)
+        return np.where(self._unfolded(ideal)[..., None], ideal, np.nan)
+
+    def _derivatives(self, ideal: Array) -> tuple[Array, tuple[Array, ...], Array]:
+        """Where ideal pixels (..., 2) are seen, du/du, du/dv, dv/du, dv/dv and the determinant."""
+        here, along_u, along_v = (
+            self.distort(ideal + shift) for shift in (0.0, [_SMALL_PX, 0.0], [0.0, _SMALL_PX])
+        )
+        (a, c), (b, d) = (
+            np.moveaxis((moved - here) / _SMALL_PX, -1, 0) for moved in (along_u, along_v)
+        )
+        return here, (a, b, c, d), a * d - b * c
+
+    def _unfolded(self, ideal: Array) -> NDArray[np.bool_]:
+        """Which ideal pixels (..., 2) have no fold between them and the middle: shape (...)."""
+        unfolded = np.asarray(np.isfinite(ideal).all(axis=-1))
+        if not unfolded.any():
+            return unfolded
+        middle = self.matrix[:2, 2]
+        some = np.vstack([ideal[unfolded], middle])
+        sides = np.linspace(some.min(axis=0), some.max(axis=0), _LOOKS)
+        around = np.stack(np.meshgrid(*sides.T), axis=-1)
+        near = np.abs(some - middle).max() < _NEAR * max(self.size)
+        if near and (self._derivatives(around)[2] > _REGULAR).all():  # as usual, and cheap
+            return unfolded
+        for share in np.linspace(0.0, 1.0, _LOOKS):
+            area = self._derivatives(middle + share * (ideal - middle))[2]
+            unfolded &= area > _REGULAR
+        return unfolded
+
+    def _homogeneous(self, pixel: Array) -> Array:
+        """Camera coordinates x/z, y/z, 1, shape (..., 3), of an ideal pinhole's pixels."""
+        ones = np.ones((*pixel.shape[:-1], 1))
+        return np.concatenate([pixel, ones], axis=-1) @ np.linalg.inv(self.matrix).T
 
     def lines_of_sight(self, pixel: ArrayLike) -> Array:
-        """Unit directions (N, 3) in the world of the straight lines of sight, equation 3."""
-        pixel = np.asarray(pixel, float)
-        homogeneous = np.concatenate([pixel, np.ones((*pixel.shape[:-1], 1))], axis=-1)
-        local = homogeneous @ np.linalg.inv(self.matrix).T
+        """Unit directions (N, 3) in the world of the straight lines of sight, equation 3.
+
+        NaN where a distortion can't be undone.
+        """
+        local = self._homogeneous(self.undistorted(pixel))
         direction = local @ self.pose.rotation.T
         return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
 
@@ -131,6 +212,11 @@ class LaserLine:
         direction = local @ self.pose.rotation.T
         unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
         return self.pose.to_world(start), unit
+
+    @property
+    def target_mm(self) -> Array:
+        """Middle of the reference plane (3,), world."""
+        return self.pose.to_world([0.0, 0.0, self.distance_mm])
 
     @property
     def plane(self) -> tuple[Array, float]:

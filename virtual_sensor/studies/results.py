@@ -7,6 +7,7 @@ from typing import Any
 
 from virtual_sensor.files import folder_written_whole, written_whole
 from virtual_sensor.imaging.render import write_exr, write_png
+from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import euclidean, separate_paths
 from virtual_sensor.metrology.triangulation import triangulate
@@ -19,6 +20,9 @@ from virtual_sensor.studies.measure import (
 )
 from virtual_sensor.studies.report import draw_report
 from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+
+CALIBRATION = "calibration.yaml"
+"""The sensor as `virtual-sensor detect --calibration` reads it."""
 
 
 def save(
@@ -60,6 +64,10 @@ def save(
             write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
         write_csv(place / "nine_rays.csv", _nine_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
+        sensor = result.cold.scene.sensor
+        with written_whole(place / CALIBRATION) as temporary:
+            text = calibration_text(calibration_of(sensor), CALIBRATION)
+            temporary.write_text(text, encoding="utf-8")
         draw_report(result, figures, place / "report.png")
         with written_whole(place / "table.md") as temporary:
             temporary.write_text(markdown_table(result, figures), encoding="utf-8")

@@ -1,0 +1,149 @@
+"""What was found in an image, as files: centres as CSV, points as PLY, and a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from virtual_sensor.files import written_whole
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.studies.detect import Detected
+from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+
+_MARGIN_PX = 15
+_PEAKS = ("#ff3030", "#30c8ff", "#ffd030", "#c060ff", "#60ff60")
+_STATUS = ListedColormap(
+    (
+        *("#2e9e4f", "#dddddd", "#e8590c", "#845ef7", "#495057"),
+        *("#f59f00", "#c92a2a", "#000000", "#d6336c", "#1971c2"),
+    )
+)
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each image's files, all different: its own, with its folder's where needed."""
+    names: list[str] = []
+    for path in paths:
+        name, number = path.stem, 2
+        while name in names:
+            name, number = f"{path.stem}_{number}", number + 1
+        names.append(name)
+    return names
+
+
+def save_detected(found: Detected, name: str, folder: Path) -> None:
+    """Write ``name.csv``, ``name.png`` and, with a calibration, ``name.ply`` into a folder."""
+    write_csv(folder / f"{name}.csv", centre_table(found))
+    if found.points_mm is not None:
+        points = found.points_mm.reshape(-1, 3)
+        write_ply(folder / f"{name}.ply", points, found.line.amplitude.ravel())
+    draw_overlay(found, folder / f"{name}.png")
+
+
+def centre_table(found: Detected) -> dict[str, Any]:
+    """Columns of one row for each centre; with several peaks, peak by peak."""
+    line = found.line
+    table: dict[str, Any] = {}
+    if line.status.ndim > 1:
+        table["peak"] = np.repeat(np.arange(line.status.shape[0]), line.status.shape[1])
+    for name in ("column", "row", "sigma", "width", "amplitude", "background", "normal_deg"):
+        table[name] = np.ravel(getattr(line, name))
+    table["status"] = status_names(line.status, Status)
+    if found.points_mm is not None:
+        table |= vectors("point_mm", found.points_mm.reshape(-1, 3), "xyz")
+    return table
+
+
+def draw_overlay(found: Detected, path: Path) -> None:
+    """Draw the image with the centres on it, what became of each column, and their sigma."""
+    line, image = found.line, found.image
+    figure = Figure(figsize=(11.0, 7.0), dpi=110)
+    top, middle, bottom = figure.subplots(3, 1, height_ratios=(5.0, 0.45, 1.5))
+    figure.subplots_adjust(left=0.08, right=0.985, bottom=0.07, top=0.93, hspace=0.42)
+    good = line.status == Status.OK
+    figure.suptitle(f"{found.path.name}: {int(good.sum())} centres", fontsize=12)
+    _image(top, image, line)
+    many = line.status.ndim > 1
+    pixel = line.pixel if many else line.pixel[None]
+    for rank, centres in enumerate(pixel):
+        label = f"peak {rank + 1}" if many else "centres"
+        colour = _PEAKS[rank % len(_PEAKS)]
+        top.plot(*centres.T, ".", ms=1.6, color=colour, label=label)
+    if good.any():
+        top.legend(loc="upper right", markerscale=6, fontsize=8)
+    upright = bool(np.all(line.normal_deg == 0.0)) and line.status.size > 0
+    place = line.row if upright else line.column
+    place = np.asarray(place, float).reshape(pixel.shape[:2])
+    status = line.status.reshape(pixel.shape[:2])
+    _statuses(middle, place, status, "v in px" if upright else "u in px")
+    for rank, sigma in enumerate(line.sigma.reshape(pixel.shape[:2])):
+        bottom.plot(place[rank], sigma, ".", ms=2, color=_PEAKS[rank % len(_PEAKS)])
+    told = line.sigma[np.isfinite(line.sigma)]
+    if told.size:
+        bottom.set_ylim(0.0, 1.3 * max(float(np.percentile(told, 99.0)), 1e-12))
+        bottom.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
+    else:
+        bottom.text(0.5, 0.5, "no sigma is known", ha="center", transform=bottom.transAxes)
+    bottom.set(xlim=middle.get_xlim(), xlabel=middle.get_xlabel())
+    bottom.set(ylabel="sigma in px", title="standard deviation that the detector predicts")
+    middle.set_xlabel("")
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 1})
+
+
+def _image(axes: Axes, image: NDArray, line: LineCentres) -> None:
+    """The part of the image that has centres, or all of it."""
+    pixel = line.pixel.reshape(-1, 2)
+    pixel = pixel[np.isfinite(pixel).all(axis=1)]
+    height, width = image.shape
+    left, top, right, bottom = 0, 0, width, height
+    if len(pixel):
+        low = np.floor(pixel.min(axis=0)).astype(int) - _MARGIN_PX
+        high = np.ceil(pixel.max(axis=0)).astype(int) + _MARGIN_PX + 1
+        left, top = np.maximum(low, 0)
+        right, bottom = np.minimum(high, (width, height))
+    shown = image[top:bottom, left:right].astype(float)
+    shown[~np.isfinite(shown)] = np.nan
+    extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
+    axes.imshow(shown, cmap="gray", aspect="auto", extent=extent, interpolation="nearest")
+    axes.set(xlim=extent[:2], ylim=extent[2:], ylabel="v in px")
+
+
+def _statuses(axes: Axes, place: NDArray, status: NDArray, label: str) -> None:
+    """A strip that tells what became of each column or row, or of each point."""
+    for rank in range(len(status)):
+        axes.scatter(
+            place[rank],
+            np.full(place.shape[1], rank),
+            c=status[rank],
+            cmap=_STATUS,
+            vmin=-0.5,
+            vmax=len(Status) - 0.5,
+            marker="|",
+            s=120,
+            linewidths=0.8,
+        )
+    present = [s for s in Status if np.any(status == s)]
+    handles = [
+        Patch(color=_STATUS(int(s)), label=f"{s.name.lower()}: {int(np.sum(status == s))}")
+        for s in present
+    ]
+    axes.set(yticks=[], ylim=(len(status) - 0.5, -0.5), xlabel=label, title="")
+    if place.size:
+        spare = 0.5 + 0.005 * float(np.nanmax(place) - np.nanmin(place))
+        axes.set_xlim(np.nanmin(place) - spare, np.nanmax(place) + spare)
+    if handles:
+        axes.legend(
+            handles=handles,
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),
+            ncols=6,
+            fontsize=7.5,
+            frameon=False,
+        )
