@@ -1,7 +1,7 @@
 """Put results into the README and the pages beside this file, those that are given.
 
 ``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR
---charted DIR --peers DIR``
+--charted DIR --peers DIR --tried DIR``
 """
 
 import argparse
@@ -19,6 +19,7 @@ def main(
     reproduced: Path | None,
     charted: Path | None,
     peers: Path | None,
+    tried: Path | None,
 ) -> None:
     """Replace what stands between the marks, and the pictures."""
     if measured:
@@ -36,6 +37,9 @@ def main(
         shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
     if peers:
         replace("<!-- table: peers -->\n", peers / "peers.md", HERE / "speed_accuracy.md")
+    if tried:
+        replace("<!-- table: trial -->\n", tried / "table.md", HERE / "detectors.md")
+        shutil.copy(tried / "signal.png", HERE / "trial_signal.png")
 
 
 def replace(begin: str, table: Path, page: Path = README) -> None:
@@ -49,6 +53,6 @@ def replace(begin: str, table: Path, page: Path = README) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("measured", "fineness", "reproduced", "charted", "peers"):
+    for name in ("measured", "fineness", "reproduced", "charted", "peers", "tried"):
         parser.add_argument(f"--{name}", type=Path)
     main(**vars(parser.parse_args()))

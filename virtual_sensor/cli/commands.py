@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from virtual_sensor import engine
-from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep
+from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep, trial
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -265,6 +265,7 @@ app.command(
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 app.command(epilog=chart.EPILOG)(chart.chart)
 app.command(epilog=detect.EPILOG)(detect.detect)
+app.command(epilog=trial.EPILOG)(trial.trial)
 
 
 @app.command(

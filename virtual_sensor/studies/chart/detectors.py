@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtr
 
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import load_scene
@@ -18,6 +17,7 @@ from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed
+from virtual_sensor.studies.trial.images import line_shares
 
 Array = NDArray[np.float64]
 
@@ -74,8 +74,7 @@ def gaussian_lines(
     centre: Array, sigma: float | Array, height: int = HEIGHT_PX, amplitude: float | Array = 1.0
 ) -> Array:
     """Image (height, W) of Gaussian lines at rows `centre` (W,), integrated over each pixel."""
-    edges = np.arange(height + 1)[:, None] - 0.5 - centre
-    return amplitude * np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges / sigma), axis=0)
+    return amplitude * np.sqrt(2.0 * np.pi) * sigma * line_shares(centre, sigma, height)[0]
 
 
 def _gaussians(quick: bool) -> Iterator[Task]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -22,13 +21,13 @@ from virtual_sensor.studies.chart.rows import (
     scaling_columns,
 )
 from virtual_sensor.studies.chart.rung import Rung
+from virtual_sensor.studies.pages import html_head, html_table, told_time
 from virtual_sensor.studies.tables import write_csv
 
 PAGE = "index.html"
 FRONT_TABLE = "front.md"
 _MACHINE = ("processor", "threads", "variant")
 
-_PREFIXES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _HOW = (
     "Each rung's time is the median of several runs of the whole work, warmed up before, with"
     " Dr.Jit's threads waited for; a rung that takes long is run less often. Errors are against"
@@ -37,14 +36,6 @@ _HOW = (
     " the rungs that no other beats in both time and error; what fails in 1 % of its items more"
     " often than the most reliable rung is not on it."
 )
-_STYLE = """\
-body { font: 15px/1.45 sans-serif; max-width: 90em; margin: 2em auto; padding: 0 1em; color: #222; }
-table { border-collapse: collapse; font-size: 13px; margin-bottom: 1.5em; }
-td, th { border: 1px solid #ccc; padding: 3px 7px; text-align: left; vertical-align: top; }
-th { background: #f2f2f2; }
-tr.front td { font-weight: bold; background: #eef6fb; }
-img { max-width: 100%; border: 1px solid #ddd; margin: 0.5em 0 1.5em; }
-"""
 
 
 def save_chart(chart: Chart, folder: Path, overwrite: bool = False) -> None:
@@ -95,14 +86,6 @@ def summary(chart: Chart) -> dict[str, Any]:
     }
 
 
-def told_time(seconds: float) -> str:
-    """A time with three digits, in the unit that it is best read in."""
-    if not np.isfinite(seconds):
-        return "unknown"
-    scale, unit = next((p for p in _PREFIXES if abs(seconds) >= p[0]), _PREFIXES[-1])
-    return f"{seconds / scale:.3g} {unit}"
-
-
 def told_number(value: float, unit: str) -> str:
     """An error with two digits; nothing where there is none."""
     return f"{value:.2g} {unit}" if np.isfinite(value) else ""
@@ -150,15 +133,12 @@ def _errors(rung: Rung) -> list[str]:
 def page(chart: Chart) -> str:
     """The page as HTML; its pictures lie beside it."""
     parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en"><head><meta charset="utf-8">',
-        f"<title>Speed against accuracy</title><style>{_STYLE}</style></head><body>",
-        "<h1>Speed against accuracy</h1>",
+        *html_head("Speed against accuracy"),
         *(f"<p><b>{escape(words)}</b></p>" for words in chart.told),
         f'<img src="{PICTURE}" alt="all panels: error over time">',
         "<h2>How it was measured</h2>",
         f"<p>{escape(_HOW)}</p>",
-        _table(["", ""], [[name, fact] for name, fact in chart.machine.items()]),
+        html_table(["", ""], [[name, fact] for name, fact in chart.machine.items()]),
     ]
     for name in chart.panels:
         parts += _panel(chart, name)
@@ -167,7 +147,7 @@ def page(chart: Chart) -> str:
         "<p>Each trouble was made worse step by step, up to where the method first failed. No line"
         " here is a plausible wrong number that nobody tells of: a status says which ray, pixel or"
         " column it is, or the line says that none can.</p>",
-        _table(
+        html_table(
             ["trouble", "method", "first fails at", "tried", "how it is told", "failed", "note"],
             [
                 [
@@ -187,7 +167,7 @@ def page(chart: Chart) -> str:
         parts += [
             "<h2>How the time grows</h2>",
             "<p>Time goes as size to the power of the exponent.</p>",
-            _table(
+            html_table(
                 ["time of a", "exponent", "size: seconds", "note"],
                 [
                     [
@@ -233,17 +213,5 @@ def _panel(chart: Chart, name: str) -> list[str]:
         f"<h2>{escape(panel.title)}</h2>",
         f'<img src="{name}.png" alt="{escape(panel.title)}: error over time">',
         "<p>Errors are against: " + escape("; ".join(references)) + ".</p>",
-        _table([*head, "failed", "against", "note"], rows, [r in front for r in rungs]),
+        html_table([*head, "failed", "against", "note"], rows, [r in front for r in rungs]),
     ]
-
-
-def _table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], bold: Sequence[bool] | None = None
-) -> str:
-    marks = ['<tr class="front">' if b else "<tr>" for b in bold or [False] * len(rows)]
-    lines = ["<table><tr>" + "".join(f"<th>{escape(text)}</th>" for text in head) + "</tr>"]
-    lines += [
-        mark + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>"
-        for mark, row in zip(marks, rows, strict=True)
-    ]
-    return "\n".join([*lines, "</table>"])

@@ -1,0 +1,1 @@
+"""A fair trial of line detectors: images of known truth, the same for all, beside the bound."""

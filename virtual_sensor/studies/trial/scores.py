@@ -1,0 +1,138 @@
+"""How a detector does on an image of known truth."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.studies.trial.images import (
+    Condition,
+    TrialImage,
+    drawn_line,
+    line_shares,
+)
+
+Array = NDArray[np.float64]
+
+OUTLIER_PX, OUTLIER_BOUNDS = 0.5, 6.0  # an outlier is farther off than both
+PHASES = np.linspace(-0.5, 0.5, 41)
+_RUNS = 3
+
+
+@dataclass(frozen=True)
+class Score:
+    """One detector on one image; outliers are counted, and are not in bias, std and rms.
+
+    Attributes
+    ----------
+    detector : str
+    condition : Condition
+    bias_px, std_px, rms_px : float
+    predicted_px : float
+        Rms of the sigma that the detector predicts for the centres counted; NaN if it can't.
+    bound_px : float
+        Rms of the Cramer-Rao bound over the columns; NaN where noise is not all.
+    outliers, failures : float
+        Shares of the columns with a line: wrong though OK; without a centre.
+    columns : int
+        With a line.
+    seconds : float
+        Of a column.
+    """
+
+    detector: str
+    condition: Condition
+    bias_px: float
+    std_px: float
+    rms_px: float
+    predicted_px: float
+    bound_px: float
+    outliers: float
+    failures: float
+    columns: int
+    seconds: float
+
+
+def score_drawn(
+    detectors: list[str], condition: Condition, columns: int, seed: tuple[int, ...]
+) -> list[Score]:
+    """Draw a line, and score every detector on it."""
+    return score_all(detectors, condition, drawn_line(condition, columns, seed))
+
+
+def score_all(detectors: list[str], condition: Condition, image: TrialImage) -> list[Score]:
+    """Every detector on the same image."""
+    return [score(name, condition, image) for name in detectors]
+
+
+def score(detector: str, condition: Condition, image: TrialImage) -> Score:
+    """Find the line's centres and set them beside the truth."""
+    took = []
+    for _ in range(_RUNS):
+        began = time.perf_counter()
+        line = line_centres(image.grey, detector, **image.options)
+        took.append(time.perf_counter() - began)
+    there = np.isfinite(image.truth)
+    count = int(there.sum())
+    column, error, sigma = against(line, image.truth)
+    bound = image.bound[np.clip(column, 0, len(image.bound) - 1)]
+    least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
+    wild = np.abs(error) > least
+    good, told = error[~wild], sigma[~wild]
+    with_sigma = np.isfinite(told)
+    bounds = image.bound[there]
+    return Score(
+        detector,
+        condition,
+        bias_px=float(good.mean()) if good.size else np.nan,
+        std_px=float(good.std()) if good.size else np.nan,
+        rms_px=_rms(good),
+        predicted_px=_rms(told[with_sigma]) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
+        bound_px=_rms(bounds[np.isfinite(bounds)]),
+        outliers=float(wild.sum() / count),
+        failures=1.0 - len(np.unique(column)) / count,
+        columns=count,
+        seconds=min(took) / image.grey.shape[1],
+    )
+
+
+def against(line: LineCentres, truth: Array) -> tuple[NDArray[np.intp], Array, Array]:
+    """Columns, errors in px and sigmas of the centres found where there is a line.
+
+    Of a detector that does not go by columns, the points' distance from the line is taken along
+    its columns.
+    """
+    good = (line.status == Status.OK).ravel()
+    u, v, sigma = (np.ravel(x)[good].astype(float) for x in (line.column, line.row, line.sigma))
+    known = np.flatnonzero(np.isfinite(truth))
+    column = np.rint(u).astype(int)
+    inside = np.isin(column, known)
+    if not known.size or not inside.any():
+        return np.empty(0, int), np.empty(0), np.empty(0)
+    u, v, sigma, column = (values[inside] for values in (u, v, sigma, column))
+    # Truth of drawn lines jumps from column to column: only points between columns need more.
+    between = np.interp(u, known, truth[known])
+    expected = np.where(np.abs(u - column) < 1e-9, truth[column], between)
+    return column, v - expected, sigma
+
+
+def phase_bias(detector: str, width_px: float) -> Array:
+    """Bias (41,) in px at the sub-pixel phases `PHASES`, without any noise; NaN where it fails."""
+    repeats = 41  # a detector that looks along the line too needs one that is straight
+    bias = np.full(PHASES.size, np.nan)
+    for number, phase in enumerate(PHASES):
+        truth = np.full(repeats, 40.0 + phase)
+        image = 1e4 * line_shares(truth, width_px, 81)[0]
+        column, error, _ = against(line_centres(image, detector), truth)
+        middle = error[column == repeats // 2]
+        bias[number] = middle[0] if middle.size else np.nan
+    return bias
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else np.nan
