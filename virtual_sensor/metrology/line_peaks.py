@@ -30,6 +30,7 @@ from virtual_sensor.metrology.line_profiles import (
     Noise,
     Peaks,
     Profile,
+    by_width,
     checked_image,
     find_peaks,
     noise_of,
@@ -186,9 +187,7 @@ def _columnwise(
 
     found = np.full((len(Profile._fields), count, seen.size), np.nan)
     shape = shapes(filled, peaks, noise, max_sigma)
-    octave = np.ceil(2.0 * np.log2(shape.peaks.sigma))  # a broad peak widens no other's window
-    for each in np.unique(octave):
-        chosen = octave == each
+    for chosen in by_width(shape.peaks.sigma):  # a broad peak widens no other's window
         group = shape.peaks.take(chosen)
         profile = detector.estimate(filled, group, noise, max_sigma)
         status[group.rank, group.column] = _judge(
