@@ -123,13 +123,14 @@ def find_peaks(
     depth = cv2.CV_64F if image.dtype == np.float64 else cv2.CV_32F
     smooth = cv2.sepFilter2D(image, depth, np.ones(1), kernel, borderType=cv2.BORDER_REFLECT_101)
 
-    peak = np.ascontiguousarray(smooth.T).argmax(axis=1)  # which is faster than along columns
+    peak = cv2.reduceArgMax(smooth, 0)[0].astype(int)  # NumPy's takes three times as long
     column = np.arange(peak.size)
     rank = np.zeros_like(peak)
     top = smooth[peak, column].astype(float)
-    sparse = smooth[:: max(len(smooth) // 128, 2)]  # smoothed rows next to each other are alike
-    quartile = len(sparse) // 4
-    background = np.partition(sparse, quartile, axis=0)[quartile].astype(float)
+    # Smoothed rows next to each other are alike.
+    sparse = np.ascontiguousarray(smooth[:: max(len(smooth) // 128, 2)].T)
+    quartile = sparse.shape[1] // 4
+    background = np.partition(sparse, quartile, axis=1)[:, quartile].astype(float)
     contrast = top - background
     lowest = max(
         min_amplitude * median_filter(contrast, 3, mode="nearest").max(),  # blind to hot pixels
