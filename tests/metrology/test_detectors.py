@@ -129,7 +129,7 @@ def test_fits_that_integrate_over_the_pixel_lock_to_none(method, sigma):
     [
         ("parabola", 0.04),
         ("linear_interpolation", 0.06),
-        ("centre_of_gravity", 0.03),
+        ("centre_of_gravity", 0.004),
         ("fir4", 0.02),
         ("fir8", 0.02),
     ],
@@ -141,6 +141,14 @@ def test_other_closed_forms_lock_to_pixels_and_say_by_how_much(method, largest):
     bias = np.abs(line.row - 40.0 - offset)
     assert largest / 20.0 < bias.max() < largest
     np.testing.assert_allclose(line.sigma, bias, atol=0.2 * largest)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1.5, 2.0, 3.0, 4.0])
+def test_the_centre_of_gravity_takes_as_much_of_either_skirt(sigma):
+    """By whole pixels its window would lie aside of the line: up to 0.03 px, back and forth."""
+    offset = np.linspace(-0.5, 0.5, 41)
+    line = line_centres(line_image(40.0 + offset, sigma, height=80), "centre_of_gravity")
+    assert np.max(np.abs(line.row - 40.0 - offset)) < 3e-3 / sigma**2 + 1e-4
 
 
 @pytest.mark.parametrize("method", COLUMNWISE)

@@ -64,7 +64,9 @@ def trial(
     scores = chosen_for_front(result)
     condition = scores[0].condition
     title = f"line of {condition.width_px:g} px, {condition.electrons:g} electrons a column"
-    table = Table(*HEAD, title=title, title_justify="left")
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for number, name in enumerate(HEAD):
+        table.add_column(name, no_wrap=number == 0)
     best = {each.detector for each in front(scores)}
     for row in rows(scores):
         table.add_row(*row, style="bold" if row[0] in best else None)

@@ -46,9 +46,10 @@ def centre_of_gravity(image: NDArray, at: Peaks, noise: Noise, max_sigma: float)
     """Centre of gravity above the fitted level beside the line (Fisher and Naidu 1996)."""
     origin = np.rint(at.row).astype(int)
     reach = _GRAVITY_REACH * np.maximum(at.sigma, 1.0)
-    half = int(np.ceil(reach.max(initial=1.0)))
+    half = int(np.ceil(reach.max(initial=1.0))) + 1
     offset = np.arange(-half, half + 1)[:, None]
-    counts = (np.abs(offset) <= reach).astype(float)
+    # Pixels count as far as they lie in a window about the peak: as much of either skirt.
+    counts = np.clip(reach + 0.5 - np.abs(origin + offset - at.row), 0.0, 1.0)
     ratio = Ratio(origin, origin + offset, offset * counts, counts, reach)
     return _measured(image, at, noise, ratio, level=at.background)
 

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from virtual_sensor.files import written_whole
 from virtual_sensor.studies.trial.scores import PHASES, Score
@@ -148,6 +149,8 @@ def _speed(trial: Trial) -> Figure:
         ha="right",
         fontsize=9,
     )
+    axes.xaxis.set_major_formatter(LogFormatter())  # 3, not 3 x 10^0
+    axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.5)))
     axes.margins(0.08)
     axes.set(
         xlabel="time of a column on one core, µs",
