@@ -115,4 +115,5 @@ def detect(
             temporary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     console.print(table)
     first = output / f"{names[0]}.png"
-    console.print(f"{count} images; results in {output}, look at {first} first", soft_wrap=True)
+    read = "1 image" if count == 1 else f"{count} images"
+    console.print(f"{read}; results in {output}, look at {first} first", soft_wrap=True)

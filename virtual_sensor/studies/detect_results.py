@@ -17,6 +17,7 @@ from virtual_sensor.studies.detect import Detected
 from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
 
 _MARGIN_PX = 15
+_POINTS = 72  # of an inch
 _PEAKS = ("#ff3030", "#30c8ff", "#ffd030", "#c060ff", "#60ff60")
 _STATUS = ListedColormap(
     (
@@ -81,7 +82,9 @@ def draw_overlay(found: Detected, path: Path) -> None:
     place = line.row if upright else line.column
     place = np.asarray(place, float).reshape(pixel.shape[:2])
     status = line.status.reshape(pixel.shape[:2])
-    _statuses(middle, place, status, "v in px" if upright else "u in px")
+    for strip in (middle, bottom):  # as far as the image above goes
+        strip.set_xlim(sorted(top.get_ylim()) if upright else top.get_xlim())
+    _statuses(middle, place, status)
     for rank, sigma in enumerate(line.sigma.reshape(pixel.shape[:2])):
         bottom.plot(place[rank], sigma, ".", ms=2, color=_PEAKS[rank % len(_PEAKS)])
     told = line.sigma[np.isfinite(line.sigma)]
@@ -90,24 +93,18 @@ def draw_overlay(found: Detected, path: Path) -> None:
         bottom.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
     else:
         bottom.text(0.5, 0.5, "no sigma is known", ha="center", transform=bottom.transAxes)
-    bottom.set(xlim=middle.get_xlim(), xlabel=middle.get_xlabel())
     bottom.set(ylabel="sigma in px", title="standard deviation that the detector predicts")
-    middle.set_xlabel("")
+    bottom.set_xlabel("v in px" if upright else "u in px")
     with written_whole(path) as temporary:
         figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 1})
 
 
 def _image(axes: Axes, image: NDArray, line: LineCentres) -> None:
-    """The part of the image that has centres, or all of it."""
-    pixel = line.pixel.reshape(-1, 2)
-    pixel = pixel[np.isfinite(pixel).all(axis=1)]
+    """The part of the image in which there is something of a line, or all of it."""
     height, width = image.shape
-    left, top, right, bottom = 0, 0, width, height
-    if len(pixel):
-        low = np.floor(pixel.min(axis=0)).astype(int) - _MARGIN_PX
-        high = np.ceil(pixel.max(axis=0)).astype(int) + _MARGIN_PX + 1
-        left, top = np.maximum(low, 0)
-        right, bottom = np.minimum(high, (width, height))
+    there = line.status != Status.NO_PEAK
+    left, right = _range(line.column[there], width)
+    top, bottom = _range(line.row[there], height)
     shown = image[top:bottom, left:right].astype(float)
     shown[~np.isfinite(shown)] = np.nan
     extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
@@ -115,8 +112,20 @@ def _image(axes: Axes, image: NDArray, line: LineCentres) -> None:
     axes.set(xlim=extent[:2], ylim=extent[2:], ylabel="v in px")
 
 
-def _statuses(axes: Axes, place: NDArray, status: NDArray, label: str) -> None:
+def _range(place: NDArray, size: int) -> tuple[int, int]:
+    """First pixel, and that behind the last, about places along one axis of the image."""
+    place = place[np.isfinite(place)]
+    if not place.size:
+        return 0, size
+    first, last = int(np.floor(place.min())), int(np.ceil(place.max()))
+    return max(first - _MARGIN_PX, 0), min(last + _MARGIN_PX + 1, size)
+
+
+def _statuses(axes: Axes, place: NDArray, status: NDArray) -> None:
     """A strip that tells what became of each column or row, or of each point."""
+    columns = np.ptp(axes.get_xlim())
+    width = _POINTS * axes.get_window_extent().width / axes.figure.dpi
+    broad = max(1.2 * width / columns, 1.5)  # not finer than the picture's pixels: it would gap
     for rank in range(len(status)):
         axes.scatter(
             place[rank],
@@ -127,17 +136,14 @@ def _statuses(axes: Axes, place: NDArray, status: NDArray, label: str) -> None:
             vmax=len(Status) - 0.5,
             marker="|",
             s=120,
-            linewidths=0.8,
+            linewidths=broad,
         )
     present = [s for s in Status if np.any(status == s)]
     handles = [
         Patch(color=_STATUS(int(s)), label=f"{s.name.lower()}: {int(np.sum(status == s))}")
         for s in present
     ]
-    axes.set(yticks=[], ylim=(len(status) - 0.5, -0.5), xlabel=label, title="")
-    if place.size:
-        spare = 0.5 + 0.005 * float(np.nanmax(place) - np.nanmin(place))
-        axes.set_xlim(np.nanmin(place) - spare, np.nanmax(place) + spare)
+    axes.set(yticks=[], ylim=(len(status) - 0.5, -0.5))
     if handles:
         axes.legend(
             handles=handles,
