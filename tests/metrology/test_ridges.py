@@ -131,6 +131,28 @@ def test_it_says_what_is_wrong_with_a_point():
         np.testing.assert_array_equal(np.isnan(values), bad)
 
 
+@pytest.mark.parametrize("degrees", [90.0, 60.0, 125.0])
+def test_where_a_line_ends_no_wrong_point_is_called_right(degrees):
+    """Cut off by columns, oblique lines' smoothed ends hang aside by more than a pixel."""
+    away = straight(degrees)
+    image = drawn(away)
+    image[:, :30] = image[:, 95:] = 0.0
+    line = line_centres(image, "steger")
+    points, _ = found(line)
+    assert len(points) > 35
+    assert np.abs(away(points)).max() < 0.05
+    assert np.sum(line.status == Status.LINE_END) > 8
+    u = line.column[line.status == Status.LINE_END]
+    assert np.all((u < 50) | (u > 75))
+
+
+def test_a_fragment_too_short_to_be_a_line_is_none():
+    """A speck of dirt, or a bright grain: its direction and place are chance."""
+    image = drawn(straight(90.0))
+    image[:, :55] = image[:, 67:] = 0.0
+    assert not np.any(line_centres(image, "steger").status == Status.OK)
+
+
 def test_two_lines_that_cross_are_both_found():
     """Away from where they cross; no branch in between is made up."""
     first, second = straight(80.0), straight(20.0, offset=-4.0)

@@ -12,8 +12,11 @@ What shifts that zero is taken off:
   line, and h/(sqrt(2 pi) scale) taken off the derivative.  It is Steger's bias correction, for a
   Gaussian line in place of a bar.
 - A line that curves with radius R: smoothing draws it inwards by scale^2/(2 R), as heat from
-  a ring spreads.  R comes from the points beside it; where they are too few, at a line's ends,
+  a ring spreads.  R comes from the points beside it; where they are too few, near a line's ends,
   this stays.
+
+Smoothing draws an end that is cut obliquely aside, by more than its width: points within 3 scales
+of where a line ends are LINE_END, and so are short fragments as a whole.
 """
 
 from typing import NamedTuple
@@ -44,6 +47,7 @@ _UNBENT_NOISE = float(
     np.sqrt(1.0 + np.sqrt(np.pi) * (7.5 / _BEND_REACH**3 + 11.25 / _BEND_REACH**5))
 )
 _FEWEST = 8  # of them
+_END = 3.0  # scales from a point within which its line must go on, on both sides
 _SAME_WAY = 0.9  # cosine between the normals of points of one line
 _CHUNK = 1 << 22  # pixels of windows at a time
 _LINE_LIKE = 0.5  # second derivative along the line, relative to that across: below it
@@ -104,10 +108,10 @@ def ridges(
         typical = float(np.median(width)) if width.size else FIRST_SCALE_PX
         scale = float(np.clip(BEST_SCALE * typical, LEAST_SCALE_PX, MOST_SCALE_PX))
     pixel, found = _lines(grey, dark, min_amplitude, scale)
-    pixel, unbent = _unbent(pixel, found[5], scale, image.shape)
+    pixel, unbent, ends = _unbent(pixel, found[5], scale, image.shape)
     found[1] *= np.where(unbent, _UNBENT_NOISE, 1.0)
     clipped = ~(image < saturation) & finite
-    status = _judged(pixel, found, scale, max_sigma, finite, clipped)
+    status = _judged(pixel, found, scale, max_sigma, finite, clipped, ends)
     found[3:5] *= unit
     found[4] += offset
     return _points(pixel, found, status)
@@ -153,12 +157,12 @@ def _margin(pixel: Array, shape: tuple[int, ...]) -> Array:
 
 def _unbent(
     pixel: Array, normal_deg: Array, scale: float, shape: tuple[int, ...]
-) -> tuple[Array, NDArray[np.bool_]]:
-    """The points, with what smoothing does to a curved line taken off; and where it was."""
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """The points, with what smoothing does to a curved line taken off; where it was; line ends."""
     count = int(2.0 * np.sqrt(2.0) * _BEND_REACH * scale)  # of an oblique line's, 0.7 px apart
     count = min(count, len(pixel))
     if count < _FEWEST:
-        return pixel, np.zeros(len(pixel), bool)
+        return pixel, np.zeros(len(pixel), bool), np.ones(len(pixel), bool)
     distance, near = KDTree(pixel).query(pixel, count, workers=-1)
     angle = np.radians(normal_deg)
     normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -167,6 +171,8 @@ def _unbent(
     y = np.einsum("nkd,nd->nk", offset, normal)
     alike = np.abs(np.einsum("nkd,nd->nk", normal[near], normal)) > _SAME_WAY
     alike &= (distance < _BEND_REACH * scale) & (np.abs(y) < scale)
+    before, behind = (np.max(sign * x, axis=1, where=alike, initial=0.0) for sign in (-1.0, 1.0))
+    ends = np.minimum(before, behind) < _END * scale
     weight = (alike & (_margin(pixel, shape) >= _REACH * scale)[near]).astype(float)
     # y = c_0 + c_1 x + c_2 x^2 by least squares, with x in reaches; the curvature is 2 c_2.
     basis = (x / (_BEND_REACH * scale))[:, :, None] ** np.arange(3)
@@ -176,7 +182,7 @@ def _unbent(
         np.ptp(x * weight, axis=1) > 0.7 * _BEND_REACH * scale
     )
     curvature = np.where(enough, 2.0 * c / (_BEND_REACH * scale) ** 2, 0.0)
-    return pixel - (curvature * (scale**2 + 1.0 / 12.0) / 2.0)[:, None] * normal, enough
+    return pixel - (curvature * (scale**2 + 1.0 / 12.0) / 2.0)[:, None] * normal, enough, ends
 
 
 def _candidates(
@@ -326,6 +332,7 @@ def _judged(
     max_sigma: float,
     finite: NDArray[np.bool_],
     clipped: NDArray[np.bool_],
+    ends: NDArray[np.bool_],
 ) -> Index:
     """Status of each point: (N,)."""
     step, _, width, amplitude, _, _ = found
@@ -340,6 +347,7 @@ def _judged(
         Status.BAD_PIXELS: near[0],
         Status.SATURATED: near[1],
         Status.AT_BORDER: _margin(pixel, finite.shape) < _REACH * scale,
+        Status.LINE_END: ends,
         Status.TOO_NARROW: width < MIN_SIGMA_PX,
         Status.POOR_FIT: ~(np.abs(step) < _CONVERGED_PX) | (width > max_sigma) | ~(amplitude > 0.0),
     }
