@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 
 import cv2
 import numpy as np
@@ -101,8 +102,9 @@ def test_a_folder_is_taken_whole_and_peaks_ways_and_detectors_are_passed_on(tmp_
 
 @pytest.mark.parametrize("detector", ["steger", "numpy:nanargmax", "test_detect:brightest"])
 def test_any_detector_works_from_the_command_line(tmp_path, detector, monkeypatch):
-    """Ours, and a user's own by module and function; one that is unfit is told so."""
-    monkeypatch.syspath_prepend(str(tmp_path))
+    """Ours, and a user's own in the working folder; one that is unfit is told so."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
     (tmp_path / "test_detect_mine.py").write_text("def brightest(i): return i.argmax(axis=0)\n")
     cv2.imwrite(str(tmp_path / "line.png"), picture(255, np.uint8))
     name = detector.replace("test_detect:", "test_detect_mine:")

@@ -7,7 +7,13 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import Overwrite, command_line, console, reporting
+from virtual_sensor.cli.shared import (
+    Overwrite,
+    command_line,
+    console,
+    reporting,
+    see_own_modules,
+)
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole, written_whole
 
@@ -86,6 +92,7 @@ def detect(
     from virtual_sensor.studies.detect import detect as run
     from virtual_sensor.studies.detect_results import names_of, save_detected
 
+    see_own_modules()
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
     if bits is not None:

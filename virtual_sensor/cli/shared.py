@@ -85,6 +85,13 @@ def closing(output: Path) -> None:
     )
 
 
+def see_own_modules() -> None:
+    """Let modules of the working folder be imported too, as `python -m` does; after all others."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+
+
 def command_line() -> str:
     """The command that was given, for a file's history."""
     return shlex.join(["virtual-sensor", *sys.argv[1:]])

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import Overwrite, console, reporting
+from virtual_sensor.cli.shared import Overwrite, console, reporting, see_own_modules
 from virtual_sensor.files import check_output
 
 EPILOG = (
@@ -47,6 +47,7 @@ def trial(
     from virtual_sensor.studies.trial.report import HEAD, PAGE, rows, save_trial
     from virtual_sensor.studies.trial.trial import trial as run
 
+    see_own_modules()
     check_output(output, overwrite, folder=True)
     with reporting("getting ready") as report:
         result = run(

@@ -89,7 +89,8 @@ def find_detector(name: str) -> Foreign:
             found = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise InputError(
-            f"detector '{name}': can't be loaded ({error}); install its package, or set PYTHONPATH"
+            f"detector '{name}': can't be loaded ({error}); install its package, set PYTHONPATH, or"
+            " go to the folder that holds it"
         ) from None
     if not callable(found):
         raise InputError(f"detector '{name}': is not a function; give one of the image (H, W)")

@@ -1,0 +1,26 @@
+"""What the pages show is what a reader can run."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from artificial import line_image
+
+from virtual_sensor.metrology.centres import Status
+
+DETECTORS = Path(__file__).parents[1] / "docs" / "detectors.md"
+
+
+def test_the_python_of_the_page_on_detectors_runs_from_its_top_to_its_end():
+    """Rationale: the reader copies it; `image` is the reader's own."""
+    image = line_image(np.full(60, 30.3), 2.0, 900.0, background=64.0).astype(np.uint16)
+    known = {"image": image}
+    blocks = re.findall(r"```python\n(.*?)```", DETECTORS.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 2
+    exec(blocks[0], known)
+    np.testing.assert_allclose(known["line"].row, 30.3, atol=0.01)
+    exec(blocks[1], known)
+    line = known["line"]
+    assert known["grey"].dtype == np.uint16
+    assert np.sum(line.status == Status.OK) > 800
+    assert np.all(line.sigma[np.isfinite(line.sigma)] > 0.05)
