@@ -225,6 +225,19 @@ def test_a_function_of_ones_own_is_a_detector():
     np.testing.assert_array_equal(upright.column[:20], 12.0)
 
 
+def test_where_a_detector_of_ones_own_fails_is_told():
+    """By the line of its own file: whoever wrote it is the one who reads this."""
+
+    def broken(image):
+        return image.argmax(axis=7)
+
+    with pytest.raises(
+        InputError, match=r"detector broken: fails on .*\(8, 6\) .*AxisError"
+    ) as told:
+        line_centres(np.zeros((8, 6)), broken)
+    assert f"test_detectors.py, line {broken.__code__.co_firstlineno + 1}" in str(told.value)
+
+
 def test_a_detector_of_ones_own_may_give_all_that_ours_do():
     """A `LineCentres` goes through; what it places off the image does not."""
 

@@ -8,6 +8,7 @@ A detector of one's own is a function of the image (H, W) that returns the line'
 """
 
 import importlib
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
@@ -98,9 +99,22 @@ def find_detector(name: str) -> Foreign:
 
 
 def by_foreign(image: NDArray, detector: Foreign) -> LineCentres:
-    """What a user's detector finds, with what lies off the image, or is no number, refused."""
+    """What a user's detector finds, with what lies off the image, or is no number, refused.
+
+    Raises
+    ------
+    InputError
+        Naming the detector, and the line at which it failed, or what it should give.
+    """
     name = getattr(detector, "__name__", repr(detector))
-    answer = detector(image)
+    try:
+        answer = detector(image)
+    except Exception as error:
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(
+            f"detector {name}: fails on an image of {image.shape} {image.dtype} with"
+            f" {type(error).__name__}: {error} ({place.filename}, line {place.lineno})"
+        ) from error
     if not isinstance(answer, LineCentres):
         answer = _from_rows(image, answer, name)
     shapes = {values.shape for values in vars(answer).values()}
