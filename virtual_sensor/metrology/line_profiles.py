@@ -19,7 +19,7 @@ SMOOTHING_PX = 1.5  # sigma of the filter that the coarse search runs on
 SIGNIFICANCE = 6.0  # a peak stands out by so many sigma of the smoothed noise
 REACH = 4.0  # half width of the fit's window in sigma; the outermost sigma is tapered
 MIN_SIGMA_PX = 0.5  # below it the pixels no longer sample the profile
-_QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
+QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
 _AT_ONCE = 5  # rows to look at for all peaks, before those that are broader
 _PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
 
@@ -111,7 +111,7 @@ def noise_of(image: NDArray) -> float:
     sample = image[:, :: max(1, image.shape[1] // 64)].astype(float)
     steps = np.abs(np.diff(sample, axis=0))
     # The median of their magnitude does not see the few rows that the line covers.
-    noise = float(np.median(steps)) / (_QUARTILE * np.sqrt(2.0)) if steps.size else 0.0
+    noise = float(np.median(steps)) / (QUARTILE * np.sqrt(2.0)) if steps.size else 0.0
     return max(noise, 12**-0.5) if image.dtype.kind == "u" else noise
 
 
@@ -159,7 +159,7 @@ def find_peaks(
         second = _next_height(smooth, column, peak, up, down) - background
         second = np.maximum(second, 0.0) / contrast
     middle = peak + (down - below - up + above) / 2.0
-    level = background + _QUARTILE * noise * float(np.linalg.norm(kernel))
+    level = background + QUARTILE * noise * float(np.linalg.norm(kernel))
     profile = (middle, sigma, contrast, background, level, second)
     return Peaks(column, rank, peak, *profile, *np.full((4, peak.size), np.nan))
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from virtual_sensor.metrology.line_profiles import (
+    QUARTILE,
     REACH,
     Array,
     Index,
@@ -33,7 +34,6 @@ _ROUGH_FROM_PX = 1.5  # sigma from which on rows next to each other tell noise f
 _CLOSE, _MOST_STEPS = 0.2, 3  # in sigma: the last step before the shape is judged
 
 _NEIGHBOURS = 31
-_QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
 _PHASES = 16
 _WIDTHS = 16  # an octave
 _IN_GROUP = 8  # of these share a window
@@ -156,7 +156,7 @@ def _scatter(tests: Array) -> Array:
     scatter = np.nan_to_num(tests)
     for values in scatter:  # row by row: in one dimension the filter is much faster
         middle = median_filter(values, _NEIGHBOURS, mode="nearest")
-        away = median_filter(np.abs(values - middle), _NEIGHBOURS, mode="nearest") / _QUARTILE
+        away = median_filter(np.abs(values - middle), _NEIGHBOURS, mode="nearest") / QUARTILE
         values[:] = np.where(np.abs(middle) < away, away, 0.0)
     return scatter
 

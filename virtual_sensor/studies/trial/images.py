@@ -124,7 +124,7 @@ def true_rows(frame: Frame) -> Array:
     """Row at which the laser's axis is seen in each column (W,), from the frame's ground truth.
 
     Where the laser's coordinate a, across its sheet, goes through zero from one row to the next; a
-    parabola through the four rows about it tells where.  NaN in columns without a line.
+    cubic through the four rows about it tells where.  NaN in columns without a line.
     """
     a = frame.laser_mm[:, :, 0].astype(float)
     sign = np.signbit(a)
