@@ -173,7 +173,12 @@ class Refractive(mi.SamplingIntegrator):
         bsdf, context = si.bsdf(ray), mi.BSDFContext()
         si.wi = dr.select(valid, si.wi, -ray.d)  # what meets nothing sees the environment
         others = self._other_lights(scene)
-        radiance = si.emitter(scene).eval(si) if others else mi.Spectrum(0.0)
+        radiance = mi.Spectrum(0.0)
+        if others:
+            seen, shines = si.emitter(scene), mi.Bool(True)
+            for emitter in self._cold(scene):
+                shines &= seen != mi.EmitterPtr(emitter)
+            radiance += seen.eval(si, shines)
         for emitter in [laser_of(scene), *others]:
             if isinstance(emitter, Glow):  # it is seen, and lights nothing else
                 continue
@@ -197,8 +202,13 @@ class Refractive(mi.SamplingIntegrator):
 
     def _other_lights(self, scene: mi.Scene) -> list[Any]:
         """The emitters beside the laser that shine: a cold part does not glow."""
-        others = [e for e in scene.emitters() if not isinstance(e, LaserLineEmitter)]
-        return [e for e in others if not isinstance(e, Glow) or (self.glows and e.radiance > 0.0)]
+        dark = [laser_of(scene), *self._cold(scene)]
+        return [e for e in scene.emitters() if e not in dark]
+
+    def _cold(self, scene: mi.Scene) -> list[Glow]:
+        """The surfaces that would glow, but are cold or have no emissivity."""
+        glows = [e for e in scene.emitters() if isinstance(e, Glow)]
+        return [e for e in glows if not (self.glows and e.radiance > 0.0)]
 
     def lit_pixels(self, scene: mi.Scene, sensor: mi.Sensor) -> LitPixels:
         """The pixels that the laser reaches, with the truth at their centres."""

@@ -10,6 +10,7 @@ from virtual_sensor.imaging.render import render, render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.planck import band_radiance
+from virtual_sensor.studies.chart.frames import with_lamp
 
 FILM = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.8}
 
@@ -51,6 +52,16 @@ def test_the_cold_part_does_not_glow(glowing):
     assert np.mean(render(glowing.cold()) > 0.0) < 0.1
     march = glowing.integrator.march
     assert glowing.integrator.with_way("straight", march, 0.003).glows
+
+
+def test_beside_a_lamp_the_cold_part_does_not_glow_either():
+    """A lamp has all pixels looked at, and what they see is no emitter unless the part is hot."""
+    glowing, dull = (with_lamp(emissivity=share, **FILM) for share in (0.8, 0.0))
+    part = np.s_[:20, 118:138]
+    lamp = render(dull)[part].mean()
+    assert render(glowing.cold())[part].mean() == pytest.approx(lamp, rel=0.01)
+    hot = lamp + 0.8 * band_radiance(532.0, 10.0, 1250.0)
+    assert render(glowing)[part].mean() == pytest.approx(hot, rel=0.01)
 
 
 def test_the_user_is_told_how_bright_it_is(glowing):
