@@ -30,11 +30,8 @@ TOLD = {
     },
 }
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood", "log_parabola")
-# It feels the skirts, of which a fit needs less: some columns whose skirt has an edge pass.
-UNTOLD = {
-    ("centre_of_gravity", "line cut by an edge"),
-    ("centre_of_gravity", "line on an edge of the background"),
-}
+# It feels the skirts, of which a fit needs less: some columns whose skirt is cut off pass.
+UNTOLD = {("centre_of_gravity", "line cut by an edge")}
 UNRESOLVED = 1.5  # sigma apart, up to which two lines are one: see the last test
 
 
@@ -50,7 +47,7 @@ def test_each_trouble_has_a_status_and_hides_no_wrong_centre(method, what):
     for amount in trouble.amounts:
         image, truth = examples(trouble, amount, 300)
         line = line_centres(image, method, saturation=trouble.saturation)
-        assert wrong(line, truth).mean() < (0.12 if (method, what) in UNTOLD else 0.02)
+        assert wrong(line, truth).mean() < (0.1 if (method, what) in UNTOLD else 0.02)
         assert statuses(line) <= TOLD[what] | {Status.LINE_END}
         if amount == trouble.amounts[0]:
             assert np.all(line.status == Status.OK)
