@@ -12,11 +12,11 @@ from multiprocessing import get_context
 
 import cv2
 import numpy as np
-from scipy.special import ndtr
 from threadpoolctl import threadpool_limits
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.studies.trial.images import line_shares
 
 COLUMNS, ROWS, WIDTH_PX, PEAK = 2048, 32, 2.0, 180.0
 ROUNDS = 5
@@ -26,8 +26,8 @@ def profiles_per_second(method: str) -> float:
     """Of one core, in one round."""
     cv2.setNumThreads(1)
     rng = np.random.default_rng(0)
-    edges = np.arange(ROWS + 1)[:, None] - 0.5 - rng.uniform(14.0, 18.0, COLUMNS)
-    mean = PEAK * np.sqrt(2.0 * np.pi) * WIDTH_PX * np.diff(ndtr(edges / WIDTH_PX), axis=0)
+    shares, _ = line_shares(rng.uniform(14.0, 18.0, COLUMNS), WIDTH_PX, ROWS)
+    mean = PEAK * np.sqrt(2.0 * np.pi) * WIDTH_PX * shares
     image = np.clip(rng.poisson(mean + 5.0), 0, 255).astype(np.uint8)
     count = 20 if COLUMNWISE[method].iterative else 60
     with threadpool_limits(1):

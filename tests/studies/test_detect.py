@@ -15,6 +15,7 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import find_images, read_image
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
+from virtual_sensor.metrology.detectors import NAMES
 
 ROW = 30.0 + 0.05 * np.arange(90)
 
@@ -115,6 +116,12 @@ def test_any_detector_works_from_the_command_line(tmp_path, detector, monkeypatc
         assert not (tmp_path / "out").exists()
     else:
         assert ended.exit_code == 0, ended.output
+
+
+def test_the_help_names_every_detector():
+    """It's written by hand, so that asking for help imports none of them."""
+    told = run("--help").output
+    assert [name for name in NAMES if name not in told] == []
 
 
 def test_an_image_without_a_line_gives_a_table_without_centres(tmp_path):

@@ -101,13 +101,14 @@ def detect(
     options |= {"saturation": saturation, "max_sigma": max_width, "noise": noise, "gain": gain}
     calibrated = read_calibration(calibration) if calibration else None
     check_output(output, overwrite, folder=True)
-    names = names_of(find_images(images))
+    paths = find_images(images)
+    names = names_of(paths)
     summary: dict[str, Any] = {}
     table = Table("image", "centres", "other statuses", "detector's time")
     with reporting("reading") as report, folder_written_whole(output, overwrite) as place:
 
-        def each(found: Detected, number: int, count: int) -> None:
-            report(found.path.name, number / count)
+        def each(found: Detected, number: int) -> None:
+            report(found.path.name, number / len(paths))
             save_detected(found, names[number], place)
             counts = dict(found.counts)
             ok = counts.pop("ok", 0)
@@ -115,12 +116,12 @@ def detect(
             table.add_row(names[number], str(ok), others, f"{found.seconds * 1e3:.0f} ms")
             summary[names[number]] = {"file": str(found.path), "ok": ok, **counts}
 
-        count = run(images, detector, options, channel, calibrated, each)
+        run(paths, detector, options, channel, calibrated, each)
         report("done", 1.0)
         told = {"command": command_line(), "images": summary}
         with written_whole(place / RESULTS_SIGN) as temporary:
             temporary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     console.print(table)
     first = output / f"{names[0]}.png"
-    read = "1 image" if count == 1 else f"{count} images"
+    read = "1 image" if len(paths) == 1 else f"{len(paths)} images"
     console.print(f"{read}; results in {output}, look at {first} first", soft_wrap=True)

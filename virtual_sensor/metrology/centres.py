@@ -1,6 +1,6 @@
 """Line centres: what every detector gives, and why a centre is missing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -73,13 +73,5 @@ class LineCentres:
     @property
     def transposed(self) -> "LineCentres":
         """The same centres in the transposed image: rows are columns there."""
-        return LineCentres(
-            self.row,
-            self.column,
-            self.sigma,
-            self.width,
-            self.amplitude,
-            self.background,
-            90.0 - self.normal_deg,
-            self.status,
-        )
+        turned = 90.0 - self.normal_deg
+        return replace(self, column=self.row, row=self.column, normal_deg=turned)

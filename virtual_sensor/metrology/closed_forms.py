@@ -56,11 +56,14 @@ def centre_of_gravity(image: NDArray, at: Peaks, noise: Noise, max_sigma: float)
 
 def linear_interpolation(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
     """Two straight flanks of one slope, through the highest row (Fisher and Naidu 1996)."""
-    top, rows, values = _highest(image, at)
-    rising = values[2] > values[0]
+    top, rows = _highest(image, at)
+    before, _, after = pixels(image, rows, at.column)
+    rising = after > before
     P = np.repeat([[-0.5], [0.0], [0.5]], top.size, axis=1)
     Q = np.stack([-1.0 * rising, np.ones(top.size), -1.0 * ~rising])
-    return _measured(image, at, noise, Ratio(top, rows, P, Q), curvature=_vertex(image, at).Q)
+    return _measured(
+        image, at, noise, Ratio(top, rows, P, Q), curvature=_second_difference(top.size)
+    )
 
 
 def parabola(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
@@ -86,20 +89,23 @@ def fir8(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
     return _measured(image, at, noise, _vanishing(image, at, 4))
 
 
-def _highest(image: NDArray, at: Peaks) -> tuple[Index, Index, Array]:
-    """The highest row near each peak, the three rows about it, and their values."""
+def _highest(image: NDArray, at: Peaks) -> tuple[Index, Index]:
+    """The highest row near each peak, and the three rows about it."""
     near = np.clip(at.peak + np.arange(-2, 3)[:, None], 1, max(len(image) - 2, 1))
     near = np.minimum(near, len(image) - 1)
     top = near[pixels(image, near, at.column).argmax(axis=0), np.arange(at.peak.size)]
-    rows = top + np.arange(-1, 2)[:, None]
-    return top, rows, pixels(image, rows, at.column).astype(float)
+    return top, top + np.arange(-1, 2)[:, None]
 
 
 def _vertex(image: NDArray, at: Peaks) -> Ratio:
-    top, rows, _ = _highest(image, at)
+    top, rows = _highest(image, at)
     P = np.repeat([[0.5], [0.0], [-0.5]], top.size, axis=1)
-    Q = np.repeat([[1.0], [-2.0], [1.0]], top.size, axis=1)
-    return Ratio(top, rows, P, Q)
+    return Ratio(top, rows, P, _second_difference(top.size))
+
+
+def _second_difference(count: int) -> Array:
+    """Its weights on three rows, for each of so many peaks: (3, L)."""
+    return np.repeat([[1.0], [-2.0], [1.0]], count, axis=1)
 
 
 def _vanishing(image: NDArray, at: Peaks, half: int) -> Ratio:

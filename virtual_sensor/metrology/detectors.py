@@ -10,7 +10,7 @@ A detector of one's own is a function of the image (H, W) that returns the line'
 import importlib
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 
 import numpy as np
@@ -126,10 +126,14 @@ def by_foreign(image: NDArray, detector: Foreign) -> LineCentres:
         (place >= -0.5) & (place <= size - 0.5)
         for place, size in zip((answer.column, answer.row), image.shape[::-1], strict=True)
     ]
-    status = np.where(
-        (answer.status == Status.OK) & ~(inside[0] & inside[1]), Status.POOR_FIT, answer.status
-    )
-    return checked_centres(answer, status)
+    good = (answer.status == Status.OK) & inside[0] & inside[1]
+    off = (answer.status == Status.OK) & ~good
+    measured = {
+        name: np.where(good, getattr(answer, name), np.nan)
+        for name in ("row", "sigma", "width", "amplitude", "background")
+    }
+    status = np.where(off, Status.POOR_FIT, answer.status).astype(np.uint8)
+    return replace(answer, status=status, **measured)
 
 
 def _from_rows(image: NDArray, rows: NDArray, name: str) -> LineCentres:
@@ -146,20 +150,3 @@ def _from_rows(image: NDArray, rows: NDArray, name: str) -> LineCentres:
     status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
     along = np.full(row.size, 90.0)
     return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, along, status)
-
-
-def checked_centres(line: LineCentres, status: NDArray) -> LineCentres:
-    """The centres with another status, and NaN where that is not OK."""
-    bad = status != Status.OK
-    measured = {
-        name: np.where(bad, np.nan, getattr(line, name))
-        for name in ("row", "sigma", "width", "amplitude", "background")
-    }
-    place = measured.pop("row")
-    return LineCentres(
-        column=np.asarray(line.column),
-        row=place,
-        normal_deg=np.asarray(line.normal_deg),
-        status=status.astype(np.uint8),
-        **measured,
-    )

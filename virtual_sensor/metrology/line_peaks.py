@@ -155,6 +155,7 @@ def _ours(
         line = _columnwise(
             image,
             filled,
+            finite.any(axis=0),
             COLUMNWISE[method],
             told,
             peaks,
@@ -171,6 +172,7 @@ def _ours(
 def _columnwise(
     image: NDArray,
     filled: NDArray,
+    seen: NDArray[np.bool_],
     detector: Detector,
     noise: Noise,
     count: int,
@@ -179,7 +181,6 @@ def _columnwise(
     max_sigma: float,
 ) -> LineCentres:
     peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma, count)
-    seen = np.isfinite(image).any(axis=0)
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
     status[:, ~seen] = Status.BAD_PIXELS
     status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)

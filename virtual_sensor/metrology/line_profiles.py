@@ -257,8 +257,7 @@ def pixels(image: NDArray, rows: Index, column: Index) -> NDArray:
 
 def pixel_means(rows: Index, row: Array, sigma: Array) -> Array:
     """Unit Gaussian, averaged over pixels (n, L) whose rows follow each other."""
-    edges = (np.concatenate([rows, rows[-1:] + 1]) - 0.5 - row) / sigma
-    return np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges), axis=0)
+    return _averaged(_edges(rows, row, sigma), sigma)
 
 
 def pixel_gaussian(rows: Index, row: Array, sigma: Array) -> Array:
@@ -266,11 +265,21 @@ def pixel_gaussian(rows: Index, row: Array, sigma: Array) -> Array:
 
     `rows` (n, L) follow each other.
     """
-    edges = (np.concatenate([rows, rows[-1:] + 1]) - 0.5 - row) / sigma
+    edges = _edges(rows, row, sigma)
     at_edges = np.exp(-0.5 * edges**2)
     basis = np.empty((4, *rows.shape))
     basis[0] = 1.0
-    basis[1] = np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges), axis=0)
+    basis[1] = _averaged(edges, sigma)
     basis[2] = -sigma * np.diff(at_edges, axis=0)
     basis[3] = basis[1] - sigma * np.diff(edges * at_edges, axis=0)
     return basis
+
+
+def _edges(rows: Index, row: Array, sigma: Array) -> Array:
+    """Edges (n + 1, L) of pixels whose rows follow each other, from the centre, in sigma."""
+    return (np.concatenate([rows, rows[-1:] + 1]) - 0.5 - row) / sigma
+
+
+def _averaged(edges: Array, sigma: Array) -> Array:
+    """Unit Gaussian, averaged between edges."""
+    return np.sqrt(2.0 * np.pi) * sigma * np.diff(ndtr(edges), axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.image_files import find_images, read_image
+from virtual_sensor.imaging.image_files import read_image
 from virtual_sensor.metrology.calibration import Calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -48,19 +48,19 @@ class Detected:
 
 
 def detect(
-    places: Sequence[Path],
+    paths: Sequence[Path],
     method: str,
     options: dict[str, Any],
     channel: str | None,
     calibration: Calibration | None,
-    each: Callable[[Detected, int, int], None],
-) -> int:
-    """Find the line in each image, and hand over what was found, its number and their count.
+    each: Callable[[Detected, int], None],
+) -> None:
+    """Find the line in each image, and hand over what was found, and its number.
 
     Parameters
     ----------
-    places : sequence of Path
-        Images and folders of images.
+    paths : sequence of Path
+        Images: see `find_images`.
     method : str
         The detector.
     options : dict
@@ -71,17 +71,11 @@ def detect(
     each : callable
         Takes each result; none is kept.
 
-    Returns
-    -------
-    int
-        How many images there were.
-
     Raises
     ------
     InputError
         Naming the image that can't be read, or is not of the calibration's size.
     """
-    paths = find_images(places)
     for number, path in enumerate(paths):
         image = read_image(path, channel)
         if calibration and image.shape != calibration.camera.size[::-1]:
@@ -94,5 +88,4 @@ def detect(
         line = line_centres(image, method, **options)
         seconds = time.perf_counter() - began
         points = triangulate(calibration, line.pixel) if calibration else None
-        each(Detected(path, image, line, points, seconds), number, len(paths))
-    return len(paths)
+        each(Detected(path, image, line, points, seconds), number)

@@ -1,10 +1,13 @@
 """Which rungs are worth choosing: no other is both faster and more accurate."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from virtual_sensor.studies.chart.rung import Rung
+
+Item = TypeVar("Item")
 
 UNUSUAL = 0.01
 """A rung that fails in this share of its items more than the panel's most reliable is left out."""
@@ -25,12 +28,15 @@ def pareto(rungs: Sequence[Rung]) -> list[Rung]:
     known = [r for r in rungs if np.isfinite([r.error_px, r.seconds]).all() and r.failed < r.items]
     least = min((_share(r) for r in known), default=0.0)
     usual = [r for r in known if _share(r) <= least + UNUSUAL]
-    front: list[Rung] = []
-    for rung in sorted(usual, key=lambda r: (r.seconds, r.error_px)):
-        if not front or rung.error_px < front[-1].error_px:
-            front.append(rung)
-        elif (rung.seconds, rung.error_px) == (front[-1].seconds, front[-1].error_px):
-            front.append(rung)  # as good as the last
+    return not_beaten(usual, lambda r: (r.seconds, r.error_px))
+
+
+def not_beaten(items: Iterable[Item], cost: Callable[[Item], tuple[float, float]]) -> list[Item]:
+    """Those that no other beats in both parts of their cost, by the first; equals stay together."""
+    front: list[Item] = []
+    for item in sorted(items, key=cost):
+        if not front or cost(item)[1] < cost(front[-1])[1] or cost(item) == cost(front[-1]):
+            front.append(item)
     return front
 
 

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from virtual_sensor.files import written_whole
+from virtual_sensor.studies.chart.pareto import not_beaten
 from virtual_sensor.studies.trial.scores import PHASES, Score
 from virtual_sensor.studies.trial.trial import Trial
 
 DPI = 100
 _MARKERS = "osD^vP*X<>"
 _FRONT_WIDTH_PX, _FRONT_ELECTRONS = 2.0, 2000.0
-_SMALLEST_PX = 1e-8  # that the chart of biases shows
 
 
 def draw_trial(trial: Trial, folder: Path) -> dict[str, str]:
@@ -43,11 +43,7 @@ def draw_trial(trial: Trial, folder: Path) -> dict[str, str]:
 def front(scores: Sequence[Score]) -> list[Score]:
     """Those that no other beats in both time and error, the fastest first."""
     known = [s for s in scores if np.isfinite(s.rms_px) and s.failures + s.outliers < 0.1]
-    best: list[Score] = []
-    for each in sorted(known, key=lambda s: (s.seconds, s.rms_px)):
-        if not best or each.rms_px < best[-1].rms_px:
-            best.append(each)
-    return best
+    return not_beaten(known, lambda s: (s.seconds, s.rms_px))
 
 
 def chosen_for_front(trial: Trial) -> list[Score]:

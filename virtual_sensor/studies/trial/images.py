@@ -22,7 +22,6 @@ SPECKLE = Aperture(5.6, pixel_um=5.5, polarisations=2)
 CLIPPED = 2.0  # times the full well: the peak of a saturated line
 BACKGROUND_E = 100.0  # ambient light, electrons a pixel
 _SWING_PX, _WAVE_PX = 2.0, 600.0  # amplitude and length of a drawn line's waves
-KINDS = ("clean", "saturated", "speckle", "background", "cold frame", "hot frame")
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,8 @@ class Condition:
     Attributes
     ----------
     kind : str
-        One of `KINDS`; "clean" is a drawn line in shot and read noise.
+        "clean": a drawn line in shot and read noise; "saturated", "speckle", "background": with
+        that too; "cold frame", "hot frame": rendered.
     width_px : float
         Of the line, standard deviation; of a rendered frame the median, as measured.
     electrons : float
