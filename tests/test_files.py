@@ -14,7 +14,13 @@ import OpenEXR
 import pytest
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole, written_whole
+from virtual_sensor.files import (
+    RESULTS_SIGN,
+    check_output,
+    folder_written_whole,
+    readable,
+    written_whole,
+)
 
 
 @pytest.fixture
@@ -265,3 +271,18 @@ def test_a_run_killed_half_way_leaves_the_old_folder_and_does_not_hinder_the_nex
     with folder_written_whole(results, overwrite=True) as folder:
         (folder / RESULTS_SIGN).write_text("new")
     assert contents(results) == {RESULTS_SIGN: b"new"}
+
+
+def test_only_regular_files_are_readable(tmp_path):
+    """A FIFO or a device blocks whoever opens it; a link to a file is as good as the file."""
+    (tmp_path / "file").touch()
+    (tmp_path / "link").symlink_to("file")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    for name in ("file", "link"):
+        assert readable(tmp_path / name) == tmp_path / name
+    unfit = {"pipe": "is a pipe", "/dev/zero": "is a device", ".": "is a folder"}
+    unfit |= {"missing": "can't be read", "loop": "can't be read", "a\0b": "can't be read"}
+    for name, says in unfit.items():
+        with pytest.raises(InputError, match=says):
+            readable(tmp_path / name)

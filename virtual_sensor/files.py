@@ -1,5 +1,10 @@
-"""Results are written whole or not at all: in a hidden folder beside their place first."""
+"""Results are written whole or not at all: in a hidden folder beside their place first.
 
+And only regular files are read: a FIFO would block for ever.
+"""
+
+import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +14,39 @@ from virtual_sensor.errors import InputError
 
 RESULTS_SIGN = "summary.json"
 """A folder with this file holds results and may be replaced; what else it is, nobody knows."""
+
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def readable(path: Path) -> Path:
+    """Give a path back if a reader may open it; to be asked by each before it does.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it may not be read, or it is no regular file: opening a FIFO or
+        reading a device may wait for ever.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
+        raise InputError(
+            f"{path}: can't be read ({getattr(error, 'strerror', None) or error}); is it the right"
+            " path?"
+        ) from None
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
+        raise InputError(f"{path}: is {kind}; give a regular file")
+    if not os.access(path, os.R_OK):
+        raise InputError(f"{path}: can't be read (Permission denied); change its permissions")
+    return path
 
 
 def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
