@@ -266,7 +266,7 @@ def test_the_summary_has_the_figures(measured, summary):
     """Rationale: what a script reads to decide whether a measurement is sound."""
     assert summary["scene"].endswith("hot_cylinder.xml")
     assert summary["parameters"]["beta"] == "15"
-    assert summary["told"] == []
+    assert summary["notes"] == []
     for state in summary["states"].values():
         agreement = state["rendered line minus search, px"]
         assert 0.0 < agreement["rms"] < agreement["largest"] < 0.01

@@ -80,7 +80,7 @@ def example():
     rungs.append(rung("rays", "unknown", error=np.nan))
     scalings = [Scaling("frame, samples", 0.8, ((1.0, 0.5), (4.0, 1.5)), "about")]
     failures = [failure("trouble one"), failure("trouble <two>")]
-    return Chart(rungs, failures, scalings, {"processor": "an <abacus>"}, ["told so"], 12.0)
+    return Chart(rungs, failures, scalings, {"processor": "an <abacus>"}, ("told so",), 12.0)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_all_panels_come_together(invented):
     assert fractions[-1] <= 1.0
     assert {"processor", "cores", "threads", "mitsuba", "date"} <= made.machine.keys()
     assert made.scalings == []
-    assert any("quick" in words for words in made.told)
+    assert any("quick" in words for words in made.notes)
 
 
 def test_an_unknown_panel_is_refused_with_all_names(tmp_path):
@@ -288,7 +288,7 @@ def test_the_gpus_rows_are_added_and_its_faults_told(invented, monkeypatch):
     monkeypatch.setattr(charting.subprocess, "run", lambda *_, **__: gone)
     made = chart(["rays"])
     assert len(made.rungs) == 2
-    assert any("its process ended with 1: out of memory" in words for words in made.told)
+    assert any("its process ended with 1: out of memory" in words for words in made.notes)
 
 
 def test_times_are_medians_of_warm_runs(monkeypatch):

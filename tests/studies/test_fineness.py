@@ -21,7 +21,7 @@ from virtual_sensor.studies.fineness import (
     look,
     solver_seconds,
 )
-from virtual_sensor.studies.fineness_report import markdown_table, save, told
+from virtual_sensor.studies.fineness_report import markdown_table, outcome, save
 
 CELLS, TIMES, GRIDS = (2.0, 0.8), (1.0, 4.0), ((1.5, 2.5), (0.5, 1.25))
 
@@ -73,7 +73,7 @@ def test_results_are_written_with_table_chart_and_summary(tmp_path):
     assert summary["coarsest within"]["0.1 px"]["choice"]["time_s"] == 1.0
     table = markdown_table(study)
     assert table.count("| 0.8 mm |") == 3  # two bounds, and as shipped
-    assert "0.3 px" not in "".join(told(study))
+    assert "0.3 px" not in "".join(outcome(study))
     with pytest.raises(InputError, match="exists"):
         save(study, tmp_path / "out")
 

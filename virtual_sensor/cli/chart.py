@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import Overwrite, console, reporting
+from virtual_sensor.cli.shared import Overwrite, console, print_notes, reporting
 from virtual_sensor.files import check_output
 
 EPILOG = (
@@ -62,8 +62,7 @@ def chart(
             f"  {scaling.name}: time to the power {scaling.exponent:.2f}; {scaling.note}",
             soft_wrap=True,
         )
-    for text in result.told:
-        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    print_notes(result.notes)
     for fact, value in result.machine.items():
         console.print(f"  {fact}: {value}", soft_wrap=True)
     console.print(

@@ -19,6 +19,7 @@ from virtual_sensor.cli.shared import (
     SceneArgument,
     console,
     definitions,
+    print_notes,
     reporting,
 )
 from virtual_sensor.errors import EngineError, InputError, Interrupted
@@ -114,8 +115,7 @@ def measure(
     for name, value in figures["nine_rays_um"].items():
         if value is not None:
             console.print(f"  nine rays, {name}: {value:.3g} µm")
-    for text in [*result.told, *_other_ways(figures), *_blind_states(figures)]:
-        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    print_notes([*result.notes, *_other_ways(figures), *_blind_states(figures)])
     console.print(
         f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
         soft_wrap=True,
@@ -246,8 +246,7 @@ def burst(
                 row = (f"{value['median']:.3g}", f"{value['largest']:.3g}")
                 table.add_row(f"{group}: {name}", *row)
     console.print(table)
-    for text in result.told:
-        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    print_notes(result.notes)
     console.print(
         f"{frames} frames, {figures['seconds per frame']:.1f} s each; results in {output}, look at"
         f" {output / 'report.png'} first",

@@ -2,7 +2,7 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -74,6 +74,12 @@ def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
             bar.update(task, description=stage, completed=fraction)
 
         yield report
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print what a reader ignored, converted or assumed, each once."""
+    for note in dict.fromkeys(notes):
+        console.print(f"Note: {note}", style="yellow", soft_wrap=True)
 
 
 def closing(output: Path) -> None:

@@ -6,7 +6,15 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli.field import app
-from virtual_sensor.cli.shared import Overwrite, closing, command_line, console, numbers, reporting
+from virtual_sensor.cli.shared import (
+    Overwrite,
+    closing,
+    command_line,
+    console,
+    numbers,
+    print_notes,
+    reporting,
+)
 from virtual_sensor.files import check_output
 
 
@@ -85,7 +93,7 @@ def simulate(
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
     from virtual_sensor.medium.heat_flow.setup import HeatFlow
-    from virtual_sensor.studies.simulate import Until, told
+    from virtual_sensor.studies.simulate import Until, outcome
     from virtual_sensor.studies.simulate import simulate as run
 
     check_output(output, overwrite)
@@ -108,8 +116,9 @@ def simulate(
             history=command_line(),
             report=report,
         )
-    for line in told(result):
+    for line in outcome(result):
         console.print(f"  {line}", soft_wrap=True)
+    print_notes(result.notes)
     closing(output)
 
 
@@ -140,6 +149,7 @@ def fineness(
     with reporting("preparing the cases") as report:
         result = run(folder, temperature, report=report)
         fineness_report.save(result, output, overwrite)
-    for line in fineness_report.told(result):
+    for line in fineness_report.outcome(result):
         console.print(f"  {line}", soft_wrap=True)
+    print_notes(result.notes)
     console.print(f"results in {output}, look at {output / 'fineness.png'} first", soft_wrap=True)

@@ -69,6 +69,8 @@ class Scene:
     sensor : SensorModel
     surface : Surface
         Of the part, in float64 where it is the analytic cylinder.
+    notes : tuple of str
+        What was ignored, converted or assumed when it was loaded.
     """
 
     path: Path
@@ -77,6 +79,7 @@ class Scene:
     integrator: Any
     sensor: SensorModel
     surface: Surface
+    notes: tuple[str, ...] = ()
 
     @property
     def field(self) -> IndexField | None:

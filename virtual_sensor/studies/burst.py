@@ -63,7 +63,7 @@ class Burst:
         The rendered line in every column.
     rays : tuple of F FoundPixels
         The paper's nine rays, by Newton's search.
-    told : list of str
+    notes : tuple of str
         What the user should know.
     seconds : dict
         Spent on field, render, centres and search, over all frames.
@@ -74,7 +74,7 @@ class Burst:
     stored_s: Array
     lines: tuple[LineCentres, ...]
     rays: tuple[FoundPixels, ...]
-    told: list[str]
+    notes: tuple[str, ...]
     seconds: dict[str, float]
 
     @property
@@ -200,7 +200,8 @@ def burst(
     if scene.sensor.laser.dots_mm.size:
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
     seconds = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
-    lines, rays, told = [], [], _coarse_instants(times, stored)
+    lines, rays = [], []
+    notes = [*scene.notes, *_coarse_instants(times, stored)]
     at_border: list[str] = []
     for number, instant in enumerate(times):
 
@@ -212,7 +213,7 @@ def burst(
         rays.append(found)
         # At one instant: at the others it is much the same.
         at_border = at_border or [f"at {instant:g} s: {text}" for text in border]
-    return Burst(scene, times, stored, tuple(lines), tuple(rays), told + at_border, seconds)
+    return Burst(scene, times, stored, tuple(lines), tuple(rays), (*notes, *at_border), seconds)
 
 
 def _one_frame(
@@ -223,7 +224,7 @@ def _one_frame(
     with _timed(seconds, "field"):
         now = scene.at(instant)
     with _timed(seconds, "search"):
-        told = check_scene(now)
+        notes = check_scene(now)
         found = ray_search(now, NINE_RAYS_MM, "newton")
     tell(0.1)
     with _timed(seconds, "render"):
@@ -235,7 +236,7 @@ def _one_frame(
             f"{scene.path}: no line in the frame at {instant:g} s; give a wider or longer line"
             " (line_radius, line_length), or more samples (spp)"
         )
-    return line, found, told
+    return line, found, notes
 
 
 def spread(values: Array) -> Spread:
@@ -264,7 +265,7 @@ def summary(result: Burst) -> dict[str, Any]:
             "instants stored": len(result.stored_s),
             "first and last, s": [float(result.stored_s[0]), float(result.stored_s[-1])],
         },
-        "told": result.told,
+        "notes": result.notes,
         "frames": frames,
         "first and last frame, s": [float(result.time_s[0]), float(result.time_s[-1])],
         "columns": dict(Counter(result.column_status.tolist())),

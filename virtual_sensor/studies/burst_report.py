@@ -121,7 +121,7 @@ def _text(axes: Axes, result: Burst, figures: dict[str, Any]) -> None:
                 )
     seconds = ", ".join(f"{name} {value:.1f} s" for name, value in result.seconds.items())
     lines += [f"{figures['seconds per frame']:.1f} s per frame (all frames: {seconds})"]
-    for words in (figures["field"]["source"], *result.told):
+    for words in (figures["field"]["source"], *result.notes):
         lines += textwrap.wrap(words, 110)
     text = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5)
     text.set_in_layout(False)

@@ -101,12 +101,15 @@ class Fineness:
         Of all choices, by mesh, time and grid.
     long : Change
         Of the paper's flow time against the reference's, on the mesh of `LONG_CELL_MM`.
+    notes : tuple of str
+        What the user should know of the scene that looks through the air.
     """
 
     temperature_c: float
     reference: Choice
     changes: list[Change]
     long: Change
+    notes: tuple[str, ...] = ()
 
     def change(self, cell_mm: float, time_s: float, grid_mm: tuple[float, float]) -> Change:
         """The change that one choice makes."""
@@ -216,6 +219,7 @@ def fineness(
         reference,
         [change(choice, reference) for choice in choices],
         change(Choice(*long, grids_mm[-1]), Choice(long[0], times_s[-1], grids_mm[-1])),
+        scene.notes,
     )
 
 

@@ -46,12 +46,13 @@ def save(result: Fineness, folder: Path, overwrite: bool = False) -> None:
             "reference": dataclasses.asdict(result.reference),
             "coarsest within": {k: dataclasses.asdict(c) if c else None for k, c in kept.items()},
             "longer run": dataclasses.asdict(result.long),
+            "notes": result.notes,
         }
         with written_whole(place / RESULTS_SIGN) as temporary:
             temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
 
 
-def told(result: Fineness) -> list[str]:
+def outcome(result: Fineness) -> list[str]:
     """What it comes to, in words."""
     lines = []
     for bound in BOUNDS_PX:

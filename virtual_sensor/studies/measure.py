@@ -92,14 +92,14 @@ class State:
 class Measurement:
     """The part measured cold and, if the scene has a field, hot.
 
-    `dense_y_mm` are the dense search's rays; `told` holds what the user should know of the scene;
+    `dense_y_mm` are the dense search's rays; `notes` hold what the user should know of the scene;
     `seconds` is the time of the whole.
     """
 
     cold: State
     hot: State | None
     dense_y_mm: Array
-    told: list[str]
+    notes: tuple[str, ...]
     seconds: float
 
     @property
@@ -123,7 +123,7 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
     """
     started = time.perf_counter()
     report("checking the scene", 0.0)
-    told = check_scene(scene)
+    notes = (*scene.notes, *check_scene(scene))
     dense_y = np.linspace(-0.5, 0.5, DENSE_RAYS) * scene.sensor.laser.length_mm
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
     cold = _measure_state(
@@ -136,7 +136,7 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
             dense_y,
             lambda stage, part: report(f"hot part: {stage}", share + (1.0 - share) * part),
         )
-    return Measurement(cold, hot, dense_y, told, time.perf_counter() - started)
+    return Measurement(cold, hot, dense_y, notes, time.perf_counter() - started)
 
 
 def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
@@ -204,7 +204,7 @@ def summary(result: Measurement) -> dict[str, Any]:
         "scene": str(scene.path),
         "parameters": scene.parameters,
         "field": _field_summary(scene.field) if scene.field else None,
-        "told": result.told,
+        "notes": result.notes,
         "states": {name: _state_summary(state) for name, state in result.states.items()},
         "nine_rays_um": {
             "largest |A - A_m|, cold": _largest(exact.cold_um),

@@ -174,7 +174,7 @@ def _text(axes: Axes, result: Measurement, figures: dict[str, Any]) -> None:
         lines.append(
             f"{name}: {state.centres} centres, rendered in {state.seconds['render']:.1f} s"
         )
-    lines += [f"whole measurement: {result.seconds:.1f} s", *result.told]
+    lines += [f"whole measurement: {result.seconds:.1f} s", *result.notes]
     text = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5)
     text.set_in_layout(False)
     axes.set_axis_off()

@@ -79,6 +79,8 @@ class Simulation:
         Of the last quarter of a second.
     drift_px_per_s : float
         How fast the nine rays' pixels still moved in the end; NaN where it was not looked at.
+    notes : tuple of str
+        What the user should know of the scene whose rays were followed.
     """
 
     flow: HeatFlow
@@ -86,6 +88,7 @@ class Simulation:
     quantity: GriddedQuantity
     balance: HeatBalance
     drift_px_per_s: float
+    notes: tuple[str, ...] = ()
 
 
 @dataclass
@@ -212,7 +215,7 @@ def simulate(
     quantity = sample(flow, case, kept, grid, attributes)
     write_quantity(output, quantity)
     report("done", 1.0)
-    return Simulation(flow, end, quantity, balance, drift)
+    return Simulation(flow, end, quantity, balance, drift, scene.notes)
 
 
 def as_field(quantity: GriddedQuantity) -> IndexField:
@@ -232,7 +235,7 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def told(result: Simulation) -> list[str]:
+def outcome(result: Simulation) -> list[str]:
     """Lines on how it ended and how sound it is."""
     flow, balance, drift = result.flow, result.balance, result.drift_px_per_s
     lines = [f"ended at {result.end.time_s:g} s of flow"]

@@ -86,7 +86,7 @@ def _row(end: Finished, folder: Path) -> dict[str, Any]:
     path = end.folder / RESULTS_SIGN
     try:
         summary = json.loads(path.read_text(encoding="utf-8"))
-        return {**_figures(summary), "message": "; ".join(summary["told"])}
+        return {**_figures(summary), "message": "; ".join(summary["notes"])}
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"{path}: can't be read ({error!r}); delete the case's folder, and it is measured again"

@@ -68,7 +68,7 @@ class Chart:
     scalings : list of Scaling
     machine : dict
         Facts of the machine, by their names.
-    told : list of str
+    notes : tuple of str
         What the reader should know besides.
     seconds : float
         Of the whole.
@@ -78,7 +78,7 @@ class Chart:
     failures: list[Failure]
     scalings: list[Scaling]
     machine: dict[str, str]
-    told: list[str]
+    notes: tuple[str, ...]
     seconds: float
 
     @property
@@ -143,13 +143,13 @@ def chart(
     """
     chosen = check_panels(panels)
     started = time.perf_counter()
-    facts, told = machine(), []
+    facts, notes = machine(), list[str]()
     variant = facts["variant"]
     rungs: list[Rung] = []
     failures: list[Failure] = []
     scalings: list[Scaling] = []
     if quick:
-        told.append("quick: few rungs on small tasks, which show that all works and no more")
+        notes.append("quick: few rungs on small tasks, which show that all works and no more")
     whole, done = 1.1 * sum(PANELS[name].share for name in chosen), 0.0
     for name in chosen:
         panel, share = PANELS[name], PANELS[name].share / whole
@@ -180,8 +180,8 @@ def chart(
         report("the same on the GPU", 0.97)
         more, words = on_gpu([name for name in chosen if PANELS[name].on_gpu], quick)
         rungs += more
-        told += words
-    return Chart(rungs, failures, scalings, facts, told, time.perf_counter() - started)
+        notes += words
+    return Chart(rungs, failures, scalings, facts, tuple(notes), time.perf_counter() - started)
 
 
 def on_gpu(panels: Sequence[str], quick: bool) -> tuple[list[Rung], list[str]]:

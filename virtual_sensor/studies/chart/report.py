@@ -65,7 +65,7 @@ def summary(chart: Chart) -> dict[str, Any]:
     """The fronts, the failures and the machine, for `summary.json`."""
     return {
         "machine": chart.machine,
-        "told": chart.told,
+        "notes": chart.notes,
         "fronts": {
             name: [
                 {
@@ -134,7 +134,7 @@ def page(chart: Chart) -> str:
     """The page as HTML; its pictures lie beside it."""
     parts = [
         *html_head("Speed against accuracy"),
-        *(f"<p><b>{escape(words)}</b></p>" for words in chart.told),
+        *(f"<p><b>{escape(words)}</b></p>" for words in chart.notes),
         f'<img src="{PICTURE}" alt="all panels: error over time">',
         "<h2>How it was measured</h2>",
         f"<p>{escape(_HOW)}</p>",
