@@ -29,7 +29,12 @@ PACKAGES = {
     "virtual_sensor_scenes": ROOT / "scenes",
 }
 STAIRS = (  # from the ground up
-    ("virtual_sensor.errors", "virtual_sensor.files", "virtual_sensor.engine"),
+    (
+        "virtual_sensor.errors",
+        "virtual_sensor.files",
+        "virtual_sensor.child",
+        "virtual_sensor.engine",
+    ),
     ("virtual_sensor.medium",),
     ("virtual_sensor.optics",),
     ("virtual_sensor_plugins",),

@@ -1,0 +1,67 @@
+"""Functions for a child process: each ends in another way."""
+
+import os
+import signal
+import threading
+
+from virtual_sensor.errors import InputError
+
+
+def joined(*words):
+    return " ".join(words)
+
+
+def abort():
+    os.kill(os.getpid(), signal.SIGABRT)
+
+
+def leave():
+    os._exit(3)
+
+
+def allocate_without_end():
+    kept = []
+    while True:
+        kept.append(bytearray(50_000_000))
+
+
+def claim_memory():
+    return bytearray(10**15)
+
+
+def refuse():
+    raise InputError("a.vtk: holds no points; export it again")
+
+
+def fail():
+    return {}["absent"]
+
+
+def unpicklable():
+    return lambda: None
+
+
+def chatter():
+    print("printed by Python")
+    os.write(1, b"printed by C\n")
+    os.write(2, b"complained by C\n")
+    return os.read(0, 1)
+
+
+def count(*, report):
+    for i in range(3):
+        report("counting", i)
+    return "done"
+
+
+def hang():
+    threading.Event().wait()
+
+
+def report_and_hang(*, report):
+    report(os.getpid())
+    threading.Event().wait()
+
+
+def large(size):
+    return b"x" * size

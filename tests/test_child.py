@@ -1,0 +1,73 @@
+"""A function in a child process may die in any way; the caller gets a result or one clear error."""
+
+import os
+
+import pytest
+
+from virtual_sensor.child import run_in_child
+from virtual_sensor.errors import InputError
+
+
+def run(name, *arguments, **options):
+    return run_in_child(f"child_functions:{name}", *arguments, subject="a.vtk", **options)
+
+
+def test_the_result_comes_back():
+    """Rationale: large ones too, which no pipe holds at once."""
+    assert run("joined", "a", "b") == "a b"
+    assert run("large", 5_000_000) == b"x" * 5_000_000
+    assert run("joined", "x" * 5_000_000) == "x" * 5_000_000
+
+
+@pytest.mark.parametrize(
+    ("name", "match", "options"),
+    [
+        ("abort", r"^a.vtk: what reads it crashed \(SIGABRT\); it is damaged", {}),
+        ("leave", r"^a.vtk: what reads it crashed \(exit status 3\)", {}),
+        ("allocate_without_end", "^a.vtk: asks for more memory than the 0.5 GB", {}),
+        ("claim_memory", "^a.vtk: asks for more memory than the 0.5 GB", {}),
+        ("refuse", "^a.vtk: holds no points; export it again$", {}),
+        ("hang", "^a.vtk: was not read within 0.05 s", {"seconds": 0.05}),
+    ],
+)
+def test_the_ways_to_die_are_input_errors(name, match, options):
+    """Rationale: a library's crash on a damaged file is the file's fault, told in one line."""
+    with pytest.raises(InputError, match=match) as caught:
+        run(name, memory_bytes=500_000_000, **options)
+    assert "\n" not in f"{caught.value}"
+
+
+def test_a_mistake_of_ours_stays_one():
+    """Rationale: an error that is no user's keeps its type and shows where in the child it was."""
+    with pytest.raises(KeyError, match="absent") as caught:
+        run("fail")
+    assert 'in fail\n    return {}["absent"]' in caught.value.__notes__[0]
+    with pytest.raises(Exception, match="pickle"):
+        run("unpicklable")
+
+
+def test_what_it_prints_goes_nowhere(capfd):
+    """Rationale: what VTK prints would break the answer, or a user's terminal."""
+    assert run("chatter") == b""
+    assert capfd.readouterr() == ("", "")
+
+
+def test_its_progress_is_reported():
+    """Rationale: an import of minutes has a bar."""
+    told = []
+    assert run("count", report=lambda *content: told.append(content)) == "done"
+    assert told == [("counting", 0), ("counting", 1), ("counting", 2)]
+
+
+def test_ctrl_c_ends_the_child_too():
+    """Rationale: nothing goes on computing behind a user's back."""
+    child = []
+
+    def interrupted(number):
+        child.append(number)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run("report_and_hang", report=interrupted)
+    with pytest.raises(ProcessLookupError):
+        os.kill(child[0], 0)
