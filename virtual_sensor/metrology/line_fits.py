@@ -30,23 +30,27 @@ MAX_STEPS = 40
 _BLOCK = 700  # peaks at a time, so that a core's cache holds their windows
 _LEAST_VARIANCE = 1e-4  # of a pixel, relative to the peak's: none may weigh more
 
-Variance = Callable[[Array, Array], Array]
-"""(grey values, fitted signal) above the background, (n, L) each, to the variance for weights."""
+Variance = Callable[[Array, Array, Peaks], Array]
+"""(grey values, fitted signal) above the background, (n, L) each, of peaks, to their variance."""
 
 
 def fit_gaussian(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
     """Full least squares: every pixel counts the same."""
-    return _fitted(image, at, noise, max_sigma, lambda values, signal: np.ones_like(signal))
+    return _fitted(image, at, noise, max_sigma, lambda values, *_: np.ones_like(values))
 
 
 def fit_weighted(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
     """Least squares weighted by the measured grey values' noise."""
-    return _fitted(image, at, noise, max_sigma, lambda values, signal: noise.variance(values))
+    return _fitted(
+        image, at, noise, max_sigma, lambda values, _, at: noise.variance(values, at.column)
+    )
 
 
 def fit_likeliest(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
     """Maximum likelihood under shot and read noise."""
-    return _fitted(image, at, noise, max_sigma, lambda values, signal: noise.variance(signal))
+    return _fitted(
+        image, at, noise, max_sigma, lambda _, signal, at: noise.variance(signal, at.column)
+    )
 
 
 def _fitted(
@@ -89,7 +93,7 @@ def gauss_newton(
     basis = pixel_gaussian(rows, at.row, at.sigma)
     taper = inside * np.clip(REACH - np.abs(rows - at.row) / np.maximum(at.sigma, 1.0), 0.0, 1.0)
     signal = at.amplitude * basis[1]
-    spread = variance(values - at.background, signal)
+    spread = variance(values - at.background, signal, at)
     least = np.maximum(_LEAST_VARIANCE * spread.max(axis=0), np.finfo(float).tiny)
     weight = taper / np.maximum(spread, least)
     weight /= weight.max(axis=0)

@@ -33,7 +33,7 @@ from virtual_sensor.metrology.line_profiles import (
     by_width,
     checked_image,
     find_peaks,
-    noise_of,
+    noise_beside,
     saturation_level,
     window,
 )
@@ -147,7 +147,7 @@ def _ours(
         unit = largest
         image, filled = (values.astype(float) / unit for values in (image, filled))
     # More than any signal is enough, and stays a number.
-    dark = noise_of(filled) if noise is None else min(float(noise) / unit, EXTREME)
+    dark = noise_beside(filled, None if noise is None else min(float(noise) / unit, EXTREME))
     told = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
     if method == STEGER:
         line = ridges(image, told, min_amplitude, saturation / unit, max_sigma)
@@ -266,7 +266,7 @@ def _judge(
     row = np.where(found, profile.row, at.row)
     margin = IN_VIEW * at.sigma
     in_view = (row - margin >= -0.5) & (row + margin <= len(image) - 0.5)
-    spread = np.sqrt(noise.variance(at.amplitude))
+    spread = np.sqrt(noise.variance(at.amplitude, at.column))
     misfit = at.residual > MAX_RESIDUAL * at.amplitude + 2.0 * np.maximum(spread, at.speckle)
     apart = np.abs(row - at.row) > MAX_APART_PX + APART * profile.row_error
     width_error = np.sqrt(at.sigma) * np.maximum(spread, at.residual) / at.amplitude

@@ -20,6 +20,13 @@ SIGNIFICANCE = 6.0  # a peak stands out by so many sigma of the smoothed noise
 REACH = 4.0  # half width of the fit's window in sigma; the outermost sigma is tapered
 MIN_SIGMA_PX = 0.5  # below it the pixels no longer sample the profile
 QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
+_KERNEL = cv2.getGaussianKernel(2 * int(4 * SMOOTHING_PX) + 1, SMOOTHING_PX)
+_FEWEST_ROWS = 8  # that tell the noise
+_PAIRS = 128  # of rows, at most, in which it is seen,
+_BLOCK_COLUMNS, _SAMPLED_COLUMNS = 64, 16  # and columns
+_CLEARLY = 4.0  # about three standard errors of such a median
+_GREY_VALUES = 16.0  # from which on an image of whole floats is a camera's
+_GOLDEN = 0.6180339887498949
 _AT_ONCE = 5  # rows to look at for all peaks, before those that are broader
 _PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
 
@@ -29,26 +36,27 @@ class Noise(NamedTuple):
 
     Attributes
     ----------
-    dark : float
-        Standard deviation beside the line, in the image's unit.
+    dark : ndarray of shape (W,)
+        Standard deviation beside the line in each column, in the image's unit: the camera's own,
+        and the shot noise of ambient light.
     gain : float
         Growth of the variance per unit of signal: K in grey values per electron; 0: none.
     known : bool
         Whether somebody told it; else what a Gaussian leaves of the profile tells it too.
     """
 
-    dark: float
+    dark: Array
     gain: float
     known: bool
 
-    def variance(self, signal: Array) -> Array:
-        """Of pixels with so much `signal` above the background."""
-        return self.dark**2 + self.gain * np.maximum(signal, 0.0)
+    def variance(self, signal: Array, column: Index) -> Array:
+        """Of pixels (..., L) with so much `signal` above the background, of L columns."""
+        return self.dark[column] ** 2 + self.gain * np.maximum(signal, 0.0)
 
     def variance_near(self, at: "Peaks", signal: Array) -> Array:
         """Of the pixels (n, L) near peaks: as told, or as the residuals tell."""
         if self.known:
-            return self.variance(signal) * at.excess
+            return self.variance(signal, at.column) * at.excess
         return np.broadcast_to(at.noise**2, signal.shape)
 
 
@@ -106,22 +114,56 @@ def saturation_level(image: NDArray, saturation: float | None) -> float:
     return float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else np.inf
 
 
-def noise_of(image: NDArray) -> float:
-    """Estimate the noise's standard deviation from the differences of neighbouring rows."""
-    sample = image[:, :: max(1, image.shape[1] // 64)].astype(float)
-    steps = np.abs(np.diff(sample, axis=0))
-    # The median of their magnitude does not see the few rows that the line covers.
-    noise = float(np.median(steps)) / (QUARTILE * np.sqrt(2.0)) if steps.size else 0.0
-    return max(noise, 12**-0.5) if image.dtype.kind == "u" else noise
+def noise_beside(image: NDArray, given: float | None = None) -> Array:
+    """Standard deviation (W,) of the grey values beside the line, in each column.
+
+    It is the median difference of adjacent rows, over a block of columns, in the darker half of the
+    rows: neither the line nor a slope of the background counts.  How dark a pair of rows is, the
+    rows beside it say, or the choice would favour small differences.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W)
+    given : float, optional
+        The camera's own; what the image shows counts where it is clearly more: ambient light adds
+        its shot noise.
+    """
+    height, width = image.shape
+    if height < _FEWEST_ROWS:
+        return np.full(width, max(given or 0.0, 12**-0.5 if image.dtype.kind == "u" else 0.0))
+    first = np.arange(0, height - 3, max((height - 3) // _PAIRS, 1))
+    blocks = -(-width // _BLOCK_COLUMNS)
+    column = np.linspace(0, width - 1, min(blocks * _SAMPLED_COLUMNS, width)).round().astype(int)
+    outer, upper, lower, last = (image[first + k][:, column].astype(float) for k in range(4))
+    level = outer + last
+    change = np.abs(lower - upper)
+    whole = image.dtype.kind == "u" or bool(
+        np.all(upper == np.rint(upper)) and np.abs(upper).max() >= _GREY_VALUES
+    )
+    if whole:  # their median would be whole too: each is spread evenly over its unit
+        dither = (np.arange(change.size).reshape(change.shape) * _GOLDEN) % 1.0 - 0.5
+        change = np.abs(change + dither)
+    dark = level <= np.median(level, axis=0)
+    noise = np.empty(blocks)
+    for number, part in enumerate(np.array_split(np.arange(column.size), blocks)):
+        seen = change[:, part][dark[:, part]]
+        noise[number] = np.median(seen) / (QUARTILE * np.sqrt(2.0))
+        if given is not None and noise[number] < given * (1.0 + _CLEARLY / np.sqrt(seen.size)):
+            noise[number] = given
+    return np.maximum(noise, max(given or 0.0, 12**-0.5 if whole else 0.0))[
+        np.arange(width) * blocks // width
+    ]
 
 
 def find_peaks(
-    image: NDArray, noise: float, min_amplitude: float, max_sigma: float, count: int = 1
+    image: NDArray, noise: Array, min_amplitude: float, max_sigma: float, count: int = 1
 ) -> Peaks:
-    """Find the `count` highest peaks of each column in a smoothed copy, and their half widths."""
-    kernel = cv2.getGaussianKernel(2 * int(4 * SMOOTHING_PX) + 1, SMOOTHING_PX)
+    """Find the `count` highest peaks of each column in a smoothed copy, and their half widths.
+
+    `noise` (W,) is that of the columns beside the line.
+    """
     depth = cv2.CV_64F if image.dtype == np.float64 else cv2.CV_32F
-    smooth = cv2.sepFilter2D(image, depth, np.ones(1), kernel, borderType=cv2.BORDER_REFLECT_101)
+    smooth = cv2.sepFilter2D(image, depth, np.ones(1), _KERNEL, borderType=cv2.BORDER_REFLECT_101)
 
     peak = cv2.reduceArgMax(smooth, 0)[0].astype(int)  # NumPy's takes three times as long
     column = np.arange(peak.size)
@@ -132,17 +174,18 @@ def find_peaks(
     quartile = sparse.shape[1] // 4
     background = np.partition(sparse, quartile, axis=1)[:, quartile].astype(float)
     contrast = top - background
+    level = background + QUARTILE * smoothed_noise(noise)
     lowest = max(
         min_amplitude * median_filter(contrast, 3, mode="nearest").max(),  # blind to hot pixels
-        SIGNIFICANCE * noise * float(np.linalg.norm(kernel)),
         16.0 * np.finfo(smooth.dtype).eps * np.abs([top, background]).max(),  # rounding
     )
+    lowest = np.maximum(lowest, SIGNIFICANCE * smoothed_noise(noise) + level - background)
     if count > 1:
         column, peak, rank = _ranked(smooth, background + lowest, lowest, count)
         background = background[column]
         contrast = smooth[peak, column] - background
 
-    lit = contrast > lowest
+    lit = contrast > lowest[column]
     column, peak, rank, contrast, background = (
         values[lit] for values in (column, peak, rank, contrast, background)
     )
@@ -159,20 +202,25 @@ def find_peaks(
         second = _next_height(smooth, column, peak, up, down) - background
         second = np.maximum(second, 0.0) / contrast
     middle = peak + (down - below - up + above) / 2.0
-    level = background + QUARTILE * noise * float(np.linalg.norm(kernel))
-    profile = (middle, sigma, contrast, background, level, second)
+    profile = (middle, sigma, contrast, background, level[column], second)
     return Peaks(column, rank, peak, *profile, *np.full((4, peak.size), np.nan))
 
 
+def smoothed_noise(noise: Array) -> Array:
+    """What the filter of the coarse search leaves of white noise."""
+    return noise * float(np.linalg.norm(_KERNEL))
+
+
 def _ranked(
-    smooth: NDArray, height: Array, prominence: float, count: int
+    smooth: NDArray, height: Array, prominence: Array, count: int
 ) -> tuple[Index, Index, Index]:
     """Columns, rows and ranks of the `count` highest local maxima of each column, as (L,) each."""
     rows = len(smooth) + 2  # between two columns, pixels that are lower than all
     line = np.pad(smooth.T, ((0, 0), (1, 1)), constant_values=smooth.min() - 1.0).ravel()
-    found, about = signal.find_peaks(line, height=np.repeat(height, rows), prominence=prominence)
+    least = (np.repeat(values, rows) for values in (height, prominence))
+    found, about = signal.find_peaks(line, height=next(least), prominence=next(least))
     column, peak = np.divmod(found, rows)
-    own = _PROMINENCE * (about["peak_heights"] - height[column] + prominence)
+    own = _PROMINENCE * (about["peak_heights"] - height[column] + prominence[column])
     stands_out = about["prominences"] > own
     column, peak, tops = (a[stands_out] for a in (column, peak, about["peak_heights"]))
     order = np.lexsort((-tops, column))

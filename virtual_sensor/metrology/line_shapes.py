@@ -192,14 +192,16 @@ def _judged(
     left = np.einsum("ln,ln->l", taper * misfit, misfit)
     weight = taper.sum(axis=1)
     if noise.known:
-        variance = noise.variance(at.amplitude[:, None] * basis[:, 1]).astype(np.float32)
+        variance = noise.variance((at.amplitude[:, None] * basis[:, 1]).T, at.column).T.astype(
+            np.float32
+        )
         errors = np.einsum("lin,lin,ln->il", tests, tests, variance)
         expected = np.sqrt(np.einsum("ln,ln->l", taper, variance) / weight)
     else:
         hermite = (beyond[:2] ** 2 / near.design("left").T).sum(axis=0)
         whole = np.maximum(left - hermite, 0.0) / np.maximum(weight - 6.0, 1.0)
         measured = _noise_variance(misfit, taper, near.sigma, whole)
-        errors = near.design("spread").T * np.maximum(measured, noise.dark**2)
+        errors = near.design("spread").T * np.maximum(measured, noise.dark[at.column] ** 2)
         expected = np.full(at.row.size, np.inf)
     height = np.where(gaussian[1] > 0.0, gaussian[1], np.nan)
     told = beyond / height * [[1.0], [-1.0], [1.0]]

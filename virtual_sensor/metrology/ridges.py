@@ -193,10 +193,10 @@ def _candidates(
     bend = cv2.sepFilter2D(grey, cv2.CV_32F, curved, flat, borderType=cv2.BORDER_REPLICATE)
     bend += cv2.sepFilter2D(grey, cv2.CV_32F, flat, curved, borderType=cv2.BORDER_REPLICATE)
     both = np.outer(flat, curved) + np.outer(curved, flat)
-    rounding = 64.0 * np.finfo(np.float32).eps * float(np.abs(both).sum())
-    least = max(SIGNIFICANCE * noise.dark * float(np.linalg.norm(both)), rounding)
+    rounding = 64.0 * float(np.finfo(np.float32).eps) * float(np.abs(both).sum())
     highest = float(np.max(-bend, initial=0.0))
-    least = max(least, min_amplitude * highest)
+    least: Array = SIGNIFICANCE * noise.dark * float(np.linalg.norm(both))
+    least = np.maximum(least, float(max(min_amplitude * highest, rounding)))
     v, u = np.nonzero(-bend > least)
     return np.stack([u, v], axis=1)
 
@@ -216,13 +216,15 @@ def _refined(
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     owned &= np.abs(_first(local.r, tangent)) < scale * np.abs(across)
     pixel, normal, local = pixel[owned], normal[owned], _Local(*(part[owned] for part in local))
+    column = candidates[owned, 0]
+    dark = noise.dark[column]
 
     start, width = pixel, np.full(len(pixel), 1.5 * scale)
     for number in range(_STEPS):
         across = _second(local.r, normal)
         levels, width = _beside(padded, pixel, normal, local.r, across, width, scale, half)
         h = levels[1] - levels[0]
-        h = np.where(np.abs(h) > _SEEN * noise.dark / (np.sqrt(2.0 * np.pi) * scale), h, 0.0)
+        h = np.where(np.abs(h) > _SEEN * dark / (np.sqrt(2.0 * np.pi) * scale), h, 0.0)
         slope = _first(local.r, normal) - h / (np.sqrt(2.0 * np.pi) * np.hypot(scale, 12**-0.5))
         step = slope / np.where(across < 0.0, -across, np.nan)
         pixel = pixel + np.clip(np.nan_to_num(step), -1.0, 1.0)[:, None] * normal
@@ -232,9 +234,9 @@ def _refined(
     background = levels.mean(axis=0)
     height = local.r[:, 0, 0] - background
     line = np.sqrt(np.maximum(width**2 - scale**2 - 1.0 / 12.0, 0.01))
-    sigma, doubt = _noise_passed_on(local, normal, across, background, noise, scale)
+    sigma, doubt = _noise_passed_on(local, normal, across, background, noise, column)
     # Each level has the noise dark/(2 sqrt(pi) scale), and so h has its own in the slope.
-    of_h = np.where(h != 0.0, noise.dark / (2.0 * np.pi * scale**2), 0.0)
+    of_h = np.where(h != 0.0, dark / (2.0 * np.pi * scale**2), 0.0)
     sigma = np.hypot(sigma, of_h / np.where(across < 0.0, -across, np.nan))
     sound = (doubt < _MAX_NOISE) & (np.linalg.norm(pixel - start, axis=1) < np.maximum(scale, 1.0))
     angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) % 180.0
@@ -305,10 +307,10 @@ def _beside(
 
 
 def _noise_passed_on(
-    local: _Local, normal: Array, across: Array, background: Array, noise: Noise, scale: float
+    local: _Local, normal: Array, across: Array, background: Array, noise: Noise, column: Index
 ) -> tuple[Array, Array]:
     """Standard deviation of the points along their normals, and of r_nn, relative: (N,) each."""
-    variance = noise.variance(local.pixels - background[:, None, None])
+    variance = noise.variance((local.pixels - background[:, None, None]).T, column).T
     (x, y), u, v = normal.T, local.along_u, local.along_v
 
     def summed(by_u: Array, by_v: Array) -> Array:
