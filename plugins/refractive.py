@@ -186,7 +186,7 @@ class Refractive(mi.SamplingIntegrator):
                 if light is None:
                     continue
                 toward, lit = -mi.Vector3f(light.heading), valid
-                weight = mi.Spectrum(emitter.irradiance(light.a, light.b, light.concentration))
+                weight = mi.Spectrum(self.irradiance(scene, light))
             else:
                 ds, weight = emitter.sample_direction(si, sampler.next_2d(valid), valid)
                 toward, lit = ds.d, valid & (ds.pdf > 0.0)
@@ -194,6 +194,10 @@ class Refractive(mi.SamplingIntegrator):
             value = bsdf.eval(context, si, si.to_local(toward), lit) * weight
             radiance += dr.select(lit, value, 0.0)
         return radiance, valid
+
+    def irradiance(self, scene: mi.Scene, light: Illumination) -> Any:
+        """The laser's, square to its light, W/mm^2; nil where it does not arrive."""
+        return laser_of(scene).irradiance(light.a, light.b, light.concentration)
 
     def glow(self, scene: mi.Scene) -> float:
         """Radiance of the scene's brightest glowing surface, W/(mm^2 sr); 0 if none glows."""

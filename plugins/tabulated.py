@@ -344,7 +344,7 @@ class Elsewhere:
         dr.eval(self._distance, self._moved, self._turned)
 
     def bent(self, ray: Any, pixel: Any) -> Any:
-        """Straight rays (tangents of the bent ones) of samples in pixels, from close to the part."""
+        """Tangents of the bent rays of samples in pixels, started close to the part."""
         distance = dr.gather(mi.Float, self._distance, pixel)
         heading = dr.normalize(ray.d + mi.Vector3f(dr.gather(mi.Array3f, self._turned, pixel)))
         there = ray(distance) + mi.Vector3f(dr.gather(mi.Array3f, self._moved, pixel))

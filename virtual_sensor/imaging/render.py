@@ -87,8 +87,7 @@ def render_frame(
 
     light = lit.sight.light
     a, b = light.a.numpy(), light.b.numpy()
-    emitter = scene.sensor.laser
-    reached = np.isfinite(a) & (np.abs(b) <= emitter.length_mm / 2.0)
+    reached = (scene.integrator.irradiance(scene.mitsuba, light) > 0.0).numpy()
     point = np.array(lit.sight.point)
     depth = camera.pose.to_local(point.T)[:, 2]
     # Channel by channel, as files want it.  Dr.Jit has the memory: new one takes 0.1 s to fill.
