@@ -46,6 +46,7 @@ STAIRS = (  # from the ground up
 # Metrology serves images of real cameras too: it knows no renderer.
 METROLOGY_KNOWS = (
     "virtual_sensor.errors",
+    "virtual_sensor.files",
     "virtual_sensor.metrology",
     "virtual_sensor.optics.sensor_model",
 )

@@ -255,3 +255,22 @@ def test_options_out_of_range_are_refused(options):
     """Rather than found in the results."""
     with pytest.raises(InputError, match="line_centres"):
         line_centres(np.zeros((5, 5)), **options)
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32, float])
+def test_what_a_numpy_mask_hides_is_missing(kind):
+    """The brighter line is masked: the other is found; saturation stays that of the type."""
+    image = 200.0 * line_image(np.full(50, 20.0), 2.0, height=100)
+    image += 120.0 * line_image(np.full(50, 70.25), 2.0, height=100)
+    masked = np.ma.masked_array(image.astype(kind), np.zeros(image.shape, bool))
+    masked[10:31] = np.ma.masked
+    for along, pixels in (("columns", masked), ("rows", masked.T)):
+        line = line_centres(pixels, along=along)
+        place = line.row if along == "columns" else line.column
+        np.testing.assert_array_equal(line.status, Status.OK)
+        np.testing.assert_allclose(place, 70.25, atol=0.01)
+    masked[69:72] = np.ma.masked
+    assert set(line_centres(masked).status) == {Status.BAD_PIXELS}
+    clipped = np.ma.masked_array(np.minimum(4 * image, 255).astype(np.uint8))
+    clipped[0] = np.ma.masked
+    assert set(line_centres(clipped).status) == {Status.SATURATED}

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import sys
 
 import cv2
@@ -140,15 +141,18 @@ def test_colours_are_asked_for_by_name(tmp_path):
     cv2.imwrite(str(tmp_path / "green.png"), colour)
     cv2.imwrite(str(tmp_path / "grey.png"), np.stack([grey] * 3, axis=-1))
     cv2.imwrite(str(tmp_path / "alpha.png"), np.stack([grey] * 4, axis=-1))
-    np.testing.assert_array_equal(read_image(tmp_path / "green.png", "green"), grey)
-    np.testing.assert_array_equal(read_image(tmp_path / "grey.png"), grey)
-    np.testing.assert_array_equal(read_image(tmp_path / "alpha.png"), grey)
+    np.testing.assert_array_equal(read_image(tmp_path / "green.png", "green").pixels, grey)
+    np.testing.assert_array_equal(read_image(tmp_path / "grey.png").pixels, grey)
+    np.testing.assert_array_equal(read_image(tmp_path / "alpha.png").pixels, grey)
     with pytest.raises(InputError, match=r"green\.png: is a colour image; say which --channel"):
         read_image(tmp_path / "green.png")
     with pytest.raises(InputError, match="no channel 'violet'"):
         read_image(tmp_path / "green.png", "violet")
-    write_exr(tmp_path / "c.exr", {n: grey.astype(np.float32) for n in "RGB"})
-    np.testing.assert_array_equal(read_image(tmp_path / "c.exr", "red"), grey)
+    write_exr(tmp_path / "c.exr", {n: grey.astype(np.float32) * (n == "R") for n in "RGB"})
+    for name in ("R", "red"):
+        np.testing.assert_array_equal(read_image(tmp_path / "c.exr", name).pixels, grey)
+    write_exr(tmp_path / "same.exr", {n: grey.astype(np.float32) for n in "RGB"})
+    np.testing.assert_array_equal(read_image(tmp_path / "same.exr").pixels, grey)
     with pytest.raises(InputError, match="say which --channel"):
         read_image(tmp_path / "c.exr")
 
@@ -190,3 +194,76 @@ def test_a_calibration_of_another_size_is_refused(tmp_path):
     ended = run(tmp_path / "line.png", "--calibration", tmp_path / "c.yaml", "-o", tmp_path / "out")
     assert "90 x 64 px, but the calibration is of 2048 x 2048" in str(ended.exception)
     assert not (tmp_path / "out").exists()
+
+
+def test_notes_are_said_once_for_all_images_and_stay_in_the_summary(tmp_path):
+    """What each file's reader assumed, what a folder held besides, on the screen and in JSON."""
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    for name in "abc":
+        cv2.imwrite(str(folder / f"{name}.png"), picture(4095, np.uint16) << 4)
+    (folder / "list.txt").touch()
+    ended = run(folder, "--bits", 12, "-o", tmp_path / "out")
+    assert ended.exit_code == 0, ended.output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [summary["images"][name]["ok"] for name in "abc"] == [90, 90, 90]
+    left_out, down = summary["notes"]
+    assert left_out == f"{folder}: left out, as no images known here: list.txt."
+    assert down.startswith(f"{folder / 'a.png'} and 2 more: its 12 bits lie at the top of 16")
+    for note in (left_out, down):
+        assert ended.output.count(f"Note: {note}") == 1
+
+
+def test_a_line_that_stands_is_told_from_one_that_is_not_there(tmp_path):
+    """Few columns show it, but the rows do: a hint, both ways; none where all is well or dark."""
+    lying = picture(255, np.uint8)
+    cases = {
+        ("lying", "columns"): None,
+        ("lying", "rows"): "columns",
+        ("standing", "columns"): "rows",
+        ("standing", "rows"): None,
+        ("clipped", "columns"): "rows",
+        ("dark", "columns"): None,
+    }
+    clipped = np.minimum(2 * lying.astype(int), 255).astype(np.uint8).T
+    images = {"lying": lying, "standing": lying.T, "clipped": clipped, "dark": 0 * lying}
+    for (name, along), better in cases.items():
+        cv2.imwrite(str(tmp_path / "a.png"), images[name])
+        output = tmp_path / f"{name}_{along}"
+        ended = run(tmp_path / "a.png", "--along", along, "-o", output)
+        hint = [f"{tmp_path / 'a.png'}: shows its line along the {better}: give --along {better}."]
+        assert json.loads((output / "summary.json").read_text())["notes"] == hint * bool(better)
+        assert ended.exit_code == 0
+
+
+def test_no_saturation_beyond_what_a_file_can_hold(tmp_path):
+    """8 bits clip at 255 whatever the camera is said to have; nan is no level at all."""
+    clipped = np.minimum(2 * picture(255, np.uint8).astype(int), 255).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), clipped)
+    for option, value, says in (
+        ("--bits", 12, "8 bits, not the 12"),
+        ("--saturation", 4e3, "4000"),
+    ):
+        ended = run(tmp_path / "a.png", option, value, "-o", tmp_path / option)
+        summary = json.loads((tmp_path / option / "summary.json").read_text())
+        assert summary["images"]["a"]["saturated"] == 90
+        assert says in ended.output
+    for option in ("saturation", "noise", "gain", "min-amplitude", "max-width"):
+        ended = run(tmp_path / "a.png", f"--{option}", "nan", "-o", tmp_path / "nan")
+        assert isinstance(ended.exception, InputError), option
+        assert "nan" in str(ended.exception)
+    ended = run(tmp_path / "a.png", "--peaks", 10**9, "-o", tmp_path / "nan")
+    assert "peaks is 1000000000; give a whole number, 1 to 100" in str(ended.exception)
+
+
+def test_pipes_devices_and_folders_named_like_images_are_refused(tmp_path):
+    """At once: whoever opens a pipe waits for a writer."""
+    os.mkfifo(tmp_path / "a.png")
+    (tmp_path / "b.tif").mkdir()
+    (tmp_path / "c.exr").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "c.yaml")
+    for name, says in (("a.png", "is a pipe"), ("b.tif", "is a folder"), ("c.exr", "is a device")):
+        with pytest.raises(InputError, match=says):
+            read_image(tmp_path / name)
+    ended = run(tmp_path / "a.png", "--calibration", tmp_path / "c.yaml", "-o", tmp_path / "out")
+    assert "c.yaml: is a pipe" in str(ended.exception)

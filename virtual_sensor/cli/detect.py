@@ -11,6 +11,7 @@ from virtual_sensor.cli.shared import (
     Overwrite,
     command_line,
     console,
+    print_notes,
     reporting,
     see_own_modules,
 )
@@ -33,7 +34,7 @@ def detect(
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help="PNG, TIFF or BMP of 8, 12 or 16 bits, OpenEXR, or folders of them.",
+            help="PNG, TIFF, BMP or JPEG of 8 to 16 bits, OpenEXR, or folders of them.",
         ),
     ],
     detector: Annotated[
@@ -95,13 +96,11 @@ def detect(
     see_own_modules()
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
-    if bits is not None:
-        saturation = float(2**bits - 1)
     options: dict[str, Any] = {"along": along, "peaks": peaks, "min_amplitude": min_amplitude}
     options |= {"saturation": saturation, "max_sigma": max_width, "noise": noise, "gain": gain}
     calibrated = read_calibration(calibration) if calibration else None
     check_output(output, overwrite, folder=True)
-    paths = find_images(images)
+    paths, notes = find_images(images)
     names = names_of(paths)
     summary: dict[str, Any] = {}
     table = Table("image", "centres", "other statuses", "detector's time")
@@ -116,12 +115,13 @@ def detect(
             table.add_row(names[number], str(ok), others, f"{found.seconds * 1e3:.0f} ms")
             summary[names[number]] = {"file": str(found.path), "ok": ok, **counts}
 
-        run(paths, detector, options, channel, calibrated, each)
+        notes += run(paths, detector, options, channel, calibrated, each, bits)
         report("done", 1.0)
-        told = {"command": command_line(), "images": summary}
+        told = {"command": command_line(), "notes": notes, "images": summary}
         with written_whole(place / RESULTS_SIGN) as temporary:
             temporary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     console.print(table)
+    print_notes(notes)
     first = output / f"{names[0]}.png"
     read = "1 image" if len(paths) == 1 else f"{len(paths)} images"
     console.print(f"{read}; results in {output}, look at {first} first", soft_wrap=True)

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.constants import c, h
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.line_profiles import unmasked
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
     InputError
         Where the image is dark.
     """
-    image = np.asarray(image, float)
+    image = np.asarray(unmasked(image), float)
     brightest = float(np.nanmax(image, initial=0.0))
     if not 0.0 < brightest < np.inf:
         raise InputError("exposed: the image is dark, or not finite; no exposure makes it bright")

@@ -1,23 +1,89 @@
-"""Images of cameras and of renderers as arrays: PNG, TIFF, BMP and OpenEXR."""
+"""Images of cameras and of renderers as arrays: PNG, TIFF, JPEG, BMP and OpenEXR.
 
-from collections.abc import Sequence
+One image (H, W) of a file is read, its grey values as the camera gave them.  What the formats say:
+
+===================================  =============================================================
+grey, RGB, palettes                  heeded: one colour is chosen, where they differ by `channel`
+8 and 16 bits, 32- and 64-bit float  heeded; half, 32-bit and signed integers become floats
+BitsPerSample (10, 12, 14), sBIT     heeded: the grey values and the level of clipping are theirs
+PNG of 1, 2, 4 bits                  noted: spread to 0 ... 255
+white is zero (TIFF)                 heeded and noted
+planes, tiles, compression (TIFF)    heeded; big-endian and BigTIFF too
+GDAL_NODATA                          heeded: missing pixels, NaN
+orientation (TIFF, EXIF)             heeded and noted: turned as viewers show it
+data window (EXR)                    heeded and noted: beside it pixels are missing, NaN
+parts and layers (EXR)               heeded: `channel` is "name" or "part.name"; others are noted
+further pages, frames, thumbnails    noted and ignored: the first full image is read
+alpha, samples without a meaning     noted and ignored
+gamma, colour profiles               noted and ignored
+MaxSampleValue                       noted and ignored: it may be the image's own
+pixels that are not square (EXR)     noted and ignored
+loss (JPEG)                          noted
+CMYK, YCbCr (TIFF), Bayer mosaics    refused, as are volumes, complex and 64-bit integers
+deep, subsampled channels (EXR)      refused
+more than 179 million pixels         refused; truncated and damaged files as well
+===================================  =============================================================
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import readable
+from virtual_sensor.imaging.image_formats import (
+    StoredImage,
+    read_exr,
+    read_picture,
+    read_tiff,
+)
 
-ENDINGS = (".png", ".tif", ".tiff", ".bmp", ".exr")
-COLOURS = ("blue", "green", "red")  # in OpenCV's order
+ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 
-_PNG_END = b"IEND\xaeB`\x82"
+_MOST_NAMES = 5  # of files in a note
+_FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
+_TURNS: dict[int, Callable[[NDArray], NDArray]] = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.T,
+    6: lambda a: a[::-1].T,
+    7: lambda a: a[::-1, ::-1].T,
+    8: lambda a: a[:, ::-1].T,
+}
 
 
-def find_images(places: Sequence[Path]) -> list[Path]:
+@dataclass(frozen=True)
+class Image:
+    """An image as a detector wants it.
+
+    Attributes
+    ----------
+    pixels : ndarray of shape (H, W)
+        uint8, uint16, float32 or float64; NaN where a pixel is missing.
+    largest : float or None
+        Grey value at which the camera clips, as far as the file tells; None for floats.
+    notes : tuple of str
+        What was converted, assumed or left out, each with the file's name first.
+    """
+
+    pixels: NDArray
+    largest: float | None
+    notes: tuple[str, ...] = ()
+
+
+def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     """Image files, and those that folders hold, in the order given and then by name.
+
+    Returns
+    -------
+    paths : list of Path
+    notes : tuple of str
+        What of a folder is left out.
 
     Raises
     ------
@@ -25,87 +91,142 @@ def find_images(places: Sequence[Path]) -> list[Path]:
         If a place does not exist, or a folder holds no image.
     """
     found: list[Path] = []
+    notes: list[str] = []
     for place in places:
         if place.is_dir():
-            inside = sorted(p for p in place.iterdir() if p.suffix.lower() in ENDINGS)
+            entries = sorted(p for p in place.iterdir() if not p.name.startswith("."))
+            inside = [p for p in entries if p.suffix.lower() in ENDINGS and p.is_file()]
             if not inside:
                 raise InputError(f"{place}: holds no image; known are {', '.join(ENDINGS)}")
+            if others := [p.name for p in entries if p not in set(inside)]:
+                more = (
+                    "" if len(others) <= _MOST_NAMES else f" and {len(others) - _MOST_NAMES} more"
+                )
+                names = ", ".join(others[:_MOST_NAMES])
+                notes.append(f"{place}: left out, as no images known here: {names}{more}.")
             found += inside
-        elif place.is_file():
+        elif place.exists():
             found.append(place)
         else:
             raise InputError(f"{place}: there is no such image or folder")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(found)), tuple(notes)
 
 
-def read_image(path: Path, channel: str | None = None) -> NDArray:
-    """Read one grey channel (H, W): uint8, uint16, float32 or float64.
+def read_image(path: Path, channel: str | None = None, bits: int | None = None) -> Image:
+    """Read one grey image.
 
     Parameters
     ----------
     path : Path
     channel : str, optional
-        Of a colour image: "red", "green" or "blue", of an EXR file its name there.  By default the
-        only one, an EXR file's "Y", or any where all colours are the same.
+        Of a colour image: "red", "green" or "blue", or R, G, B; of an EXR file its name there, with
+        "part." before it where several parts have one; of a TIFF of several samples its number.  By
+        default the only one, an EXR file's "Y", or any where all colours are the same.
+    bits : int, optional
+        Of the camera, where the file has more and does not say so.
 
     Raises
     ------
     InputError
         Naming the file and the remedy.
     """
-    if path.suffix.lower() not in ENDINGS:
+    suffix = path.suffix.lower()
+    if suffix not in ENDINGS:
         raise InputError(f"{path}: is none of {', '.join(ENDINGS)}; convert it to TIFF or PNG")
-    image = _exr(path, channel) if path.suffix.lower() == ".exr" else _picture(path, channel)
-    if image.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
-        raise InputError(
-            f"{path}: its pixels are {image.dtype}; save it as 8 or 16 bit, or as 32-bit float"
+    readable(path)
+    if suffix == ".exr":
+        stored = read_exr(path, channel)
+    else:
+        stored = (read_tiff if suffix in (".tif", ".tiff") else read_picture)(path, channel)
+    stored = _plain(path, stored)
+    stored, largest = _levelled(stored, bits)
+    remarks = list(stored.remarks)
+    turn = _TURNS.get(stored.orientation)
+    if turn is None:
+        remarks.append(f"its orientation, {stored.orientation}, means nothing and is not used")
+    elif stored.orientation != 1:
+        remarks.append(
+            f"is turned as its orientation tag ({stored.orientation}) says: (u, v) are those of the"
+            " turned image"
         )
-    return image
+    pixels = np.ascontiguousarray(turn(stored.values) if turn else stored.values)
+    return Image(pixels, largest, tuple(f"{path}: {remark}." for remark in remarks))
 
 
-def _picture(path: Path, channel: str | None) -> NDArray:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: can't be read ({error.strerror})") from None
-    # OpenCV fills what is missing of a PNG with black, and says so to the terminal only.
-    if path.suffix.lower() == ".png" and not data.rstrip(b"\0").endswith(_PNG_END):
-        raise InputError(f"{path}: is not a whole PNG file; copy it again")
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-    if image is None:
-        raise InputError(f"{path}: can't be decoded; is it whole, and what its name says?")
-    if image.ndim == 2:
-        return image
-    colours = image[:, :, :3]  # without an alpha channel
-    if channel is None:
-        if colours.shape[2] < 3 or (colours == colours[:, :, :1]).all():
-            return colours[:, :, 0]
-        raise InputError(f"{path}: is a colour image; say which --channel: red, green or blue")
-    if channel not in COLOURS:
-        raise InputError(f"{path}: has no channel '{channel}'; take red, green or blue")
-    return colours[:, :, COLOURS.index(channel)]
+def _plain(path: Path, stored: StoredImage) -> StoredImage:
+    """The same with pixels of a type that detectors take: integers of others become floats."""
+    values = stored.values
+    values = values.astype(values.dtype.newbyteorder("="), copy=False)
+    kind, size = values.dtype.kind, values.dtype.itemsize
+    if kind == "u" and size <= 2:
+        return replace(stored, values=values, bits=stored.bits or 8 * size)
+    if kind == "f" and size <= 8:
+        return replace(stored, values=values.astype(np.float32) if size == 2 else values, bits=None)
+    if kind in "iu" and size <= 4:
+        largest_bits = 8 * size - (kind == "i")
+        return replace(stored, values=values.astype(np.float64), bits=largest_bits)
+    raise InputError(
+        f"{path}: its pixels are {values.dtype}; save it as 8 or 16 bit, or as 32-bit float"
+    )
 
 
-def _exr(path: Path, channel: str | None) -> NDArray:
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: np.array(held.pixels) for name, held in file.channels().items()}
-    except (RuntimeError, OSError, ValueError) as error:
-        raise InputError(f"{path}: can't be read as OpenEXR ({str(error).strip()})") from None
-    letters = {colour[0].upper(): colour for colour in COLOURS}
-    named = {letters.get(name, name): values for name, values in channels.items()}
-    if channel is None:
-        channel = next((n for n in ("Y", *named) if n in named), "")
-        if len(named) > 1 and channel != "Y":
-            raise InputError(f"{path}: say which --channel: {', '.join(named)}")
-    if channel not in named:
-        raise InputError(f"{path}: has no channel '{channel}'; it has {', '.join(named) or 'none'}")
-    values = named[channel]
-    return values.astype(np.float32) if values.dtype == np.float16 else values
+def _levelled(stored: StoredImage, bits: int | None) -> tuple[StoredImage, float | None]:
+    """Grey values on the camera's own scale, and the largest that it can give."""
+    values, has = stored.values, stored.bits
+    brightest = float(np.max(values, initial=0.0, where=np.isfinite(values)))
+    if has is None:
+        if bits is None:
+            return stored, None
+        if brightest <= 1.0:
+            remark = f"holds floats from 0 to 1, but {bits} bits are clipped at {2**bits - 1}"
+            stored = replace(stored, remarks=[*stored.remarks, f"{remark}: give --saturation"])
+        return stored, 2.0**bits - 1.0
+    remarks = list(stored.remarks)
+    if bits is not None and bits > has:
+        remarks.append(f"has {has} bits, not the {bits} that were said: clipped at {2**has - 1}")
+        bits = None
+    said, largest = (bits or has), 2.0 ** (bits or has) - 1.0
+    if values.dtype.kind != "u":  # of more than 16 bits, or signed
+        shift = 0
+    elif stored.scaled:
+        shift = 8 * values.dtype.itemsize - said
+    else:
+        shift = has - said if brightest > largest else 0
+    if shift > 0 and _at_the_top(values, said, shift):
+        remarks.append(f"its {said} bits lie at the top of {said + shift}: they are brought down")
+        values = values >> shift
+    elif brightest > largest:
+        remarks.append(
+            f"has grey values above {largest:.0f}, the largest of {said} bits: they count as"
+            " clipped"
+        )
+    elif values.dtype == np.uint16 and brightest:
+        low = _bits_unused(values)
+        if bits is not None and low >= has - bits > 0:
+            remarks.append(
+                f"has multiples of {2 ** (has - bits)} only, but none above {largest:.0f}: taken as"
+                f" {bits} bits at the bottom; if they lie at the top, leave --bits out"
+            )
+        elif bits is None and 0 < low <= has - _FEWEST_BITS:
+            largest -= 2.0**low - 1.0
+            if brightest == largest:
+                remarks.append(
+                    f"has multiples of {2**low} only, as of {has - low} bits at the top of {has}:"
+                    f" clipped from {largest:.0f} on"
+                )
+    return replace(stored, values=values, remarks=remarks), largest
+
+
+def _at_the_top(values: NDArray, bits: int, shift: int) -> bool:
+    """Whether grey values are of so many bits, shifted up or multiplied to fill all of them."""
+    down = (values >> shift).astype(np.float64)
+    full = down * ((2.0 ** (bits + shift) - 1.0) / (2.0**bits - 1.0))
+    return bool(
+        np.array_equal(values >> shift << shift, values) or np.abs(values - full).max() <= 1.0
+    )
+
+
+def _bits_unused(values: NDArray) -> int:
+    """How many of the lowest bits are nowhere set."""
+    used = int(np.bitwise_or.reduce(values, axis=None))
+    return (used & -used).bit_length() - 1

@@ -12,6 +12,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.line_profiles import unmasked
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def _reached(lit: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
 
 
 def _checked(image: ArrayLike, number: float, name: str) -> tuple[Array, float]:
-    image = np.asarray(image, float)
+    image = np.asarray(unmasked(image), float)
     if image.ndim != 2 or not np.isfinite(image).all():
         raise InputError(f"lens: the image of shape {image.shape} must be (height, width), finite")
     if not 0.0 <= number < min(image.shape, default=0) / 2 + 1:

@@ -23,6 +23,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import j1, struve
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.line_profiles import unmasked
 
 Array = NDArray[np.float64]
 
@@ -127,7 +128,7 @@ def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generat
         Where the image has another shape, or holds what is negative or no number; where the grains
         are finer than a 16th of a pixel.
     """
-    image = np.asarray(image, float)
+    image = np.asarray(unmasked(image), float)
     if image.ndim != 2 or not (np.isfinite(image).all() and image.min(initial=0.0) >= 0.0):
         raise InputError("speckled: give an image (height, width) of finite numbers from 0 on")
     fine = max(3, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import readable
 from virtual_sensor.metrology.triangulation import Sensor, check_geometry
 from virtual_sensor.optics.sensor_model import Camera, Pose
 
@@ -99,6 +100,7 @@ def read_calibration(path: Path) -> Calibration:
     InputError
         Naming the file, the element and what it should be.
     """
+    readable(path)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

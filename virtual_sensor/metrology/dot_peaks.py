@@ -65,7 +65,8 @@ def dot_centres(
     Parameters
     ----------
     image : array_like of shape (H, W)
-        Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels.
+        Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels,
+        as a NumPy mask does.
     threshold : float
         Height above the image's median at which a dot begins, relative to the brightest.
     min_area : int
@@ -78,10 +79,10 @@ def dot_centres(
     InputError
         Where the image is not a grey image of a known type, or `threshold` is not in (0, 1).
     """
+    clipped = saturation_level(image, saturation)
     image = checked_image(image)
     if not 0.0 < threshold < 1.0:
         raise InputError(f"dot_centres: threshold is {threshold}; give it 0 < threshold < 1")
-    clipped = saturation_level(image, saturation)
     finite = np.isfinite(image)
     filled = np.where(finite, image, image[finite].min(initial=0)).astype(float)
     smooth = cv2.GaussianBlur(filled, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)

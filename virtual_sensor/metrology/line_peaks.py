@@ -42,6 +42,7 @@ from virtual_sensor.metrology.ridges import ridges
 
 ALONG = ("columns", "rows")
 
+MOST_PEAKS = 100  # of a column
 EXTREME = 1e12  # grey values beyond it, or below its inverse, are brought to about 1 first
 IN_VIEW = 2.5  # a line counts as seen when so many sigma either side lie in the image
 MAX_RESIDUAL = 0.15  # rms misfit, relative to the amplitude, that is still a line
@@ -68,7 +69,8 @@ def line_centres(
     Parameters
     ----------
     image : array_like of shape (H, W)
-        Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels.
+        Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels,
+        as a NumPy mask does.
     method : str or callable
         "gaussian" fits a pixel-integrated Gaussian on a level background by least squares in a
         window that follows its width, "weighted_gaussian" with weights by the measured grey values,
@@ -106,11 +108,14 @@ def line_centres(
     InputError
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
+    clipped = saturation_level(image, saturation)
     image = checked_image(image)
     if along not in ALONG:
         raise InputError(f"line_centres: along is {along!r}; take {' or '.join(ALONG)}")
-    if not (isinstance(peaks, int | np.integer) and peaks >= 1):
-        raise InputError(f"line_centres: peaks is {peaks!r}; give a whole number from 1 on")
+    if not (isinstance(peaks, int | np.integer) and 1 <= peaks <= MOST_PEAKS):
+        raise InputError(
+            f"line_centres: peaks is {peaks!r}; give a whole number, 1 to {MOST_PEAKS}"
+        )
     if not 0.0 <= min_amplitude < 1.0:
         raise InputError(f"line_centres: min_amplitude is {min_amplitude}; give it 0 <= ... < 1")
     if not (MIN_SIGMA_PX < max_sigma < np.inf):
@@ -121,7 +126,6 @@ def line_centres(
         image = np.ascontiguousarray(image.T)
 
     if isinstance(method, str) and method in NAMES:
-        clipped = saturation_level(image, saturation)
         line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
     else:
         line = by_foreign(image, find_detector(method) if isinstance(method, str) else method)

@@ -1,6 +1,6 @@
 """Where columns of an image have their peaks: what every columnwise detector starts from."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -95,8 +95,11 @@ class Profile(NamedTuple):
 
 
 def checked_image(image: ArrayLike) -> NDArray:
-    """Return `image` (H, W) as a contiguous array of native byte order, or raise InputError."""
-    image = np.asarray(image)
+    """Return `image` (H, W) as a contiguous array of native byte order, or raise InputError.
+
+    What a NumPy mask hides is NaN, a missing pixel.
+    """
+    image = unmasked(image)
     if image.ndim != 2 or image.size == 0:
         problem = f"image: shape {image.shape} is not (height, width)"
         raise InputError(f"{problem}; give one grey channel, such as image[..., 1]")
@@ -107,11 +110,23 @@ def checked_image(image: ArrayLike) -> NDArray:
     return np.ascontiguousarray(image, native)
 
 
-def saturation_level(image: NDArray, saturation: float | None) -> float:
+def unmasked(values: ArrayLike) -> NDArray:
+    """An array without a mask: NaN where a NumPy mask hides values."""
+    if not np.ma.is_masked(values):
+        return np.asarray(values)
+    masked: Any = np.ma.asarray(values)
+    kind = np.float32 if masked.dtype in (np.uint8, np.uint16, np.float32) else np.float64
+    return masked.astype(kind).filled(np.nan)
+
+
+def saturation_level(image: ArrayLike, saturation: float | None) -> float:
     """Grey value from which on the pixels of `image` are clipped; infinity where there is none."""
     if saturation is not None:
+        if np.isnan(saturation):
+            raise InputError("image: saturation is nan; give the grey value at which it clips")
         return float(saturation)
-    return float(np.iinfo(image.dtype).max) if image.dtype.kind == "u" else np.inf
+    dtype = np.asanyarray(image).dtype  # of a masked image too, whose pixels become floats
+    return float(np.iinfo(dtype).max) if dtype.kind == "u" else np.inf
 
 
 def noise_beside(image: NDArray, given: float | None = None) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.line_profiles import unmasked
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ def triangulate(sensor: Sensor, pixel: ArrayLike) -> Array:
         Where `pixel` is no list of (u, v), or the camera stands in the laser plane.
     """
     check_geometry(sensor)
-    pixel = np.asarray(pixel, float)
+    pixel = np.asarray(unmasked(pixel), float)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
     finite = np.isfinite(pixel).all(axis=-1, keepdims=True)

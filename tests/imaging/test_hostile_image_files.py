@@ -1,0 +1,73 @@
+"""Image files that are damaged, or claim more than there is: one line, no crash."""
+
+import struct
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+from image_makers import (
+    GREY8,
+    GREY16,
+    RNG,
+    chunk,
+    exr,
+    packed_tiff,
+    png,
+    tag,
+    tiff,
+)
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.image_files import read_image
+
+
+def huge(path, ending):
+    """A header that claims 10^6 x 10^6 px, and little behind it."""
+    side = 10**6
+    if ending == "png":
+        image = png(path, GREY8).read_bytes()
+        header = struct.pack(">II", side, side) + image[24:29]
+        path.write_bytes(image[:8] + chunk(b"IHDR", header) + image[33:])
+    elif ending == "tif":
+        data = packed_tiff(path, GREY8, 8).read_bytes()
+        data = data.replace(tag(256, 90), tag(256, side)).replace(tag(257, 64), tag(257, side))
+        path.write_bytes(data.replace(tag(278, 64), tag(278, side)))
+    elif ending == "exr":
+        data = exr(path, {"Y": GREY8.astype("f4")}).read_bytes()
+        path.write_bytes(data.replace(struct.pack("<2i", 89, 63), struct.pack("<2i", side, side)))
+    elif ending == "bmp":
+        data = cv2.imencode(".bmp", GREY8)[1].tobytes()
+        path.write_bytes(data[:18] + struct.pack("<2i", side, side) + data[26:])
+    else:
+        PIL.Image.fromarray(GREY8).save(path)
+        data = path.read_bytes()
+        path.write_bytes(data.replace(struct.pack(">2H", 64, 90), b"\xff\xff\xff\xff"))
+    return path
+
+
+@pytest.mark.parametrize("ending", ["png", "tif", "exr", "bmp", "jpg"])
+def test_sizes_that_no_memory_holds_are_refused(tmp_path, ending):
+    """By the header, before any pixel is asked for."""
+    with pytest.raises(InputError, match=rf"huge\.{ending}: "):
+        read_image(huge(tmp_path / f"huge.{ending}", ending))
+
+
+def test_damaged_pngs_and_tiffs_are_refused(tmp_path):
+    """A flipped bit, strips that aren't there: no black rows in place of what is lost."""
+    data = bytearray(png(tmp_path / "a.png", RNG.integers(0, 255, (64, 90), "u1")).read_bytes())
+    data[len(data) // 2] ^= 8
+    (tmp_path / "a.png").write_bytes(data)
+    for options in ({}, {"compression": "lzw"}, {"compression": "zlib"}):
+        whole = tiff(tmp_path / "a.tif", GREY16, rowsperstrip=8, **options).read_bytes()
+        (tmp_path / "a.tif").write_bytes(whole[:-40])
+        for name in ("a.png", "a.tif"):
+            with pytest.raises(InputError, match=name):
+                read_image(tmp_path / name)
+    tiff(tmp_path / "b.tif", np.stack([GREY8] * 4), photometric="separated")
+    (tmp_path / "c.tif").write_bytes(
+        packed_tiff(tmp_path / "c.tif", GREY8, 8).read_bytes().replace(tag(262, 1), tag(262, 32803))
+    )
+    for name, kind in (("b.tif", "of SEPARATED"), ("c.tif", "of CFA")):
+        with pytest.raises(InputError, match=kind):
+            read_image(tmp_path / name)

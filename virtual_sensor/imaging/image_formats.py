@@ -1,0 +1,323 @@
+"""One channel of an image file as the file stores it, and what the file says of it.
+
+`image_files` says which features of each format are heeded.
+"""
+
+import logging
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+import PIL.Image
+import tifffile
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+
+COLOURS = ("red", "green", "blue")
+
+_MOST_PIXELS = 2 * 89_478_485  # Pillow's own limit
+_PNG_END = b"IEND\xaeB`\x82"
+_GREY = "grey"
+_ALPHA = "alpha"
+_ORIENTATION = 0x0112  # EXIF's tag
+
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it warns on the terminal
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """One channel (H, W) as it is stored, its bits (None: floats) and what is to be said of it.
+
+    `scaled`: its grey values are of fewer bits, spread over those of the array's type.
+    """
+
+    values: NDArray
+    bits: int | None = None
+    scaled: bool = False
+    orientation: int = 1
+    remarks: list[str] = field(default_factory=list)
+
+
+def _channel(
+    path: Path, channels: dict[str, NDArray], channel: str | None, remarks: list[str]
+) -> NDArray:
+    """The one that is asked for, or the only one, or any where all are the same."""
+    alpha = channels.pop(_ALPHA, None)
+    if alpha is not None and (alpha != alpha.flat[0]).any():
+        remarks.append("its alpha channel is left out: transparent pixels count as any")
+    names = ", ".join(channels)
+    if channel is None:
+        first, *others = channels.values()
+        if "Y" in channels:
+            return channels["Y"]
+        if all(np.array_equal(first, other, equal_nan=True) for other in others):
+            return first
+        kind = "is a colour image; " if set(channels) == set(COLOURS) else ""
+        raise InputError(f"{path}: {kind}say which --channel: {names}")
+    if list(channels) == [_GREY]:
+        remarks.append(f"is grey: --channel {channel} is not needed")
+        return channels[_GREY]
+    letters = {colour[0]: colour for colour in COLOURS}
+    for name in (channel, letters.get(channel.lower(), ""), channel.lower()):
+        if name in channels:
+            return channels[name]
+    raise InputError(f"{path}: has no channel '{channel}'; take {names}")
+
+
+def _check_size(path: Path, *sizes: int) -> None:
+    if not (min(sizes) > 0 and np.prod([float(n) for n in sizes]) <= _MOST_PIXELS):
+        claimed = " x ".join(map(str, sizes))
+        raise InputError(
+            f"{path}: says it has {claimed} px; give an image of 1 to {_MOST_PIXELS} px, or cut it"
+        )
+
+
+@contextmanager
+def _refusing(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a library raises at a damaged file is an InputError, and its warnings are unsaid."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = f"{error}".strip().splitlines() or [type(error).__name__]
+        raise InputError(
+            f"{path}: can't be read as {kind} ({reason[-1]}); is it whole, and what its name says?"
+        ) from None
+
+
+def read_picture(path: Path, channel: str | None) -> StoredImage:
+    """PNG, JPEG or BMP: Pillow reads what the file says of itself, OpenCV pixels of all depths."""
+    remarks: list[str] = []
+    with _refusing(path, "PNG, JPEG or BMP"):
+        data = path.read_bytes()
+        with PIL.Image.open(BytesIO(data), formats=("PNG", "JPEG", "BMP")) as header:
+            kind = header.format
+            _check_size(path, *header.size)
+            try:
+                orientation = int(header.getexif().get(_ORIENTATION, 1))
+            except Exception:  # whatever is wrong with a block that only tells of the image
+                orientation = 1
+                remarks.append("its EXIF block is damaged and not used")
+            frames = getattr(header, "n_frames", 1)
+            if kind in ("JPEG", "MPO"):
+                remarks.append("is a JPEG: its loss may move centres, and it may not be linear")
+                if header.mode not in ("L", "RGB"):
+                    raise InputError(f"{path}: is {header.mode}; save it as grey or RGB")
+                image = np.asarray(header)[..., ::-1]
+                image = image[..., ::-1] if header.mode == "L" else image
+            else:
+                if {"gamma", "srgb", "icc_profile"} & header.info.keys():
+                    remarks.append("names a gamma or colour profile, which is not applied")
+                if kind == "PNG":
+                    with PIL.Image.open(BytesIO(data), formats=("PNG",)) as whole:
+                        whole.verify()
+                    if not data.rstrip(b"\0").endswith(_PNG_END):
+                        raise InputError(f"{path}: is not a whole PNG file; copy it again")
+                image = _decoded(path, data)
+    if frames > 1:
+        remarks.append(f"has {frames} frames; the first is read, the others are left out")
+    bits, scaled = None, False
+    if kind == "PNG":
+        depth, significant = data[24], _significant_bits(data)
+        if depth < 8 and data[25] != 3:  # no palette
+            remarks.append(f"its {depth} bits are spread to 0 ... 255")
+        elif significant and 0 < significant < 8 * image.itemsize:
+            bits, scaled = significant, True
+    if image.ndim == 2:
+        channels = {_GREY: image}
+    else:
+        names = ("blue", "green", "red", _ALPHA)[: image.shape[2]]
+        channels = {
+            name: image[:, :, names.index(name)] for name in (*COLOURS, _ALPHA)[: len(names)]
+        }
+    return StoredImage(
+        _channel(path, channels, channel, remarks), bits, scaled, orientation, remarks
+    )
+
+
+def _decoded(path: Path, data: bytes) -> NDArray:
+    """Pixels by OpenCV, which complains to the terminal only."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+    if image is None:
+        raise InputError(f"{path}: can't be decoded; is it whole, and what its name says?")
+    return image
+
+
+def _significant_bits(data: bytes) -> int | None:
+    """What a PNG's sBIT chunk says of its colours, where it says the same of all."""
+    at = 8
+    while at + 8 <= len(data) and data[at + 4 : at + 8] != b"IDAT":
+        size = int.from_bytes(data[at : at + 4], "big")
+        if data[at + 4 : at + 8] == b"sBIT":
+            colours = set(data[at + 8 : at + 8 + size][: 3 if size > 2 else 1])
+            return colours.pop() if len(colours) == 1 else None
+        at += 12 + size
+    return None
+
+
+def read_tiff(path: Path, channel: str | None) -> StoredImage:
+    """TIFF by tifffile, which undoes packing, planes and compression as the tags say."""
+    remarks: list[str] = []
+    with _refusing(path, "TIFF"), tifffile.TiffFile(path) as file:
+        pages: Any = file.pages
+        page = next((p for p in pages if not p.is_reduced), pages[0])
+        count = max(len(pages), int((file.imagej_metadata or {}).get("images", 1)))
+        _check_size(path, page.imagewidth, page.imagelength)
+        _check_size(path, page.size)
+        segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
+        end = file.filehandle.size
+        if not segments or not all(size and at + size <= end for at, size in segments):
+            raise InputError(f"{path}: is not a whole TIFF file; copy it again")
+        photometric = page.photometric.name
+        known = ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE")
+        jpeg = photometric == "YCBCR" and page.compression in (6, 7)  # decoded to RGB
+        if page.imagedepth != 1 or not (photometric in known or jpeg):
+            what = f"of {photometric}" if page.imagedepth == 1 else "a volume"
+            raise InputError(f"{path}: is {what}; save it as one grey or RGB image")
+        values = page.asarray()
+        values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
+        values = values.reshape(page.imagelength, page.imagewidth, -1)
+        values = values.astype(np.uint8) if values.dtype == bool else values
+        bits = int(page.bitspersample)
+        if photometric == "MINISWHITE":
+            if values.dtype.kind != "u":
+                raise InputError(f"{path}: white is zero, but its pixels are {values.dtype}")
+            values = ~values if bits == 8 * values.itemsize else 2**bits - 1 - values
+            remarks.append("its white is zero: the grey values are turned round")
+        if photometric == "PALETTE":
+            values = np.moveaxis(page.colormap, 0, -1)[values[:, :, 0]]
+            bits = 16
+        extra = [int(kind) for kind in page.extrasamples]
+        tags = {tag.name: tag.value for tag in page.tags.values()}
+    if count > 1:
+        remarks.append(f"has {count} pages; one is read, the others are left out")
+    names = list(COLOURS) if photometric in ("RGB", "PALETTE") or jpeg else [_GREY]
+    names += [_ALPHA if kind else f"{len(names) + n}" for n, kind in enumerate(extra, 1)]
+    if len(names) != values.shape[2] or len(set(names)) < len(names):
+        names = [f"{n}" for n in range(1, values.shape[2] + 1)]
+    channels = {name: values[:, :, n] for n, name in enumerate(names)}
+    chosen = _channel(path, channels, channel, remarks)
+    if "GDAL_NODATA" in tags:
+        chosen = _without(chosen, str(tags["GDAL_NODATA"]))
+    most = np.max(tags.get("MaxSampleValue", 0))
+    if 0 < most < 2**bits - 1 and values.dtype.kind == "u":
+        remarks.append(
+            f"says its largest value is {most}, which is not taken as clipped; give --bits"
+        )
+    orientation = int(tags.get("Orientation", 1))
+    return StoredImage(chosen, bits, orientation=orientation, remarks=remarks)
+
+
+def _without(values: NDArray, mark: str) -> NDArray:
+    """Pixels of the value that marks missing ones become NaN."""
+    try:
+        missing = values == float(mark)
+    except ValueError:
+        return values
+    return np.where(missing, np.nan, values) if missing.any() else values
+
+
+def read_exr(path: Path, channel: str | None) -> StoredImage:
+    """OpenEXR: a channel of any of its parts, where its display window has it."""
+    name = os.fsencode(path)  # whatever its letters
+    with _refusing(path, "OpenEXR"):
+        with OpenEXR.File(name, separate_channels=True, header_only=True) as file:
+            heads = [dict(part.header) for part in file.parts]  # a closed file has none
+        windows = [
+            (*_window(head["dataWindow"]), *_window(head["displayWindow"])) for head in heads
+        ]
+        for head, (_, size, _, shown) in zip(heads, windows, strict=True):
+            _check_size(path, *size)
+            _check_size(path, *shown)
+            _check_size(path, *size, len(head["channels"]))
+            if head["type"] in (OpenEXR.deepscanline, OpenEXR.deeptile):
+                raise InputError(f"{path}: is deep; flatten it to one value for each pixel")
+        with OpenEXR.File(name, separate_channels=True) as file:
+            parts = [{n: np.array(c.pixels) for n, c in p.channels.items()} for p in file.parts]
+    remarks: list[str] = []
+    names = [f"{head.get('name') or number}" for number, head in enumerate(heads, 1)]
+    part, values = _exr_channel(path, names, parts, channel, remarks)
+    (left, top), (width, height), (left_shown, top_shown), shown = windows[part]
+    if values.shape != (height, width):
+        raise InputError(f"{path}: its channel is subsampled; choose another or save it in full")
+    if heads[part].get("pixelAspectRatio", 1.0) != 1.0:
+        remarks.append("its pixels are not square, which is not used")
+    if windows[part][:2] == windows[part][2:]:
+        return StoredImage(values, remarks=remarks)
+    remarks.append(
+        f"its data window of {width} x {height} px begins at ({left - left_shown},"
+        f" {top - top_shown}) of its {shown[0]} x {shown[1]} px: pixels beside it are missing"
+    )
+    whole = np.full(shown[::-1], np.nan, np.result_type(values.dtype, np.float32))
+    into, out = zip(
+        *(
+            _overlap(start - shown_start, length, shown_length)
+            for start, length, shown_start, shown_length in (
+                (top, height, top_shown, shown[1]),
+                (left, width, left_shown, shown[0]),
+            )
+        ),
+        strict=True,
+    )
+    whole[into] = values[out]
+    return StoredImage(whole, remarks=remarks)
+
+
+def _window(box: tuple[NDArray, NDArray]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First pixel and size of one of an EXR file's windows, (u, v)."""
+    (left, top), (right, bottom) = ([int(n) for n in corner] for corner in box)
+    return (left, top), (right - left + 1, bottom - top + 1)
+
+
+def _overlap(start: int, length: int, whole: int) -> tuple[slice, slice]:
+    """Where pixels from `start` on lie in a whole, and which of them do, along one axis."""
+    first, last = max(start, 0), max(min(start + length, whole), max(start, 0))
+    return slice(first, last), slice(first - start, last - start)
+
+
+def _exr_channel(
+    path: Path,
+    names: list[str],
+    parts: list[dict[str, NDArray]],
+    channel: str | None,
+    remarks: list[str],
+) -> tuple[int, NDArray]:
+    """Number of the part, and the channel (H, W) of it that is asked for."""
+    everywhere = [name for part in parts for name in part]
+    places = {
+        (f"{names[i]}.{name}" if everywhere.count(name) > 1 and len(parts) > 1 else name): (i, name)
+        for i, part in enumerate(parts)
+        for name in part
+    }
+    aliases = dict(zip("RGBA", (*COLOURS, _ALPHA), strict=True))
+    named = {aliases.get(name, name): parts[i][own] for name, (i, own) in places.items()}
+    if not named:
+        raise InputError(f"{path}: has no channel")
+    if channel is not None and len(parts) > 1:  # "part.name" is known too where "name" would do
+        prefix, _, own = channel.partition(".")
+        if prefix in names and own in parts[names.index(prefix)]:
+            return names.index(prefix), parts[names.index(prefix)][own]
+    ends = {aliases.get(name, name): i for name, (i, _) in places.items()}
+    chosen = _channel(path, dict(named), channel, remarks)
+    part = next(ends[name] for name, values in named.items() if values is chosen)
+    if len(parts) > 1 and channel is None:
+        others = ", ".join(name for i, name in enumerate(names) if i != part)
+        remarks.append(f"has {len(parts)} parts; '{names[part]}' is read, not {others}")
+    return part, chosen
