@@ -9,9 +9,6 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.optics.illumination import LaserFrame
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
 
-_FAINT = 1e-6  # light below this fraction of the peak is taken as none: 2.6 radii out
-_REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
-
 
 class LaserLineEmitter(mi.Emitter):
     """Laser line generator: Gaussian across the sheet, even along the line.
@@ -73,19 +70,12 @@ class LaserLineEmitter(mi.Emitter):
 
     def reaches(self, a: Any, b: Any, margin_mm: tuple[float, float] = (0.0, 0.0)) -> Any:
         """Mask of the coordinates with light that counts, or near it; NaN has none."""
-        radius = _REACH * self.line.radius_mm
-        if self.line.dots_mm.size:
-            along = mi.Mask(False)
-            for y in self.line.dots_mm:
-                along |= dr.abs(b - float(y)) <= radius + margin_mm[1]
-        else:
-            along = dr.abs(b) <= self.line.length_mm / 2.0 + margin_mm[1]
-        return along & (dr.abs(a) <= radius + margin_mm[0])
+        return self.line.reaches(a, b, margin_mm)
 
     @property
     def extent(self) -> tuple[np.ndarray, np.ndarray]:
         """Lowest and highest (a, b) in mm with light that counts, each of shape (2,)."""
-        radius = _REACH * self.line.radius_mm
+        radius = self.line.reach_mm
         if self.line.dots_mm.size:
             ends = self.line.dots_mm.min() - radius, self.line.dots_mm.max() + radius
         else:

@@ -88,8 +88,9 @@ def test_undercut_points_are_rejected_by_a_small_z_max_and_accepted_by_a_large(m
     assert depth[hidden].min() > 0.1  # what is seen is told all the same
 
 
-def test_the_limb_is_told(scene):
-    """From where the laser grazes on, there is another status, and never a wrong pixel."""
+def test_the_limb_is_told():
+    """Of a line wider than the part: from where it grazes on, another status, no wrong pixel."""
+    scene = vs.load_scene("hot_cylinder", line_length=28)
     y = np.linspace(13.3, 13.6, 61)
     found = ray_search(scene, y, "newton", march=MARCH)
     assert found.status[0] == SearchStatus.FOUND

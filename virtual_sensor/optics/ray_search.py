@@ -45,6 +45,8 @@ class SearchStatus(IntEnum):
     """The laser ray meets no surface."""
     OUTSIDE_IMAGE = 4
     """The pixel would lie outside the sensor."""
+    UNLIT = 5
+    """The laser sends no light along this ray: it is beyond the line, or at no dot."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,8 @@ class FoundPixels:
     Attributes
     ----------
     laser_point_mm : ndarray of shape (N, 3)
-        Incidence point on the surface, world: the paper's A (cold) or B (hot); NaN if missed.
+        Incidence point on the surface, world: the paper's A (cold) or B (hot); NaN if missed
+        or unlit.
     pixel : ndarray of shape (N, 2)
         (u, v) that sees it; NaN unless FOUND, or ABOVE_RADIUS and within z_max.
     seen_point_mm : ndarray of shape (N, 3)
@@ -124,7 +127,8 @@ def ray_search(
         found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE)
     else:
         found = _newton(scene, b, march)
-    return _checked(scene.sensor.camera, found, r_max_um, z_max_mm)
+    lit = scene.sensor.laser.reaches(0.0, b)
+    return _checked(scene.sensor.camera, found, lit, r_max_um, z_max_mm)
 
 
 def _paper(
@@ -179,8 +183,14 @@ def _newton(scene: SearchScene, b: Array, march: March | None) -> FoundPixels:
     return FoundPixels(roots.target, roots.pixel, roots.seen, distance, roots.marches, status)
 
 
-def _checked(camera: Camera, found: FoundPixels, r_max_um: float, z_max_mm: float) -> FoundPixels:
-    """Step 3.1: the quality check.
+def _checked(
+    camera: Camera,
+    found: FoundPixels,
+    lit: NDArray[np.bool_],
+    r_max_um: float,
+    z_max_mm: float,
+) -> FoundPixels:
+    """Step 3.1: the quality check. Rays without light have no figures.
 
     A point too far along the camera's axis is not used.  It is an undercut if the search did
     arrive: the points coincide parallel to the sensor, or lie on one line of sight.
@@ -197,12 +207,14 @@ def _checked(camera: Camera, found: FoundPixels, r_max_um: float, z_max_mm: floa
     status = np.select(
         [
             missed,
+            ~lit,
             ~camera.inside(found.pixel),
             ~near & (in_line | close),
             ~close,
         ],
         [
             SearchStatus.LASER_MISSED,
+            SearchStatus.UNLIT,
             SearchStatus.OUTSIDE_IMAGE,
             SearchStatus.UNDERCUT,
             SearchStatus.ABOVE_RADIUS,
@@ -210,9 +222,11 @@ def _checked(camera: Camera, found: FoundPixels, r_max_um: float, z_max_mm: floa
         SearchStatus.FOUND,
     )
     used = near & np.isin(status, (SearchStatus.FOUND, SearchStatus.ABOVE_RADIUS))
-    return replace(
-        found,
-        pixel=np.where(used[:, None], found.pixel, np.nan),
-        distance_um=np.where(missed, np.nan, found.distance_um),
-        status=status,
+    return FoundPixels(
+        np.where(lit[:, None], found.laser_point_mm, np.nan),
+        np.where(used[:, None], found.pixel, np.nan),
+        np.where(lit[:, None], found.seen_point_mm, np.nan),
+        np.where(lit & ~missed, found.distance_um, np.nan),
+        np.where(lit, found.iterations, 0),
+        status,
     )

@@ -6,12 +6,18 @@ Pixels are (u, v) with integers at pixel centres, as in OpenCV.
 """
 
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import or_
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+_FAINT = 1e-6  # light below this fraction of the peak is taken as none: 2.6 radii out
+_REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
 
 # Of undoing a distortion.
 _MOST_STEPS = 30
@@ -202,6 +208,23 @@ class LaserLine:
     def fan_per_mm(self) -> float:
         """Growth of the line per mm of depth, relative to the reference plane: 1/mm."""
         return float(2.0 * np.tan(np.radians(self.fan_deg) / 2.0) / self.length_mm)
+
+    @property
+    def reach_mm(self) -> float:
+        """How far across the sheet, and round a dot, there is light that counts."""
+        return _REACH * self.radius_mm
+
+    def reaches(self, a: Any, b: Any, margin_mm: tuple[Any, Any] = (0.0, 0.0)) -> Any:
+        """Mask of the coordinates in mm with light that counts, or near it; NaN has none.
+
+        Of NumPy's arrays as of Dr.Jit's.
+        """
+        if self.dots_mm.size:
+            reach = self.reach_mm + margin_mm[1]
+            along = reduce(or_, (abs(b - float(y)) <= reach for y in self.dots_mm))
+        else:
+            along = abs(b) <= self.length_mm / 2.0 + margin_mm[1]
+        return along & (abs(a) <= self.reach_mm + margin_mm[0])
 
     def rays(self, a_mm: ArrayLike, b_mm: ArrayLike) -> tuple[Array, Array]:
         """Origins (N, 3) on the exit and unit directions (N, 3) of laser rays, in the world."""

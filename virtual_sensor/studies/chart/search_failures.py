@@ -54,7 +54,8 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     for method in ("paper", "newton"):
         found.append(undercut(method, y, (0.1, 1.0) if quick else (0.1, 0.2, 0.5, 1.0)))
     report("search: at the limb", 0.9)
-    found.append(limb(scene, np.linspace(13.0, 13.6, 31 if quick else 301)))
+    wide = load_scene(SCENE, line_length=28)  # beyond the sides
+    found.append(limb(wide, np.linspace(13.0, 13.6, 31 if quick else 301)))
     return found
 
 
