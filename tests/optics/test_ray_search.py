@@ -165,6 +165,29 @@ def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
     np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
 
 
+@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize(
+    ("laser", "lit"),
+    [
+        ({"line_length": 6}, [0.0, -1.25, -2.5]),
+        ({"line_length": 6, "fan": 1}, [0.0, -1.25, -2.5]),
+        ({"line_length": 20}, NINE),  # to its very end
+        ({"dots": "-2.5 -5.1"}, [-2.5, -5.0]),  # 0.1 mm beside the middle of a dot
+        ({"dots": "-12"}, []),
+    ],
+    ids=str,
+)
+def test_a_ray_without_light_is_unlit_and_has_no_figure(method, laser, lit):
+    """Rationale: of a line of 6 mm all nine rays were found, to y = -10 mm."""
+    found = ray_search(vs.load_scene("hot_cylinder", **laser), NINE, method)
+    dark = ~np.isin(NINE, lit)
+    np.testing.assert_array_equal(found.status == SearchStatus.UNLIT, dark)
+    np.testing.assert_array_equal(found.status == SearchStatus.FOUND, ~dark)
+    for values in (found.laser_point_mm, found.pixel, found.seen_point_mm, found.distance_um):
+        np.testing.assert_array_equal(np.isnan(values).reshape(9, -1).all(axis=1), dark)
+    assert np.all(found.iterations[dark] == 0)
+
+
 def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
     """One pixel wide, it can't reach what refraction moves by several; the best is told."""
     found = ray_search(scene, NINE, "paper", grid_px=(1.0, 1.0))

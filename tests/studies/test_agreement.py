@@ -1,12 +1,14 @@
 """The comparison of image and search neither hides a difference nor makes one up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus
-from virtual_sensor.studies.agreement import compare, match_dots
+from virtual_sensor.studies.agreement import compare, match_dots, sound
 
 HEIGHT, WIDTH = 256, 400
 RADIUS_MM = 0.15
@@ -118,6 +120,59 @@ def test_a_profile_that_an_edge_cuts_is_counted_and_left_out(u, reason):
     assert result.cut == 20
     assert result.column.size == result.expected == 319 - 20
     assert result.largest_px < 1e-6
+
+
+def test_it_is_counted_why_centres_and_columns_are_left_out(u):
+    """Rationale: 0.0055 px stood above 696 centres, of which 254 were compared."""
+    status = np.full(WIDTH, Status.OK, np.uint8)
+    status[100:110] = Status.POOR_FIT
+    light = across(ROWS)
+    for column in range(200, 220):
+        light[int(np.rint(ROWS[column])) + 4 :, column] = np.nan
+    result = compare(line(ROWS, status), searched(u, arc(u)), light, RADIUS_MM)
+    assert result.cut_centres == 20
+    assert result.stray_centres == WIDTH - 319  # 41 to 359 lie on the searched line
+    assert result.lost.tolist() == [Status.POOR_FIT] * 10
+    centres = int(np.sum(status == Status.OK))
+    assert result.count + result.cut_centres + result.stray_centres == centres
+
+
+@pytest.mark.parametrize("pixel_mm", [PIXEL_MM, 0.18])
+def test_a_coarse_film_is_no_edge(u, pixel_mm):
+    """Rationale: of pixels larger than the line's radius none was compared: "nan nan 12"."""
+    light = across(ROWS) * pixel_mm / PIXEL_MM
+    result = compare(line(ROWS), searched(u, arc(u)), light, RADIUS_MM)
+    assert (result.count, result.cut) == (319, 0)
+
+
+def test_wrong_centres_that_are_ok_are_counted_by_the_frames_truth():
+    """Rationale: centres that an edge had cut were OK, up to 1.5 px off or 1,581 sigmas."""
+    off = np.zeros(WIDTH)
+    off[[10, 20]] = 0.09, -0.11  # only the second is too far off by itself
+    off[[30, 40, 50]] = 0.03, 0.03, 0.015
+    off[60] = 5.0
+    sigma = np.full(WIDTH, 0.01)
+    sigma[30] = 0.0029  # 0.03 px are over 10 of these
+    sigma[50] = 0.0001  # 150 sigmas, but less than anyone resolves
+    status = np.full(WIDTH, Status.OK, np.uint8)
+    status[60] = Status.POOR_FIT  # and so nobody is deceived
+    light = across(ROWS)
+    light[:, 70] = np.nan  # no truth there
+    found = replace(line(ROWS + off, status), sigma=sigma)
+    result = sound(found, light, RADIUS_MM)
+    assert (result.known, result.wrong) == (WIDTH - 2, 2)
+    assert result.largest_px == pytest.approx(0.11, abs=1e-6)
+
+
+def test_the_truth_of_a_column_is_on_the_surface_that_was_found():
+    """Rationale: over a shoulder a column sees the sheet twice; a step between is no crossing."""
+    light = across(ROWS)
+    second = np.roll(light, 60, axis=0)
+    both = np.where(np.isfinite(light), light, second)
+    for found in (ROWS, ROWS + 60.0):
+        assert sound(line(found), both, RADIUS_MM).largest_px < 1e-6
+    jump = np.where(np.arange(HEIGHT)[:, None] < 100, -1.0, 1.0) * np.ones(WIDTH)
+    assert sound(line(np.full(WIDTH, 99.5)), jump, RADIUS_MM).known == 0
 
 
 def test_a_line_that_folds_back_is_not_compared():

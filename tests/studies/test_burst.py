@@ -22,7 +22,7 @@ from virtual_sensor.studies import burst_results
 from virtual_sensor.studies.burst import MIN_FRAMES, burst, instants, spread, summary
 from virtual_sensor.studies.measure import NINE_RAYS_MM
 
-FILM = {"width": 512, "height": 512, "spp": 4, "line_length": 9}
+FILM = {"width": 512, "height": 512, "spp": 4, "line_length": 20}
 X, Y, Z = np.arange(-96.0, 97.0, 12.0), np.arange(-24.0, 25.0, 1.5), np.arange(-16.0, 161.0, 8.0)
 ORIGIN, SPACING = [-96.0, -24.0, -16.0], [12.0, 1.5, 8.0]
 AMPLITUDE_MM = 1.5

@@ -1,14 +1,24 @@
 """The main job as a whole: what a measurement of the paper's cylinder must keep to."""
 
+import csv
 import json
+import re
 
 import numpy as np
 import pytest
 
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.triangulation import triangulate
-from virtual_sensor.optics.ray_search import SearchStatus
-from virtual_sensor.studies.measure import NINE_RAYS_MM, measure, nine_ray_deviations, summary
+from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.studies.measure import (
+    NINE_RAYS_MM,
+    measure,
+    nine_ray_deviations,
+    summary,
+)
+from virtual_sensor.studies.notes import coarse_grid
+from virtual_sensor.studies.results import save
 
 FIELD_OF_VIEW_MM = 45.056
 
@@ -130,3 +140,52 @@ def test_a_part_that_is_only_cold_has_no_hot_figures():
     figures = json.loads(json.dumps(summary(result)))
     assert figures["nine_rays_um"]["largest |B - A|"] is None
     assert list(figures["states"]) == ["cold"]
+
+
+@pytest.mark.parametrize(
+    ("laser", "lit"),
+    [({"line_length": 6}, 3), ({"dots": "0 -5"}, 2), ({"dots": "-12"}, 0)],
+    ids=str,
+)
+def test_rays_without_light_have_no_figure_anywhere(tmp_path, laser, lit):
+    """Rationale: a line of 6 mm was said to have nine found rays, the farthest 333 um off."""
+    film = {"width": 512, "height": 512, "spp": 4}
+    result = measure(load_scene("hot_cylinder", **film, **laser))
+    figures = summary(result)
+    save(result, figures, tmp_path / "out")
+    with (tmp_path / "out/nine_rays.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    dark = [row for row in rows if row["status_A"] != "found"]
+    assert len(dark) == 9 - lit
+    assert any(f"{9 - lit} of the paper's nine rays are not lit" in note for note in result.notes)
+    for row in dark:
+        assert {row.pop(name) for name in list(row) if name.startswith("status")} == {"unlit"}
+        assert not any(row[name] for name in row if name != "y_mm")
+    assert figures["rays lit"] == lit
+    for state in figures["states"].values():
+        for method in ("paper's search, nine rays", "Newton's search, nine rays"):
+            assert state[method]["found"] == lit
+    assert all((value is None) == (lit == 0) for value in figures["nine_rays_um"].values())
+
+
+def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
+    """Rationale: `field info` said so, `measure` did not; right: what eight times the nodes say."""
+    x, z = np.arange(-96.0, 97.0, 12.0), np.arange(-16.0, 161.0, 8.0)
+
+    def scene(step_mm):
+        y = np.arange(-24.0, 24.1, step_mm)
+        along = np.exp(-((x / 32.0) ** 2))[:, None, None]
+        across = np.exp(-0.5 * (y / 5.0) ** 2)[:, None] * np.cos(z / 102.0) ** 4
+        air = GriddedQuantity(
+            "temperature", 293.15 + 900.0 * along * across, [-96, -24, -16], [12.0, step_mm, 8.0]
+        )
+        write_quantity(tmp_path / "air.nc", air)
+        return load_scene("hot_cylinder", field=tmp_path / "air.nc")
+
+    coarse, fine = scene(6.0), scene(0.75)
+    [note] = coarse_grid(coarse)
+    places = np.linspace(-9.9, 9.9, 9)
+    lost = ray_search(coarse, places, "newton").pixel - ray_search(fine, places, "newton").pixel
+    said = float(re.search(r"air.nc: .*loses about ([\d.]+) px", note)[1])
+    assert 0.2 < said / np.linalg.norm(lost, axis=1).max() < 5.0
+    assert coarse_grid(fine) == []

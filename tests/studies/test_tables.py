@@ -1,13 +1,25 @@
 """Tables and point clouds say to other programs what they said to us."""
 
 import csv
+import json
 from enum import IntEnum
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+from virtual_sensor.studies import tables
+from virtual_sensor.studies.tables import (
+    in_words,
+    status_names,
+    vectors,
+    write_csv,
+    write_json,
+    write_ply,
+)
+
+SOURCES = Path(tables.__file__).parents[1]
 
 
 class Status(IntEnum):
@@ -124,3 +136,49 @@ def test_a_point_cloud_without_points_is_a_file_all_the_same(tmp_path):
     """Rationale: a part that no column shows gives an empty cloud, not a missing file."""
     write_ply(tmp_path / "points.ply", np.full((3, 3), np.nan), np.full(3, np.nan))
     assert read_ply(tmp_path / "points.ply")["x"].size == 0
+
+
+def test_json_is_valid_where_there_is_no_answer(tmp_path):
+    """Rationale: `NaN` is no JSON; 72 of 199 scenes wrote it; only Python reads it."""
+    given = {
+        "nothing": [np.nan, np.inf, float("nan"), np.float32("nan")],
+        "array": np.array([[1.5, np.nan]]),
+        "number": np.float64(0.25),
+        "count": np.int64(3),
+        "notes": ("25 °C",),
+        2.5: None,
+    }
+    write_json(tmp_path / "a.json", given)
+
+    def refuse(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    text = (tmp_path / "a.json").read_text(encoding="utf-8")
+    assert json.loads(text, parse_constant=refuse) == {
+        "nothing": [None] * 4,
+        "array": [[1.5, None]],
+        "number": 0.25,
+        "count": 3,
+        "notes": ["25 °C"],
+        "2.5": None,
+    }
+
+
+def test_all_json_of_results_comes_from_one_writer():
+    """Rationale: the next study would write `NaN` again."""
+    dumping = [
+        file.relative_to(SOURCES).as_posix()
+        for file in SOURCES.rglob("*.py")
+        if "json.dumps(" in file.read_text(encoding="utf-8")
+    ]
+    keys_and_cells = {"studies/kept.py", "studies/simulate.py", "studies/chart/rows.py"}
+    cases = {"medium/heat_flow/case.py"}
+    assert set(dumping) <= {"studies/tables.py"} | keys_and_cells | cases
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [(0.00123, "0.0012"), (np.nan, "none"), (None, "none"), (0.0, "0.0000")]
+)
+def test_people_read_a_word_where_there_is_no_answer(value, words):
+    """Rationale: `measure` printed "nan nan 12"."""
+    assert in_words(value) == words

@@ -4,7 +4,7 @@ import signal
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -81,11 +81,15 @@ def measure(
     ),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure a part cold and hot: frames, line centres, points, ray search and a picture page."""
+    """Measure a part cold and hot: frames, line centres, points, ray search and a picture page.
+
+    Exit status 1: there are results, but no frame has a line centre; a note says why.
+    """
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.studies.measure import measure as run
     from virtual_sensor.studies.measure import summary
     from virtual_sensor.studies.results import save
+    from virtual_sensor.studies.tables import in_words
     from virtual_sensor.studies.tolerance import choose, with_rung
 
     check_output(output, overwrite, folder=True)
@@ -102,12 +106,14 @@ def measure(
         figures = summary(result)
         save(result, figures, output, overwrite)
         report("done", 1.0)
-    table = Table("", "rendered - search, px rms", "at most", "centres", "rendered in")
+    heads = ("", "rms, px", "at most, px", "compared", "centres", "rendered in")
+    table = Table(*heads, title="rendered minus ray search", title_justify="left")
     for name, state in result.states.items():
         table.add_row(
             name,
-            f"{state.compared.rms_px:.4f}",
-            f"{state.compared.largest_px:.4f}",
+            in_words(state.compared.rms_px),
+            in_words(state.compared.largest_px),
+            str(state.compared.count),
             str(state.centres),
             f"{state.seconds['render']:.1f} s",
         )
@@ -115,32 +121,13 @@ def measure(
     for name, value in figures["nine_rays_um"].items():
         if value is not None:
             console.print(f"  nine rays, {name}: {value:.3g} µm")
-    print_notes([*result.notes, *_other_ways(figures), *_blind_states(figures)])
+    print_notes(result.notes)
     console.print(
         f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
         soft_wrap=True,
     )
-
-
-def _other_ways(figures: dict[str, Any]) -> list[str]:
-    """Which frames were not made the way that was asked for, and why."""
-    frames = {name: state["frame"] for name, state in figures["states"].items()}
-    return [
-        f"{name}: the frame was made the {frame['way']} way: {frame['why not as asked']};"
-        f" {frame['pixels of folded light, black']} pixels of folded light are black"
-        for name, frame in frames.items()
-        if frame["why not as asked"]
-    ]
-
-
-def _blind_states(figures: dict[str, Any]) -> list[str]:
-    """Why there are no line centres, for each state that has none."""
-    counts = {name: state["line"] for name, state in figures["states"].items()}
-    return [
-        f"{name}: no line centres, the columns are {', '.join(k for k, n in line.items() if n)}"
-        for name, line in counts.items()
-        if not line["ok"] and not figures["states"][name]["rendered dots minus search, px"]
-    ]
+    if not any(state.centres for state in result.states.values()):
+        raise typer.Exit(1)
 
 
 @app.command(

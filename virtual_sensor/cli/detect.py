@@ -1,6 +1,5 @@
 """The command `virtual-sensor detect`."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,7 +15,7 @@ from virtual_sensor.cli.shared import (
     see_own_modules,
 )
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole
 
 EPILOG = (
     "Examples:\n\n"
@@ -92,6 +91,7 @@ def detect(
     from virtual_sensor.studies.detect import Detected
     from virtual_sensor.studies.detect import detect as run
     from virtual_sensor.studies.detect_results import names_of, save_detected
+    from virtual_sensor.studies.tables import write_json
 
     see_own_modules()
     if bits is not None and saturation is not None:
@@ -118,8 +118,7 @@ def detect(
         notes += run(paths, detector, options, channel, calibrated, each, bits)
         report("done", 1.0)
         told = {"command": command_line(), "notes": notes, "images": summary}
-        with written_whole(place / RESULTS_SIGN) as temporary:
-            temporary.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        write_json(place / RESULTS_SIGN, told)
     console.print(table)
     print_notes(notes)
     first = output / f"{names[0]}.png"

@@ -1,6 +1,5 @@
 """The commands `virtual-sensor field ...`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +16,7 @@ from virtual_sensor.cli.shared import (
     numbers,
     reporting,
 )
-from virtual_sensor.files import check_output, written_whole
+from virtual_sensor.files import check_output
 
 app = typer.Typer(
     help="The air's field: simulate it, import it from another solver, look at it.",
@@ -62,6 +61,7 @@ def info(
     from virtual_sensor.studies import field_words
     from virtual_sensor.studies.field_info import field_info
     from virtual_sensor.studies.field_picture import draw_field
+    from virtual_sensor.studies.tables import write_json
 
     for path in (output, figures):
         if path:
@@ -72,9 +72,7 @@ def info(
             report("drawing the picture", 0.8)
             draw_field(told, output)
         if figures:
-            with written_whole(figures) as temporary:
-                text = json.dumps(field_words.figures(told), indent=2, allow_nan=False)
-                temporary.write_text(text + "\n", encoding="utf-8")
+            write_json(figures, field_words.figures(told))
         report("done", 1.0)
     facts = Table.grid(padding=(0, 2))
     for name, words in field_words.facts(told).items():

@@ -12,6 +12,11 @@ from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus
 
 Array = NDArray[np.float64]
 
+WRONG_PX, WRONG_SIGMAS = 0.1, 10.0
+"""A centre that is OK and off by more is wrong..."""
+FINE_PX = 0.02
+"""...but for what no measurement resolves: without noise a sigma may be 0.0001 px."""
+
 _PROFILE = 1.5  # seen out to so many 1/e^2 radii on both sides, the profile is whole
 _DOT_REACH_PX = 3.0
 _BREAK = 4.0  # a step between neighbouring rays this many times the usual one parts the line
@@ -32,12 +37,24 @@ class Agreement:
     cut : int
         Columns on the searched line where an edge hides part of the profile: they are left out,
         since the centre of what is left is not that of the line.
+    cut_centres, stray_centres : int
+        Line centres that are left out: in such columns, and in columns off the searched line.
+    lost : ndarray of uint8 of shape (M,)
+        `Status` of those of the expected columns that have no centre.
     """
 
     column: Array
     difference_px: Array
     expected: int
     cut: int
+    cut_centres: int
+    stray_centres: int
+    lost: NDArray[np.uint8]
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        return self.column.size
 
     @property
     def rms_px(self) -> float:
@@ -74,13 +91,79 @@ def compare(
         row[on] = CubicSpline(u, v)(line.column[on])
         covered |= (line.column - 0.5 >= u[0]) & (line.column + 0.5 <= u[-1])
     whole = _sees_whole_profile(row, across_mm, radius_mm)
-    both = (line.status == Status.OK) & np.isfinite(row) & whole
+    centre = line.status == Status.OK
+    both = centre & whole  # which needs a row
     return Agreement(
         line.column[both].astype(float),
         (line.row - row)[both],
         int(np.sum(covered & whole)),
         int(np.sum(covered & ~whole)),
+        int(np.sum(centre & np.isfinite(row) & ~whole)),
+        int(np.sum(centre & np.isnan(row))),
+        line.status[covered & whole & ~centre],
     )
+
+
+def _jump(across_mm: NDArray[np.floating], radius_mm: float) -> float:
+    """The step of a between two pixels, mm, from which on it is an edge: on a coarse film more."""
+    steps = np.abs(np.diff(across_mm, axis=0))
+    known = steps[np.isfinite(steps)]
+    return max(radius_mm, 2.0 * float(np.median(known))) if known.size else radius_mm
+
+
+@dataclass(frozen=True)
+class Sound:
+    """What a frame's own truth says of the line centres that are OK.
+
+    Attributes
+    ----------
+    known : int
+        Those in whose column the middle of the sheet is seen.
+    wrong : int
+        Those of them that are off by more than `WRONG_PX`, or by more than `WRONG_SIGMAS` of their
+        own sigma where that is more than `FINE_PX`.
+    largest_px : float
+        Largest error; NaN if none is known.
+    """
+
+    known: int
+    wrong: int
+    largest_px: float
+
+
+def sound(line: LineCentres, across_mm: NDArray[np.floating], radius_mm: float) -> Sound:
+    """Set the OK centres of a rendered line beside the truth at the frame's pixels.
+
+    Parameters
+    ----------
+    line : LineCentres
+    across_mm : ndarray of shape (H, W)
+        The true coordinate a across the sheet of each pixel; NaN where no light is.
+    radius_mm : float
+        The laser's 1/e^2 radius.
+    """
+    centre = line.status == Status.OK
+    error = np.abs(_nearest_middle(np.where(centre, line.row, np.nan), across_mm, radius_mm))
+    wrong = (error > WRONG_PX) | (error > np.maximum(WRONG_SIGMAS * line.sigma, FINE_PX))
+    return Sound(int(np.isfinite(error).sum()), int(wrong.sum()), _largest(error))
+
+
+def _nearest_middle(row: Array, across_mm: NDArray[np.floating], radius_mm: float) -> Array:
+    """From rows (W,) to the nearest place where the middle of the sheet is seen, px; shape (W,).
+
+    Between two pixels the coordinate across the sheet is taken to be linear.
+    """
+    upper, lower = across_mm[:-1], across_mm[1:]
+    with np.errstate(invalid="ignore"):
+        near = np.abs(lower - upper) < _jump(across_mm, radius_mm)
+        crosses = (upper * lower <= 0.0) & near & (lower != upper)
+    number, column = np.nonzero(crosses)
+    a, b = upper[number, column], lower[number, column]
+    away = number + a / (a - b) - row[column]
+    nearest = np.full(row.shape, np.nan)
+    order = np.argsort(-np.abs(away), kind="stable")  # of several the nearest is written last
+    nearest[column[order]] = away[order]
+    return nearest
 
 
 def _sees_whole_profile(
@@ -98,7 +181,7 @@ def _sees_whole_profile(
     number = np.arange(len(across_mm))[:, None]
     # A pixel starts a new piece where there was no light before, or that of another place.
     starts = np.ones(across_mm.shape, bool)
-    starts[1:] = ~(np.abs(np.diff(across_mm, axis=0)) < radius_mm)
+    starts[1:] = ~(np.abs(np.diff(across_mm, axis=0)) < _jump(across_mm, radius_mm))
     ends = np.ones(across_mm.shape, bool)
     ends[:-1] = starts[1:]
     first = np.maximum.accumulate(np.where(starts, number, 0), axis=0)[middle, column]
@@ -130,6 +213,11 @@ class DotAgreement:
     def difference_px(self) -> Array:
         """Centroid minus searched pixel, shape (M, 2)."""
         return self.pixel - self.searched
+
+    @property
+    def count(self) -> int:
+        """Number of dots found."""
+        return int(np.isfinite(self.pixel[:, 0]).sum())
 
     @property
     def rms_px(self) -> float:

@@ -22,6 +22,7 @@ from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.studies.measure import NINE_RAYS_MM, Report, made_with
+from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.tables import status_names
 
 MIN_FRAMES = 3
@@ -201,7 +202,8 @@ def burst(
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
     seconds = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
     lines, rays = [], []
-    notes = [*scene.notes, *_coarse_instants(times, stored)]
+    notes = [*scene.notes, *unlit_rays(scene.sensor.laser, NINE_RAYS_MM), *coarse_grid(scene)]
+    notes += _coarse_instants(times, stored)
     at_border: list[str] = []
     for number, instant in enumerate(times):
 

@@ -1,18 +1,17 @@
 """A burst's results in a folder: the sway along the line and of the nine rays, frames, picture."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.studies.burst import Burst, spread
 from virtual_sensor.studies.burst_report import draw_burst
 from virtual_sensor.studies.measure import NINE_RAYS_MM
-from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_json, write_ply
 
 _POINT = ("x", "y", "z", "height")
 
@@ -36,8 +35,7 @@ def save_burst(
         points = spread(result.with_height(result.points_mm))
         write_ply(place / "sway.ply", points.mean[:, :3], points.std[:, 3] * UM_PER_MM)
         draw_burst(result, figures, place / "report.png")
-        with written_whole(place / RESULTS_SIGN) as temporary:
-            temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        write_json(place / RESULTS_SIGN, figures)
 
 
 def _sway_table(result: Burst) -> dict[str, Any]:

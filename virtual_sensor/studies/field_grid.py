@@ -167,6 +167,53 @@ def _to_half(lines: Array, peak: NDArray[np.int64], height: Array) -> Array:
     return np.where(ended.any(axis=0) & np.isfinite(outer), way, np.inf)
 
 
+def pixel_loss(
+    field: IndexField, solid: Mask | None, pixels: Callable[[IndexField], Array]
+) -> Convergence:
+    """What a field's grid loses along all axes together, in px of some rays.
+
+    `solid` are the nodes that come from the air around, if any; `pixels` gives the pixels (N, 2) of
+    the rays through a field.
+    """
+    steps, kept = _thinning(field)
+    solid = None if solid is None else solid[kept]
+    whole = pixels(_thinned(field, solid, kept, [1, 1, 1]))
+
+    def shift(k: int) -> float:
+        if max(steps[k]) < k:
+            return np.nan
+        moved = pixels(_thinned(field, solid, kept, steps[k])) - whole
+        return float(np.fmax.reduce(np.linalg.norm(moved, axis=1), initial=np.nan))
+
+    return Convergence(shift(2), shift(4))
+
+
+def _thinning(field: IndexField) -> tuple[dict[int, list[int]], tuple[slice, ...]]:
+    """Steps along the axes for every second and fourth node, and the nodes that all have in common.
+
+    Cut to whole cells of the widest grid, so that all the fields have the same box.
+    """
+    steps = {k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (2, 4)}
+    widest = np.max(list(steps.values()), axis=0)
+    kept = tuple(slice((n - 1) // k * k + 1) for n, k in zip(field.shape, widest, strict=True))
+    return steps, kept
+
+
+def _thinned(
+    field: IndexField, solid: Mask | None, kept: tuple[slice, ...], step: list[int]
+) -> IndexField:
+    """The field of fewer nodes; `solid` are those of the kept ones that are filled again."""
+    nodes = tuple(slice(None, None, k) for k in step)
+    return IndexField.from_arrays(
+        field.nodes[kept][nodes],
+        field.origin,
+        field.spacing * step,
+        ambient=field.ambient,
+        mirror=field.mirror,
+        solid=None if solid is None else solid[nodes],
+    )
+
+
 def grid_losses(
     field: IndexField,
     solid: Mask | None,
@@ -189,24 +236,11 @@ def grid_losses(
     report : callable
         Is told the fraction done.
     """
-    steps = {k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (2, 4)}
-    # Cut to whole cells of the widest grid, so that all the fields have the same box.
-    kept = tuple(
-        slice((n - 1) // k * k + 1)
-        for n, k in zip(field.shape, np.max(list(steps.values()), axis=0), strict=True)
-    )
+    steps, kept = _thinning(field)
     solid = None if solid is None else solid[kept]
 
     def every(step: list[int]) -> IndexField:
-        nodes = tuple(slice(None, None, k) for k in step)
-        return IndexField.from_arrays(
-            field.nodes[kept][nodes],
-            field.origin,
-            field.spacing * step,
-            ambient=field.ambient,
-            mirror=field.mirror,
-            solid=solid[nodes] if filled and solid is not None else None,
-        )
+        return _thinned(field, solid if filled else None, kept, step)
 
     whole = every([1, 1, 1])
     compared = beyond_wall(whole, solid)

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from virtual_sensor.imaging.checks import JUMP_REFUSED_PX, JUMP_TOLD_PX
+from virtual_sensor.studies.agreement import FINE_PX
 from virtual_sensor.studies.field_grid import Convergence, Loss
 from virtual_sensor.studies.field_info import FieldInfo
 from virtual_sensor.studies.measure import NINE_RAYS_MM
 
-FINE_PX, COARSE_PX = 0.02, 0.1
-"""Losses that a field's grid may cause: what a measurement can resolve, and what it must."""
+COARSE_PX = 0.1
+"""Loss that a field's grid may cause: what a measurement must resolve; `FINE_PX` is what it can."""
 
 _LEAST_PX = 1e-4
 

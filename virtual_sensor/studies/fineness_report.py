@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.studies.fineness import BOUNDS_PX, SHIPPED, Change, Fineness
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.tables import write_csv, write_json
 
 _BOUND = {"color": "0.4", "linewidth": 0.8, "linestyle": "--"}
 
@@ -48,8 +47,7 @@ def save(result: Fineness, folder: Path, overwrite: bool = False) -> None:
             "longer run": dataclasses.asdict(result.long),
             "notes": result.notes,
         }
-        with written_whole(place / RESULTS_SIGN) as temporary:
-            temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        write_json(place / RESULTS_SIGN, summary)
 
 
 def outcome(result: Fineness) -> list[str]:

@@ -23,7 +23,15 @@ from virtual_sensor.metrology.dot_peaks import dot_centres
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.agreement import Agreement, DotAgreement, compare, match_dots
+from virtual_sensor.studies.agreement import (
+    Agreement,
+    DotAgreement,
+    Sound,
+    compare,
+    match_dots,
+    sound,
+)
+from virtual_sensor.studies.notes import WRONG, coarse_grid, counts_of, frame_notes, unlit_rays
 
 NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
 """The paper's laser rays: positions y along the line."""
@@ -48,11 +56,11 @@ class State:
     paper, newton : FoundPixels
         The nine rays, by the paper's search and by Newton's.
     dense : FoundPixels
-        Rays along the whole line, by Newton's search.
-    agreement : Agreement
-        Rendered line minus dense search.
-    dots : DotAgreement or None
-        Of a laser that makes dots: their centroids beside the search.
+        Rays along the whole line, or one at each dot, by Newton's search.
+    sound : Sound
+        The line centres beside the frame's own truth.
+    compared : Agreement or DotAgreement
+        Rendered line minus dense search; or of a laser that makes dots, their centroids minus it.
     seconds : dict
         Of rendering and of searching.
     """
@@ -63,9 +71,19 @@ class State:
     paper: FoundPixels
     newton: FoundPixels
     dense: FoundPixels
-    agreement: Agreement
-    dots: DotAgreement | None
+    sound: Sound
+    compared: Agreement | DotAgreement
     seconds: dict[str, float]
+
+    @property
+    def dots(self) -> DotAgreement | None:
+        """The dots beside the search; None of a line."""
+        return self.compared if isinstance(self.compared, DotAgreement) else None
+
+    @property
+    def agreement(self) -> Agreement | None:
+        """The line beside the search; None of dots."""
+        return self.compared if isinstance(self.compared, Agreement) else None
 
     @property
     def centres_px(self) -> Array:
@@ -81,11 +99,6 @@ class State:
     def points_mm(self) -> Array:
         """Triangulated from them, world, mm; (N, 3)."""
         return triangulate(self.scene.sensor, self.centres_px)
-
-    @property
-    def compared(self) -> Agreement | DotAgreement:
-        """How far they are from the search."""
-        return self.dots or self.agreement
 
 
 @dataclass(frozen=True)
@@ -123,8 +136,14 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
     """
     started = time.perf_counter()
     report("checking the scene", 0.0)
-    notes = (*scene.notes, *check_scene(scene))
-    dense_y = np.linspace(-0.5, 0.5, DENSE_RAYS) * scene.sensor.laser.length_mm
+    laser = scene.sensor.laser
+    notes = [*scene.notes, *check_scene(scene), *unlit_rays(laser, NINE_RAYS_MM)]
+    notes += coarse_grid(scene)
+    dense_y = (
+        laser.dots_mm
+        if laser.dots_mm.size
+        else np.linspace(-0.5, 0.5, DENSE_RAYS) * laser.length_mm
+    )
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
     cold = _measure_state(
         scene.cold(), dense_y, lambda stage, part: report(f"cold part: {stage}", share * part)
@@ -136,7 +155,11 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
             dense_y,
             lambda stage, part: report(f"hot part: {stage}", share + (1.0 - share) * part),
         )
-    return Measurement(cold, hot, dense_y, notes, time.perf_counter() - started)
+    states = {"cold": cold} | ({"hot": hot} if hot else {})
+    for name, state in states.items():
+        words = frame_notes(state.frame.account, state.line, state.compared, state.sound)
+        notes += [f"{name}: {each}" for each in words]
+    return Measurement(cold, hot, dense_y, tuple(notes), time.perf_counter() - started)
 
 
 def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
@@ -157,21 +180,14 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
             " line (line_radius, line_length), or more samples (spp)"
         )
     line = line_centres(frame.radiance)
-    laser, dots = scene.sensor.laser, None
+    laser, across_mm = scene.sensor.laser, frame.laser_mm[:, :, 0]
+    compared: Agreement | DotAgreement
     if laser.dots_mm.size:
-        searched = ray_search(scene, laser.dots_mm, "newton")
-        dots = match_dots(dot_centres(frame.radiance), searched)
-    return State(
-        scene,
-        frame,
-        line,
-        paper,
-        newton,
-        dense,
-        compare(line, dense, frame.laser_mm[:, :, 0], laser.radius_mm),
-        dots,
-        seconds,
-    )
+        compared = match_dots(dot_centres(frame.radiance), dense)
+    else:
+        compared = compare(line, dense, across_mm, laser.radius_mm)
+    truth = sound(line, across_mm, laser.radius_mm)
+    return State(scene, frame, line, paper, newton, dense, truth, compared, seconds)
 
 
 def nine_ray_deviations(result: Measurement, step_px: float | None = None) -> Deviation:
@@ -206,6 +222,7 @@ def summary(result: Measurement) -> dict[str, Any]:
         "field": _field_summary(scene.field) if scene.field else None,
         "notes": result.notes,
         "states": {name: _state_summary(state) for name, state in result.states.items()},
+        "rays lit": int(np.sum(scene.sensor.laser.reaches(0.0, NINE_RAYS_MM))),
         "nine_rays_um": {
             "largest |A - A_m|, cold": _largest(exact.cold_um),
             "largest |A - A_m|, cold, pixels rounded to 0.25": _largest(rounded.cold_um),
@@ -230,6 +247,8 @@ def made_with(scene: Scene) -> dict[str, Any]:
         "threads": running.threads,
         "python": platform.python_version(),
         "way": scene.integrator.way,
+        "samples per pixel": int(scene.mitsuba.sensors()[0].sampler().sample_count()),
+        "step, mm": scene.integrator.march.step_mm,
         "march": str(scene.integrator.march),
         **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
     }
@@ -246,23 +265,35 @@ def _field_summary(field: IndexField) -> dict[str, Any]:
 
 
 def _state_summary(state: State) -> dict[str, Any]:
-    agreement = state.agreement
+    agreement, dots = state.agreement, state.dots
     return {
-        "line": _counts(state.line.status, Status),
-        "search": _counts(state.dense.status, SearchStatus),
+        "line": counts_of(state.line.status, Status),
+        "search": counts_of(state.dense.status, SearchStatus),
         "rendered line minus search, px": {
             "rms": agreement.rms_px,
             "largest": agreement.largest_px,
             "columns compared": agreement.column.size,
             "columns on the searched line": agreement.expected,
             "columns where an edge cuts the line": agreement.cut,
+            "centres": state.centres,
+            "centres cut by an edge": agreement.cut_centres,
+            "centres off the searched line": agreement.stray_centres,
+        }
+        if agreement
+        else None,
+        "line centres beside the frame's truth": {
+            "ok, truth known": state.sound.known,
+            WRONG: state.sound.wrong,
+            "largest, px": state.sound.largest_px,
         },
         "rendered dots minus search, px": {
-            "found": int(np.isfinite(state.dots.pixel[:, 0]).sum()),
-            "largest in u": _largest(state.dots.difference_px[:, :1]),
-            "largest in v": _largest(state.dots.difference_px[:, 1:]),
+            "rms": dots.rms_px,
+            "found": state.centres,
+            "of": len(dots.searched),
+            "largest in u": _largest(dots.difference_px[:, :1]),
+            "largest in v": _largest(dots.difference_px[:, 1:]),
         }
-        if state.dots
+        if dots
         else None,
         "paper's search, nine rays": {
             "largest distance, um": _largest(state.paper.distance_um[:, None]),
@@ -296,10 +327,6 @@ def frame_account(account: Account) -> dict[str, Any]:
         "of them marched, where the tables could not tell": account.exact,
         "pixels of folded light, black": account.folded,
     }
-
-
-def _counts(status: NDArray[np.integer], kind: Any) -> dict[str, int]:
-    return {member.name.lower(): int(np.sum(status == member)) for member in kind}
 
 
 def _largest(differences: Array) -> float | None:

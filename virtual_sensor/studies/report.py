@@ -1,5 +1,6 @@
 """One page of pictures of a measurement: for people who would rather look than read."""
 
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from virtual_sensor.files import written_whole
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import incidence_points
+from virtual_sensor.studies.agreement import DotAgreement
 from virtual_sensor.studies.measure import (
     NINE_RAYS_MM,
     Measurement,
@@ -22,6 +24,7 @@ Array = NDArray[np.float64]
 
 _COLOURS = {"cold": "#1f5fa8", "hot": "#c8321e"}
 _MARGIN_PX = 12
+_TEXT_LETTERS, _TEXT_LINES = 76, 24
 
 
 def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> None:
@@ -116,16 +119,17 @@ def _height(axes: Axes, result: Measurement) -> None:
     section = section[np.argsort(section[:, 1])]
 
     def error(points_mm: Array) -> tuple[Array, Array]:
-        known = points_mm[np.isfinite(points_mm[:, 0])]
-        true = np.interp(known[:, 1], section[:, 1], section[:, 2], left=np.nan, right=np.nan)
-        return known[:, 1], np.asarray((known[:, 2] - true) * UM_PER_MM)
+        y, z = points_mm[:, 1:].T
+        true = np.interp(y, section[:, 1], section[:, 2], left=np.nan, right=np.nan)
+        return y, np.asarray((z - true) * UM_PER_MM)
 
     for name, state in result.states.items():
         style = "+" if state.dots else "-"
         y, error_um = error(state.points_mm)
         axes.plot(y, error_um, style, color=_COLOURS[name], lw=1.2, label=f"{name}, rendered")
         y, error_um = error(triangulate(state.scene.sensor, state.dense.pixel))
-        axes.plot(y[::8], error_um[::8], "o", ms=2.5, mfc="none", color=_COLOURS[name])
+        some = slice(None, None, 1 if state.dots else 8)
+        axes.plot(y[some], error_um[some], "o", ms=2.5, mfc="none", color=_COLOURS[name])
     axes.plot([], [], "o", ms=2.5, mfc="none", color="k", label="ray search")
     axes.axhline(0.0, color="0.7", lw=0.6)
     axes.set(xlabel="y in mm", ylabel="measured - true z in µm", title="Error of the section")
@@ -150,13 +154,16 @@ def _nine_rays(axes: Axes, result: Measurement) -> None:
 
 def _residual(axes: Axes, result: Measurement) -> None:
     for name, state in result.states.items():
-        rms, largest = state.compared.rms_px, state.compared.largest_px
-        label = f"{name}: rms {rms:.4f} px, at most {largest:.4f} px"
-        if state.dots:
-            u, dv = state.dots.searched[:, 0], state.dots.difference_px[:, 1]
+        compared = state.compared
+        label = f"{name}: nothing to compare"
+        if np.isfinite(compared.rms_px):
+            label = f"{name}: rms {compared.rms_px:.4f} px, at most {compared.largest_px:.4f} px"
+        if isinstance(compared, DotAgreement):
+            u, dv = compared.searched[:, 0], compared.difference_px[:, 1]
             axes.plot(u, dv, "o", ms=3, color=_COLOURS[name], label=label)
         else:
-            u, dv = state.agreement.column, state.agreement.difference_px
+            label += f", in {compared.column.size} of {state.centres} columns"
+            u, dv = compared.column, compared.difference_px
             gaps = np.flatnonzero(np.diff(u) > 1.5) + 1
             u, dv = np.insert(u, gaps, np.nan), np.insert(dv, gaps, np.nan)
             axes.plot(u, dv, color=_COLOURS[name], lw=0.8, label=label)
@@ -168,13 +175,17 @@ def _residual(axes: Axes, result: Measurement) -> None:
 
 def _text(axes: Axes, result: Measurement, figures: dict[str, Any]) -> None:
     """The figures that a reader asks for first."""
-    lines = ["Nine rays:"]
-    lines += [f"  {name}: {um:.3g} µm" for name, um in figures["nine_rays_um"].items() if um]
+    nine = figures["nine_rays_um"]
+    lines = [f"Nine rays, {figures['rays lit']} of them lit:"]
+    lines += [f"  {name}: {um:.3g} µm" for name, um in nine.items() if um is not None]
     for name, state in result.states.items():
         lines.append(
             f"{name}: {state.centres} centres, rendered in {state.seconds['render']:.1f} s"
         )
-    lines += [f"whole measurement: {result.seconds:.1f} s", *result.notes]
-    text = axes.text(0.0, 1.0, "\n".join(lines), va="top", fontsize=8.5)
+    lines.append(f"whole measurement: {result.seconds:.1f} s")
+    lines += [line for note in result.notes for line in textwrap.wrap(note, _TEXT_LETTERS)]
+    if len(lines) > _TEXT_LINES:
+        lines = [*lines[: _TEXT_LINES - 1], "... and more in summary.json"]
+    text = axes.text(0.0, 1.08, "\n".join(lines), va="top", fontsize=7.0)
     text.set_in_layout(False)
     axes.set_axis_off()

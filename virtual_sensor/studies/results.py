@@ -1,11 +1,10 @@
 """A measurement's results in a folder: frames, centres, points, searches, summary and picture."""
 
-import json
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from virtual_sensor.files import folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.imaging.render import write_exr, write_png
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.centres import Status
@@ -18,8 +17,16 @@ from virtual_sensor.studies.measure import (
     State,
     nine_ray_deviations,
 )
+from virtual_sensor.studies.notes import WRONG
 from virtual_sensor.studies.report import draw_report
-from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_ply
+from virtual_sensor.studies.tables import (
+    in_words,
+    status_names,
+    vectors,
+    write_csv,
+    write_json,
+    write_ply,
+)
 
 CALIBRATION = "calibration.yaml"
 """The sensor as `virtual-sensor detect --calibration` reads it."""
@@ -73,18 +80,31 @@ def save(
             temporary.write_text(markdown_table(result, figures), encoding="utf-8")
         for frame in written:
             frame.result()
-        with written_whole(place / "summary.json") as temporary:
-            temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        write_json(place / RESULTS_SIGN, figures)
 
 
 def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
     """Accuracy and speed of a measurement, as the README shows them."""
     states = figures["states"]
-    agreement = "rendered line minus search, px"
+    line, dots = "rendered line minus search, px", "rendered dots minus search, px"
+    truth = "line centres beside the frame's truth"
+    of_dots = {
+        "Rendered dots minus ray search, rms": ("{:.4f} px", (dots, "rms")),
+        "... at most, along the line": ("{:.4f} px", (dots, "largest in u")),
+        "... at most, across the line": ("{:.4f} px", (dots, "largest in v")),
+        "Dots found": ("{}", (dots, "found")),
+    }
+    of_line = {
+        "Rendered line minus ray search, rms": ("{:.4f} px", (line, "rms")),
+        "... at most, line ends included": ("{:.4f} px", (line, "largest")),
+        "Centres found": ("{}", (line, "centres")),
+        "... compared with the search": ("{}", (line, "columns compared")),
+        "... left out, an edge cuts the line": ("{}", (line, "centres cut by an edge")),
+        "... left out, off the searched line": ("{}", (line, "centres off the searched line")),
+        "Centres that are ok and wrong by the frame's truth": ("{}", (truth, WRONG)),
+    }
     rows = {
-        "Rendered line minus ray search, rms": ("{:.4f} px", (agreement, "rms")),
-        "... at most, line ends included": ("{:.4f} px", (agreement, "largest")),
-        "Columns compared": ("{}", (agreement, "columns compared")),
+        **(of_dots if result.cold.dots else of_line),
         "The paper's search: largest distance of nine rays": (
             "{:.2g} µm",
             ("paper's search, nine rays", "largest distance, um"),
@@ -98,11 +118,11 @@ def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
         "Search of {rays} rays": ("{:.2f} s", ("seconds", "search")),
     }
     scene = result.cold.scene
-    words = {"spp": figures["parameters"].get("spp", "16"), "rays": result.rays}
+    words = {"spp": figures["made_with"]["samples per pixel"], "rays": result.rays}
     lines = ["| | " + " | ".join(states) + " |", "|---|" + "---|" * len(states)]
     for name, (shape, (group, key)) in rows.items():
         values = [state[group][key] for state in states.values()]
-        cells = ("none" if value is None else shape.format(value) for value in values)
+        cells = (in_words(value, shape) for value in values)
         lines.append(f"| {name.format(*scene.sensor.camera.size, **words)} | {' | '.join(cells)} |")
     made = figures["made_with"]
     lines += [

@@ -12,7 +12,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, written_whole
 from virtual_sensor.studies.kept import fingerprint
 from virtual_sensor.studies.sweep import CaseStatus, Finished, differing
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.tables import write_csv, write_json
 
 STATES = ("cold", "hot")
 _NINE_RAYS = {
@@ -49,8 +49,7 @@ def save_sweep(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any
         "failed": failed,
         "program": fingerprint(),
     }
-    with written_whole(folder / RESULTS_SIGN) as temporary:
-        temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    write_json(folder / RESULTS_SIGN, summary)
     return columns
 
 

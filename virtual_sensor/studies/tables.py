@@ -1,8 +1,10 @@
-"""Results as files that other programs read: CSV and PLY."""
+"""Results as files that other programs read: CSV, JSON and PLY; and figures as people do."""
 
+import json
 from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +31,31 @@ def _cell(value: object) -> str:
         return "" if np.isnan(value) else f"{value:.{digits}g}"
     text = str(value)
     return '"' + text.replace('"', '""') + '"' if _SPECIAL & set(text) else text
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write dictionaries, sequences, texts and numbers, NumPy's too; NaN and infinity are null."""
+    text = json.dumps(_valid(value), indent=2, ensure_ascii=False, allow_nan=False)
+    with written_whole(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _valid(value: Any) -> Any:
+    """The same as JSON knows it."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _valid(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_valid(each) for each in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def in_words(value: float | None, shape: str = "{:.4f}") -> str:
+    """A figure as people read it; "none" where there is no answer."""
+    return "none" if value is None or np.isnan(value) else shape.format(value)
 
 
 def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:

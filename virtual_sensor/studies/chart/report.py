@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from virtual_sensor.studies.chart.rows import (
 )
 from virtual_sensor.studies.chart.rung import Rung
 from virtual_sensor.studies.pages import html_head, html_table, told_time
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.tables import write_csv, write_json
 
 PAGE = "index.html"
 FRONT_TABLE = "front.md"
@@ -55,10 +54,10 @@ def save_chart(chart: Chart, folder: Path, overwrite: bool = False) -> None:
         for name, text in (
             (PAGE, page(chart)),
             (FRONT_TABLE, front_table(chart)),
-            (RESULTS_SIGN, json.dumps(summary(chart), indent=2, ensure_ascii=False) + "\n"),
         ):
             with written_whole(place / name) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+        write_json(place / RESULTS_SIGN, summary(chart))
 
 
 def summary(chart: Chart) -> dict[str, Any]:

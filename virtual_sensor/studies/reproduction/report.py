@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -36,7 +35,7 @@ from virtual_sensor.studies.reproduction.reconstruction import columns as recons
 from virtual_sensor.studies.reproduction.reconstruction import told as reconstruction_told
 from virtual_sensor.studies.reproduction.reproduce import Reproduction, worst
 from virtual_sensor.studies.reproduction.statements import Verdict
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.tables import write_csv, write_json
 
 Array = NDArray[np.float64]
 
@@ -86,10 +85,10 @@ def save_reproduction(result: Reproduction, folder: Path) -> dict[str, Any]:
         for name, text in (
             ("statements.md", markdown_table(result)),
             (PAGE, page(result, figures, sorted(p.name for p in place.glob("*.png")))),
-            (RESULTS_SIGN, json.dumps(figures, indent=2, ensure_ascii=False) + "\n"),
         ):
             with written_whole(place / name) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+        write_json(place / RESULTS_SIGN, figures)
     return figures
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.studies.pages import html_head, html_table, told_time
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.tables import write_csv, write_json
 from virtual_sensor.studies.trial.drawing import chosen_for_front, draw_trial, front
 from virtual_sensor.studies.trial.scores import PHASES, Score
 from virtual_sensor.studies.trial.trial import Trial
@@ -55,10 +54,10 @@ def save_trial(trial: Trial, folder: Path, overwrite: bool = False) -> None:
         for name, text in (
             (PAGE, page(trial, charts)),
             (TABLE, markdown(trial)),
-            (RESULTS_SIGN, json.dumps(summary, indent=2, ensure_ascii=False) + "\n"),
         ):
             with written_whole(place / name) as temporary:
                 temporary.write_text(text, encoding="utf-8")
+        write_json(place / RESULTS_SIGN, summary)
 
 
 def score_table(scores: list[Score]) -> dict[str, list[Any]]:

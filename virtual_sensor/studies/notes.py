@@ -1,0 +1,111 @@
+"""What a reader of a study's figures should know: parts left out, and what is too coarse."""
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from virtual_sensor_plugins.lit_pixels import Account
+
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.netcdf import read_field_file
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.sensor_model import LaserLine
+from virtual_sensor.studies.agreement import (
+    FINE_PX,
+    WRONG_PX,
+    WRONG_SIGMAS,
+    Agreement,
+    DotAgreement,
+    Sound,
+)
+from virtual_sensor.studies.field_grid import pixel_loss
+
+Array = NDArray[np.float64]
+
+WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
+"""What makes a centre that is ok a wrong one (see `agreement.Sound`)."""
+
+
+def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
+    """Note of the paper's nine rays that the laser does not light."""
+    unlit = y_mm[~laser.reaches(0.0, y_mm)]
+    if not unlit.size:
+        return []
+    what = "dots are elsewhere" if laser.dots_mm.size else f"line is {laser.length_mm:g} mm long"
+    places = ", ".join(f"{y:g}" for y in unlit)
+    return [
+        f"laser_line: {unlit.size} of the paper's nine rays are not lit, at y = {places} mm: the"
+        f" {what}; these have no figures"
+    ]
+
+
+def coarse_grid(scene: Scene) -> list[str]:
+    """Note of a field whose grid loses more than is seen; some 0.15 s for a field of 2 MB."""
+    field, laser = scene.field, scene.sensor.laser
+    if field is None:
+        return []
+    y = laser.dots_mm if laser.dots_mm.size else np.linspace(-0.45, 0.45, 9) * laser.length_mm
+    file = scene.integrator.field_file
+    solid = read_field_file(file, scene.integrator.wavelength_nm).solid if file else None
+    if solid is not None and solid.shape != field.shape:
+        solid = None
+    loss = pixel_loss(
+        field, solid, lambda other: ray_search(scene.with_field(other), y, "newton").pixel
+    )
+    name = file.name if file else "the field"
+    if np.isnan(loss.twice):
+        return [f"{name}: its grid has too few nodes to tell what is lost between them"]
+    if loss.present <= FINE_PX:
+        return []
+    return [
+        f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
+        f" {loss.present:.2g} px of the line's place; virtual-sensor field info tells more"
+    ]
+
+
+def frame_notes(
+    account: Account, line: LineCentres, compared: Agreement | DotAgreement, sound: Sound
+) -> list[str]:
+    """Notes of a frame and its centres: what was made otherwise, or is in no figure."""
+    notes = []
+    if account.reason:
+        notes.append(
+            f"the frame was made the {account.way} way: {account.reason}; {account.folded} pixels"
+            " of folded light are black"
+        )
+    if isinstance(compared, DotAgreement):
+        dots = len(compared.searched)
+        return notes + [f"{compared.count} of {dots} dots were found"] * (compared.count < dots)
+    counts = counts_of(line.status, Status)
+    centres = counts["ok"]
+    if not centres:
+        reasons = ", ".join(name for name, number in counts.items() if number)
+        return [*notes, f"no line centres, the columns are {reasons}"]
+    if compared.lost.size:
+        lost = counts_of(compared.lost, Status)
+        reasons = ", ".join(f"{name} {number}" for name, number in lost.items() if number)
+        notes.append(
+            f"{compared.lost.size} of {compared.expected} columns that see the whole line have no"
+            f" centre: {reasons}"
+        )
+    left_out = {
+        "are cut by an edge": compared.cut_centres,
+        "lie off the searched line": compared.stray_centres,
+    }
+    if any(left_out.values()):
+        reasons = ", ".join(f"{number} {why}" for why, number in left_out.items() if number)
+        notes.append(
+            f"{compared.count} of {centres} centres were compared with the search; {reasons}"
+        )
+    if sound.wrong:
+        notes.append(
+            f"{sound.wrong} of {sound.known} centres that are ok and whose truth is known are"
+            f" {WRONG}, at most by {sound.largest_px:.2g} px"
+        )
+    return notes
+
+
+def counts_of(status: NDArray[np.integer], kind: type[IntEnum]) -> dict[str, int]:
+    """How many have each status, by its name in lower case."""
+    return {member.name.lower(): int(np.sum(status == member)) for member in kind}
