@@ -1,7 +1,9 @@
 """Calibration files: what OpenCV writes is read, what is no calibration is refused in words."""
 
+import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -169,3 +171,179 @@ def test_files_that_are_something_else_are_refused(tmp_path, content):
         read_calibration(path)
     with pytest.raises(InputError, match=r"missing\.yaml"):
         read_calibration(tmp_path / "missing.yaml")
+
+
+FISHEYE = np.array([0.05, -0.02, 0.01, -0.003])
+TURN = cv2.Rodrigues(GOOD["rotation"])[0]
+
+
+def plane_points(angle_deg, count=200):
+    """Points of the plane z = 10 that the camera of GOOD sees, up to an angle to its axis."""
+    rng = np.random.default_rng(4)
+    theta = np.radians(angle_deg) * np.sqrt(rng.random(count))
+    phi = rng.uniform(0.0, 2.0 * np.pi, count)
+    local = np.stack(
+        [np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1
+    )
+    start, direction = -TURN.T @ GOOD["translation"].ravel(), local @ TURN
+    distance = (10.0 - start[2]) / direction[:, 2]
+    return (start + distance[:, None] * direction)[(distance > 0.0) & (distance < 1e5)]
+
+
+@pytest.mark.parametrize(
+    "said", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}, {"fisheye_model": "1"}]
+)
+def test_a_fisheye_is_read_as_one(tmp_path, said):
+    """OpenCV's flag and ROS's word: points that cv2.fisheye projects come back, up to 80 degrees.
+
+    As a radial-tangential model the same file gives points that are millimetres off.
+    """
+    matrix = GOOD["camera_matrix"] * [[0.1, 1, 1], [1, 0.1, 1], [1, 1, 1]]
+    changed = {"camera_matrix": matrix, "distortion_coefficients": FISHEYE}
+    points = plane_points(80.0)
+    assert len(points) > 100
+    projected = cv2.fisheye.projectPoints(
+        points[:, None], GOOD["rotation"], GOOD["translation"], matrix, FISHEYE
+    )[0][:, 0]
+    calibration = read_calibration(written(tmp_path / "c.yaml", **changed, **said))
+    distance = np.linalg.norm(points, axis=-1, keepdims=True)
+    np.testing.assert_allclose(
+        (triangulate(calibration, projected) - points) / distance, 0, atol=1e-9
+    )
+    np.testing.assert_allclose(calibration.camera.project(points), projected, atol=1e-9)
+    flat = read_calibration(written(tmp_path / "d.yaml", **changed))
+    near = points[np.linalg.norm(points[:, :2], axis=-1) < 200.0]
+    there = cv2.fisheye.projectPoints(
+        near[:, None], GOOD["rotation"], GOOD["translation"], matrix, FISHEYE
+    )[0][:, 0]
+    assert np.nanmax(np.abs(triangulate(flat, there) - near)) > 1.0
+    path = tmp_path / "again.json"
+    path.write_text(calibration_text(calibration, path.name))
+    np.testing.assert_allclose(
+        triangulate(read_calibration(path), projected), triangulate(calibration, projected)
+    )
+
+
+def test_what_a_fisheye_sees_beside_the_half_space_has_no_point(tmp_path):
+    """By r = f theta a pixel of 91 degrees is none of an ideal pinhole; one of 85 degrees is."""
+    matrix = np.array([[300.0, 0, 1023.5], [0, 300.0, 767.5], [0, 0, 1]])
+    changed = {"camera_matrix": matrix, "distortion_coefficients": np.zeros(4), "fisheye_model": 1}
+    camera = read_calibration(written(tmp_path / "c.yaml", **changed)).camera
+    angles = np.radians([85.0, -85.0, 91.0, 120.0])
+    pixel = np.column_stack([1023.5 + 300.0 * angles, np.full(4, 767.5)])
+    expected = TURN.T @ np.array([np.sin(angles), 0 * angles, np.cos(angles)])
+    sight = camera.lines_of_sight(pixel)
+    np.testing.assert_allclose(sight[:2], expected.T[:2], atol=1e-9)
+    assert np.isnan(sight[2:]).all()
+
+
+@pytest.mark.parametrize(
+    ("model", "count"), [("plumb_bob", 5), ("rational_polynomial", 8), ("radtan", 4), ("", 12)]
+)
+def test_ros_files_and_other_names_are_read_and_noted(tmp_path, model, count):
+    """ROS's plain lists under `data`, others' names: the point is OpenCV's by the same numbers."""
+    rng = np.random.default_rng(6)
+    bends = rng.uniform(-0.05, 0.05, count)
+    matrix, rotation = GOOD["camera_matrix"].ravel().tolist(), TURN.ravel().tolist()
+    text = (
+        "image_width: 2048\nimage_height: 1536\ncamera_name: head\n"
+        f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: {matrix}\n"
+        + (f"distortion_model: {model}\n" if model else "")
+        + f"dist_coeffs: {bends.tolist()}\nR: {rotation}\ntvec: [10.0, -20.0, 300.0]\n"
+        "rectification_matrix: [1, 0, 0, 0, 1, 0, 0, 0, 1]\nlaser_plane: [0.0, 0.0, 2.0, 20.0]\n"
+    )
+    path = tmp_path / "ros.yaml"
+    path.write_text(text)
+    calibration = read_calibration(path)
+    points = plane_points(8.0)
+    pixel = cv2.projectPoints(points, TURN, GOOD["translation"], GOOD["camera_matrix"], bends)[0]
+    np.testing.assert_allclose(triangulate(calibration, pixel[:, 0]), points, atol=1e-8)
+    assert calibration.notes == (
+        f"{path}: 'dist_coeffs' is taken as 'distortion_coefficients'.",
+        f"{path}: 'R' is taken as 'rotation'.",
+        f"{path}: 'tvec' is taken as 'translation'.",
+        f"{path}: not used: 'camera_name', 'rectification_matrix'.",
+    )
+
+
+@pytest.mark.parametrize("ending", ["yaml", "json"])
+def test_lists_within_lists_are_matrices(tmp_path, ending):
+    """As json.dumps writes an array's tolist()."""
+    values = {name: np.asarray(value).tolist() for name, value in GOOD.items()}
+    values["rotation"] = TURN.tolist()
+    path = tmp_path / f"c.{ending}"
+    path.write_text(json.dumps(values))
+    points = plane_points(8.0)
+    names = ("rotation", "translation", "camera_matrix", "distortion_coefficients")
+    pixel = cv2.projectPoints(points, *(GOOD[name] for name in names))[0][:, 0]
+    np.testing.assert_allclose(triangulate(read_calibration(path), pixel), points, atol=1e-8)
+    for ragged in ([[1, 2], [3]], [[1, 2, 3], "no"], [], {"data": [[]]}, {"rows": 3}):
+        path.write_text(json.dumps(values | {"translation": ragged}))
+        with pytest.raises(InputError, match="'translation' must hold 3 finite"):
+            read_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"translation": None}, "has 'rotation' but no 'translation'; give both"),
+        ({"rotation": None}, "has 'translation' but no 'rotation'; give both"),
+        ({"R": TURN}, "'rotation' and 'R', which mean the same"),
+        ({"distortion_model": "kannala"}, "known are 0 or 1, and plumb_bob, radtan"),
+        ({"fisheye_model": 2}, "'fisheye_model' 2"),
+        ({"fisheye_model": 0, "distortion_model": "equidistant"}, "'fisheye_model' 0 and"),
+        ({"fisheye_model": 1}, "'distortion_coefficients' must hold 4"),
+        ({"fisheye_model": 1, "distortion_coefficients": None}, "lacks 'distortion_coefficients'"),
+        ({"xi": 1.2}, "omnidirectional"),
+        ({"camera_matrix": np.diag([-5e3, -5e3, 1.0])}, "positive f"),
+        ({"camera_matrix": np.diag([-5e3, 0.0, 1.0])}, "positive f"),
+    ],
+)
+def test_half_a_pose_and_unknown_lenses_are_refused(tmp_path, changed, says):
+    """Whoever left them out had the world where the camera isn't, or the lens as it isn't."""
+    path = written(tmp_path / "sensor.yaml", **changed)
+    with pytest.raises(InputError, match=says) as told:
+        read_calibration(path)
+    assert str(path) in str(told.value)
+
+
+def test_a_mirrored_camera_goes_through_a_file(tmp_path):
+    """By a negative f and a true rotation, with which K (R x + t) is the mirrored image."""
+    sensor = paper_sensor()
+    pose = replace(sensor.camera.pose, rotation=sensor.camera.pose.rotation @ np.diag([-1, 1, 1]))
+    mirrored = replace(sensor, camera=replace(sensor.camera, pose=pose))
+    path = tmp_path / "mirrored.yaml"
+    path.write_text(calibration_text(calibration_of(mirrored), path.name))
+    read = read_calibration(path)
+    assert np.linalg.det(read.camera.pose.rotation) > 0.0
+    assert "negative f" in read.notes[0]
+    normal, _ = sensor.laser.plane
+    points = np.cross(normal, np.random.default_rng(2).uniform(-5.0, 5.0, (20, 3)))
+    pixel = sensor.camera.project(points)
+    pixel[:, 0] = 2047.0 - pixel[:, 0]  # the principal point is the middle of 2048 px
+    np.testing.assert_allclose(triangulate(read, pixel), points, atol=1e-8)
+    np.testing.assert_allclose(read.camera.project(points), pixel, atol=1e-8)
+    bent = replace(mirrored, camera=replace(mirrored.camera, distortion=np.zeros(4)))
+    with pytest.raises(InputError, match="mirrored camera that distorts"):
+        calibration_text(calibration_of(bent), path.name)
+
+
+def test_a_calibration_nested_without_end_is_refused(tmp_path):
+    """OpenCV's parser calls itself until the stack ends the process: looked at before."""
+    deep = 100_000
+    texts = {
+        "a.json": '{"a": ' + "[" * deep + "]" * deep + "}",
+        "b.json": '{"a": ' * deep + "1" + "}" * deep,
+        "c.yaml": "%YAML:1.0\n---\na: " + "[" * deep + "]" * deep + "\n",
+        "d.yaml": "%YAML:1.0\n---\na:\n" + "- " * deep + "1\n",
+        "e.yaml": "%YAML:1.0\n---\n" + "".join(f"{' ' * n}a:\n" for n in range(2000)),
+        "f.xml": "<?xml version='1.0'?>\n<opencv_storage>" + "<a>" * deep + "</a>" * deep,
+    }
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        with pytest.raises(InputError, match=rf"{name}: is nested over 100 levels deep"):
+            read_calibration(tmp_path / name)
+    with (tmp_path / "g.yaml").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(InputError, match=r"g\.yaml: is too large"):
+        read_calibration(tmp_path / "g.yaml")

@@ -267,3 +267,20 @@ def test_pipes_devices_and_folders_named_like_images_are_refused(tmp_path):
             read_image(tmp_path / name)
     ended = run(tmp_path / "a.png", "--calibration", tmp_path / "c.yaml", "-o", tmp_path / "out")
     assert "c.yaml: is a pipe" in str(ended.exception)
+
+
+def test_what_a_calibration_leaves_open_is_noted(tmp_path):
+    """Names that are taken for others, elements that are not used: on the screen and in JSON."""
+    text = calibration_text(calibration_of(paper_sensor()), "c.json")
+    known = json.loads(text) | {"image_width": 90, "image_height": 64, "reprojection_error": 0.1}
+    known["R"], known["T"] = known.pop("rotation"), known.pop("translation")
+    (tmp_path / "c.json").write_text(json.dumps(known))
+    cv2.imwrite(str(tmp_path / "line.png"), picture(255, np.uint8))
+    ended = run(tmp_path / "line.png", "--calibration", tmp_path / "c.json", "-o", tmp_path / "out")
+    notes = json.loads((tmp_path / "out" / "summary.json").read_text())["notes"]
+    assert [note.split(": ", 1)[1] for note in notes] == [
+        "'R' is taken as 'rotation'.",
+        "'T' is taken as 'translation'.",
+        "not used: 'reprojection_error'.",
+    ]
+    assert all(note in ended.output for note in notes)

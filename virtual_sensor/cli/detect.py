@@ -101,6 +101,7 @@ def detect(
     calibrated = read_calibration(calibration) if calibration else None
     check_output(output, overwrite, folder=True)
     paths, notes = find_images(images)
+    notes += calibrated.notes if calibrated else ()
     names = names_of(paths)
     summary: dict[str, Any] = {}
     table = Table("image", "centres", "other statuses", "detector's time")

@@ -76,7 +76,7 @@ def distorted(image: ArrayLike, camera: Camera) -> Array:
             f"distorted: the image is {image.shape[1]} x {image.shape[0]} px, the camera has"
             f" {camera.size[0]} x {camera.size[1]} px; give an image of its size"
         )
-    if not camera.distortion.size:
+    if not camera.distorts:
         return image
     seen = np.zeros_like(image)
     v, u = np.nonzero(_reached(image != 0.0, camera))

@@ -1,16 +1,27 @@
 """A real sensor's calibration, as OpenCV stores it: YAML, XML or JSON of `cv2.FileStorage`.
 
-====================================  ==============================================================
-image_width, image_height             px
-camera_matrix                         K, 3 x 3, integer at pixel centres
-distortion_coefficients               4, 5, 8, 12 or 14 of OpenCV's; left out: none
-rotation, translation                 from the world to the camera, x_c = R x_w + t, mm; R as 3 x 3
-                                      or as Rodrigues' vector; left out: the world is the camera's
-laser_plane                           n_x, n_y, n_z, d with n . x = d in the world, mm
-====================================  ==============================================================
+=======================  ===========================================================================
+image_width, _height     px
+camera_matrix            K, 3 x 3, integer at pixel centres; also cameraMatrix, K, mtx.  One f < 0
+                         where the image is mirrored (noted); skew is refused
+distortion_coefficients  4, 5, 8, 12 or 14 of OpenCV's (of rational, thin-prism and tilted models
+                         too), 4 of a fisheye; also dist_coeffs, distCoeffs, D ...; left out: none
+distortion_model         ROS's plumb_bob, rational_polynomial, equidistant, Kalibr's radtan; others
+                         are refused
+fisheye_model            OpenCV's: 1 of a fisheye, 0
+rotation, translation    from the world to the camera, x_c = R x_w + t, mm; R as 3 x 3 or as
+                         Rodrigues' vector; also R, rvec, T, tvec ...; one without the other is
+                         refused; both left out: the world is the camera's
+laser_plane              n_x, n_y, n_z, d with n . x = d in the world, mm
+=======================  ===========================================================================
+
+Another name than the first is noted, two names of one element are refused.  Matrices are OpenCV's
+or ROS's (rows, cols, data) or lists, nested or not.  What else a file holds (a rectification, a
+projection matrix, how it was calibrated) is not used, and noted.
 """
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -25,9 +36,37 @@ from virtual_sensor.optics.sensor_model import Camera, Pose
 Array = NDArray[np.float64]
 
 _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+_ALSO = {
+    "camera_matrix": ("cameraMatrix", "K", "mtx"),
+    "distortion_coefficients": (
+        *(
+            "dist_coeffs",
+            "dist_coefs",
+            "distCoeffs",
+            "distortion_coeffs",
+            "distortion",
+            "dist",
+            "D",
+        ),
+    ),
+    "rotation": ("R", "rvec", "rotation_matrix", "rotation_vector"),
+    "translation": ("T", "t", "tvec", "translation_vector"),
+}
+_FLAGS = {"0": False, "1": True}  # fisheye?
+_MODELS = {
+    "plumb_bob": False,
+    "radtan": False,
+    "rational_polynomial": False,
+    "equidistant": True,
+    "fisheye": True,
+}
 _ORTHOGONAL = 1e-4
 _ZERO = 1e-9  # px
 _LARGEST_PX = 2**20
+_LARGEST_BYTES = 2**24
+_DEEPEST = 100
+_MOST_NUMBERS = 100
+_MOST_NAMES = 10
 
 
 @dataclass(frozen=True)
@@ -58,10 +97,19 @@ class Plane:
 
 @dataclass(frozen=True)
 class Calibration:
-    """All that `triangulate` needs of a sensor: a camera and a laser plane in one world."""
+    """All that `triangulate` needs of a sensor: a camera and a laser plane in one world.
+
+    Attributes
+    ----------
+    camera : Camera
+    laser : Plane
+    notes : tuple of str
+        What a file's reader assumed or did not use.
+    """
 
     camera: Camera
     laser: Plane
+    notes: tuple[str, ...] = ()
 
     @property
     def triangulation_angle_deg(self) -> float:
@@ -77,16 +125,32 @@ def calibration_of(sensor: Sensor) -> Calibration:
 
 
 def calibration_text(calibration: Calibration, file_name: str) -> str:
-    """The text of a calibration file; its name's ending says whether YAML, XML or JSON."""
+    """The text of a calibration file; its name's ending says whether YAML, XML or JSON.
+
+    A mirrored camera, whose axes are left-handed, has a negative f and right-handed axes there.
+
+    Raises
+    ------
+    InputError
+        Where a mirrored camera distorts, for which OpenCV has no model.
+    """
     camera = calibration.camera
+    to_camera, matrix = camera.pose.rotation.T, camera.matrix
+    if np.linalg.det(to_camera) < 0.0:
+        if camera.distorts:
+            raise InputError("calibration: of a mirrored camera that distorts there is no file")
+        mirror = np.diag([-1.0, 1.0, 1.0])
+        to_camera, matrix = mirror @ to_camera, matrix @ mirror
     storage = cv2.FileStorage(file_name, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", camera.size[0])
     storage.write("image_height", camera.size[1])
-    storage.write("camera_matrix", camera.matrix)
+    storage.write("camera_matrix", matrix)
     if camera.distortion.size:
         storage.write("distortion_coefficients", camera.distortion.reshape(1, -1))
-    storage.write("rotation", np.ascontiguousarray(camera.pose.rotation.T))
-    storage.write("translation", -(camera.pose.rotation.T @ camera.pose.origin_mm))
+    if camera.fisheye:
+        storage.write("fisheye_model", 1)
+    storage.write("rotation", np.ascontiguousarray(to_camera))
+    storage.write("translation", -(to_camera @ camera.pose.origin_mm))
     normal, offset = calibration.laser.plane
     storage.write("laser_plane", np.append(normal, offset))
     return str(storage.releaseAndGetString())
@@ -100,11 +164,45 @@ def read_calibration(path: Path) -> Calibration:
     InputError
         Naming the file, the element and what it should be.
     """
-    readable(path)
+    file = _File(path, _opened(path))
+    size = (_pixels(file, "image_width"), _pixels(file, "image_height"))
+    matrix = file.numbers("camera_matrix", (9,)).reshape(3, 3)
+    f = matrix[[0, 1], [0, 1]]
+    zeros = np.abs([matrix[0, 1], matrix[1, 0], *(matrix[2] - [0.0, 0.0, 1.0])])
+    if not (f.max() > 0.0 and f.min() != 0.0 and zeros.max() < _ZERO):
+        raise InputError(
+            f"{path}: 'camera_matrix' must be [f_x 0 c_x; 0 f_y c_y; 0 0 1] with positive f, in px"
+            " (one negative where the image is mirrored); OpenCV's model has no skew"
+        )
+    if f.min() < 0.0:
+        file.notes.append("'camera_matrix' has a negative f: the image is taken as mirrored")
+    fisheye = _is_fisheye(file)
+    counts = (4,) if fisheye else _COEFFICIENTS
+    distortion = file.numbers("distortion_coefficients", counts, None if fisheye else np.zeros(0))
+    camera = Camera(matrix, _pose(file), size, distortion, fisheye)
+    *normal, offset = file.numbers("laser_plane", (4,))
+    length = float(np.linalg.norm(normal))
+    if not length > 0.0:
+        raise InputError(f"{path}: 'laser_plane' has no normal; give n_x, n_y, n_z, d")
+    plane = Plane(np.array(normal) / length, float(offset) / length)
+    calibration = Calibration(camera, plane, file.all_notes())
     try:
+        check_geometry(calibration)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return calibration
+
+
+def _opened(path: Path) -> cv2.FileStorage:
+    """A file of `cv2.FileStorage`, looked at first: its parser overflows the stack."""
+    try:
+        if readable(path).stat().st_size > _LARGEST_BYTES:
+            raise InputError(f"{path}: is too large for a calibration, over {_LARGEST_BYTES} bytes")
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: can't be read as a calibration ({error})") from None
+    if _nesting(text) > _DEEPEST:
+        raise InputError(f"{path}: is nested over {_DEEPEST} levels deep; no calibration is")
     try:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         opened = storage.isOpened() and storage.root().isMap()
@@ -115,65 +213,130 @@ def read_calibration(path: Path) -> Calibration:
         raise InputError(
             f"{path}: is not OpenCV's YAML, XML or JSON; write it with cv2.FileStorage"
         )
+    return storage
 
-    def element(name: str, sizes: tuple[int, ...], default: Array | None = None) -> Array:
-        node = storage.getNode(name)
-        if node.empty():
+
+def _nesting(text: str) -> int:
+    """Levels of brackets, tags and YAML's indents and dashes: as many as there are, or more."""
+    deepest = max(len(start) for start in re.findall(r"^[ \t?-]*", text, re.MULTILINE)) // 10
+    level = 0
+    for sign in re.findall(r"[][{}]|</?|/>", text):
+        level += 1 if sign in "[{<" else -1
+        deepest = max(deepest, level)
+    return deepest
+
+
+@dataclass
+class _File:
+    """The elements of a file, by their names, and what is to be said of them."""
+
+    path: Path
+    storage: cv2.FileStorage
+    used: set[str] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+
+    def node(self, name: str) -> cv2.FileNode | None:
+        """An element by any of its names; None where it is left out."""
+        names = (name, *_ALSO.get(name, ()))
+        there = [n for n in names if not self.storage.getNode(n).empty()]
+        if len(there) > 1:
+            both = " and ".join(f"'{n}'" for n in there)
+            raise InputError(f"{self.path}: has {both}, which mean the same; leave one")
+        if not there:
+            return None
+        if there != [name]:
+            self.notes.append(f"'{there[0]}' is taken as '{name}'")
+        self.used.add(there[0])
+        return self.storage.getNode(there[0])
+
+    def numbers(self, name: str, counts: tuple[int, ...], default: Array | None = None) -> Array:
+        """The numbers of an element, as many as it may have."""
+        node = self.node(name)
+        if node is None:
             if default is None:
-                raise InputError(f"{path}: lacks '{name}'; add it (see metrology/calibration.py)")
+                raise InputError(
+                    f"{self.path}: lacks '{name}'; add it (see metrology/calibration.py)"
+                )
             return default
         values = _numbers(node)
-        if values.size not in sizes or not np.isfinite(values).all():
-            wanted = " or ".join(map(str, sizes))
-            raise InputError(f"{path}: '{name}' must hold {wanted} finite numbers")
+        if values.size not in counts or not np.isfinite(values).all():
+            wanted = " or ".join(map(str, counts))
+            raise InputError(f"{self.path}: '{name}' must hold {wanted} finite numbers")
         return values
 
-    def pixels(name: str) -> int:
-        (value,) = element(name, (1,))
-        if not (1.0 <= value <= _LARGEST_PX and value == int(value)):
-            raise InputError(f"{path}: '{name}' is {value:g}; give a whole number of px, from 1")
-        return int(value)
+    def word(self, name: str) -> str:
+        """A word or a number as text; "" where it is left out."""
+        node = self.node(name)
+        if node is None:
+            return ""
+        return node.string() if node.isString() else f"{node.real():g}"
 
-    size = (pixels("image_width"), pixels("image_height"))
-    matrix = element("camera_matrix", (9,)).reshape(3, 3)
-    zeros = np.abs([matrix[0, 1], matrix[1, 0], *(matrix[2] - [0.0, 0.0, 1.0])])
-    if not (min(matrix[0, 0], matrix[1, 1]) > 0.0 and zeros.max() < _ZERO):
+    def all_notes(self) -> tuple[str, ...]:
+        """What was said, and the names that nobody asked for."""
+        others = sorted(set(self.storage.root().keys()) - self.used)
+        if others:
+            more = f" and {len(others) - _MOST_NAMES} more" if len(others) > _MOST_NAMES else ""
+            names = ", ".join(f"{name!r}" for name in others[:_MOST_NAMES])
+            self.notes.append(f"not used: {names}{more}")
+        return tuple(f"{self.path}: {note}." for note in dict.fromkeys(self.notes))
+
+
+def _pixels(file: _File, name: str) -> int:
+    (value,) = file.numbers(name, (1,))
+    if not (1.0 <= value <= _LARGEST_PX and value == int(value)):
+        raise InputError(f"{file.path}: '{name}' is {value:g}; give a whole number of px, from 1")
+    return int(value)
+
+
+def _is_fisheye(file: _File) -> bool:
+    """Whether the lens model is OpenCV's fisheye: said by OpenCV or ROS, who must agree."""
+    flag, model = file.word("fisheye_model"), file.word("distortion_model").lower()
+    said = {_FLAGS.get(flag), _MODELS.get(model)} - {None}
+    if (flag and flag not in _FLAGS) or (model and model not in _MODELS) or len(said) > 1:
         raise InputError(
-            f"{path}: 'camera_matrix' must be [f_x 0 c_x; 0 f_y c_y; 0 0 1] with positive f, in px;"
-            " OpenCV's model has no skew"
+            f"{file.path}: 'fisheye_model' {flag or 'left out'} and 'distortion_model'"
+            f" {model or 'left out'} name no lens model known here; known are 0 or 1, and"
+            f" {', '.join(_MODELS)}"
         )
-    distortion = element("distortion_coefficients", _COEFFICIENTS, np.zeros(0))
-    rotation = element("rotation", (3, 9), np.eye(3).ravel())
+    if file.node("xi") is not None:
+        raise InputError(
+            f"{file.path}: 'xi' is of an omnidirectional lens, which is not known here"
+        )
+    return True in said
+
+
+def _pose(file: _File) -> Pose:
+    """Where the camera stands: the inverse of the file's rotation and translation."""
+    given = [file.node(name) is not None for name in ("rotation", "translation")]
+    if given.count(True) == 1:
+        has, lacks = ("rotation", "translation")[:: 1 if given[0] else -1]
+        raise InputError(
+            f"{file.path}: has '{has}' but no '{lacks}'; give both, or none where the world is the"
+            " camera's"
+        )
+    rotation = file.numbers("rotation", (3, 9), np.eye(3).ravel())
     to_camera = cv2.Rodrigues(rotation)[0] if rotation.size == 3 else rotation.reshape(3, 3)
     if not np.allclose(to_camera @ to_camera.T, np.eye(3), atol=_ORTHOGONAL):
-        raise InputError(f"{path}: 'rotation' is no rotation; give a matrix with R R^T = 1")
+        raise InputError(f"{file.path}: 'rotation' is no rotation; give a matrix with R R^T = 1")
     if np.linalg.det(to_camera) < 0.0:
-        raise InputError(f"{path}: 'rotation' is a reflection; its determinant must be +1")
+        raise InputError(f"{file.path}: 'rotation' is a reflection; its determinant must be +1")
     pose = np.eye(4)
     pose[:3, :3] = to_camera.T
     turned = Pose.from_matrix(pose).rotation  # a file of few digits holds no exact rotation
-    translation = element("translation", (3,), np.zeros(3))
-    *normal, offset = element("laser_plane", (4,))
-    length = float(np.linalg.norm(normal))
-    if not length > 0.0:
-        raise InputError(f"{path}: 'laser_plane' has no normal; give n_x, n_y, n_z, d")
-    camera = Camera(matrix, Pose(turned, -turned @ translation), size, distortion)
-    calibration = Calibration(camera, Plane(np.array(normal) / length, float(offset) / length))
-    try:
-        check_geometry(calibration)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    return calibration
+    return Pose(turned, -turned @ file.numbers("translation", (3,), np.zeros(3)))
 
 
 def _numbers(node: cv2.FileNode) -> Array:
-    """Numbers of a matrix, a sequence or a single one; none where something else is among them.
+    """Numbers of a matrix, of lists within lists or a single one; none where others are among them.
 
     Not by `node.mat()`: where a matrix lacks its `cols`, that writes past its memory (OpenCV 5.0).
     """
     if node.isMap():
         node = node.getNode("data")
-    parts = [node.at(i) for i in range(node.size())] if node.isSeq() else [node]
-    if not all(part.isInt() or part.isReal() for part in parts):
+    if node.isInt() or node.isReal():
+        return np.array([node.real()])
+    if not node.isSeq() or not 0 < node.size() <= _MOST_NUMBERS:
         return np.zeros(0)
-    return np.array([part.real() for part in parts])
+    parts = [_numbers(node.at(i)) for i in range(node.size())]
+    same = len({part.size for part in parts}) == 1
+    return np.concatenate(parts) if same else np.zeros(0)

@@ -72,12 +72,22 @@ class Camera:
     distortion : ndarray of shape (0,), (4,), (5,), (8,), (12,) or (14,)
         OpenCV's coefficients k_1, k_2, p_1, p_2, k_3 ... s_4, tau_x, tau_y; the last two are the
         tilt of the sensor (Scheimpflug).  Empty: none, as in every scene that is rendered.
+    fisheye : bool
+        Whether the lens is OpenCV's fisheye (Kannala and Brandt's; ROS calls it equidistant), and
+        `distortion` its k_1 ... k_4: r = theta (1 + k_1 theta^2 + ... + k_4 theta^8) for light at
+        theta < 90 degrees to the axis.
     """
 
     matrix: Array
     pose: Pose
     size: tuple[int, int]
     distortion: Array = field(default_factory=lambda: np.zeros(0))
+    fisheye: bool = False
+
+    @property
+    def distorts(self) -> bool:
+        """Whether the camera is no ideal pinhole."""
+        return self.fisheye or self.distortion.size > 0
 
     def project(self, points_mm: ArrayLike) -> Array:
         """Project world points (N, 3) straight onto the sensor: pixels (N, 2), equation 2.
@@ -90,11 +100,15 @@ class Camera:
 
     def _distorted(self, homogeneous: Array) -> Array:
         """Pixels (..., 2) of camera coordinates x/z, y/z, 1, shape (..., 3)."""
-        if not self.distortion.size:
+        if not self.distorts:
             return homogeneous @ self.matrix[:2].T
         known = np.nan_to_num(homogeneous.reshape(-1, 3))
         nowhere, K, d = np.zeros(3), self.matrix, self.distortion
-        pixel = cv2.projectPoints(known, nowhere, nowhere, K, d)[0] if known.size else known[:, :2]
+        pixel = known[:, :2]
+        if known.size and self.fisheye:
+            pixel = cv2.fisheye.projectPoints(known[:, None], nowhere, nowhere, K, d)[0]
+        elif known.size:
+            pixel = cv2.projectPoints(known, nowhere, nowhere, K, d)[0]
         seen = np.isfinite(homogeneous).all(axis=-1, keepdims=True)
         return np.where(seen, pixel.reshape(*homogeneous.shape[:-1], 2), np.nan)
 
@@ -109,7 +123,7 @@ class Camera:
         the image, where no lens sees: past its turning point a polynomial has other roots.
         """
         pixel = np.asarray(pixel, float)
-        if not self.distortion.size:
+        if not self.distorts:
             return pixel
         ideal = pixel.copy()
         for _ in range(_MOST_STEPS):
