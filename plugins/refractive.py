@@ -119,7 +119,7 @@ class Refractive(mi.SamplingIntegrator):
     def with_field(self, field: IndexField | None) -> "Refractive":
         """The same integrator in other air, taken as it is; None: a cold part, straight light."""
         other = self.with_way(self.way, self.march, self.tolerance_px)
-        other.field = field
+        other.field, other.field_file, other.widen, other.blur_mm = field, None, 1.0, 0.0
         other.glows = self.glows and field is not None
         return other
 
@@ -129,6 +129,7 @@ class Refractive(mi.SamplingIntegrator):
         choices |= {"way": way, "tolerance": tolerance_px, **self.model}
         other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
         other.field, other.glows = self.field, self.glows
+        other.field_file, other.widen, other.blur_mm = self.field_file, self.widen, self.blur_mm
         return other
 
     @property

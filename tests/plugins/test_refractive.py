@@ -248,3 +248,15 @@ def test_air_that_cannot_be_broadened_is_refused(parameters, expected):
     with pytest.raises(vs.InputError, match=expected) as refusal:
         vs.load_scene("hot_cylinder", **parameters)
     assert "hot_cylinder.xml, line " in str(refusal.value)
+
+
+def test_another_way_keeps_the_air_and_what_is_said_of_it():
+    """Rationale: of a burst by --tolerance the file was unknown, and another instant less broad."""
+    scene = vs.load_scene("hot_cylinder", widen=1.2, blur=3)
+    given = scene.integrator
+    other = given.with_way("exact", given.march, 0.01)
+    assert other.field is given.field
+    assert (other.widen, other.blur_mm, other.field_file) == (1.2, 3.0, given.field_file)
+    assert other.field_file.is_file()
+    straight = given.with_field(None)
+    assert (straight.widen, straight.blur_mm, straight.field_file) == (1.0, 0.0, None)

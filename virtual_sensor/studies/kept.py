@@ -1,10 +1,11 @@
 """Finished work is kept in folders that are named by a hash of all that went into it."""
 
+import ast
 import hashlib
 import importlib.util
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from glob import escape
 from importlib import metadata
@@ -17,12 +18,10 @@ from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import folder_written_whole, written_whole
 
+_PACKAGE, _PLUGINS = "virtual_sensor", "virtual_sensor_plugins"
 _HOUSE = Path(engine.__file__).parent
-_MEASURING = (
-    "engine.py",
-    *("medium", "optics", "metrology", "imaging"),
-    *(f"studies/{name}.py" for name in ("measure", "agreement", "results", "report", "tables")),
-)
+_MEASURING = f"{_PACKAGE}.studies.sweep"
+_IMPORTS = ast.Import | ast.ImportFrom
 _PACKAGES = (
     *("mitsuba", "drjit", "numpy", "scipy", "matplotlib"),
     *("opencv-contrib-python-headless", "OpenEXR"),
@@ -37,18 +36,59 @@ def fingerprint() -> str:
     What another version might compute otherwise must not be taken for this one's.
     """
     digest = hashlib.sha256()
-    plugins = importlib.util.find_spec("virtual_sensor_plugins")
-    assert plugins is not None
-    assert plugins.submodule_search_locations is not None
-    places = [*(_HOUSE / name for name in _MEASURING), Path(plugins.submodule_search_locations[0])]
-    for place in places:
-        for file in sorted(place.rglob("*.py")) if place.is_dir() else [place]:
-            digest.update(f"{place.name}/{file.name}\0".encode())
-            digest.update(hashlib.sha256(file.read_bytes()).digest())
+    for name, file in sources(_MEASURING).items():
+        digest.update(f"{name}\0".encode())
+        digest.update(hashlib.sha256(file.read_bytes()).digest())
     for package in _PACKAGES:
         digest.update(f"{package} {_version(package)}\0".encode())
     digest.update(engine.activate().variant.encode())
     return digest.hexdigest()
+
+
+@cache
+def sources(module: str) -> dict[str, Path]:
+    """Files of a module and of all of ours that it imports, inside functions too, by their names.
+
+    Mitsuba asks for the plugins by name, and so all of them belong to every module.
+    """
+    plugins = _file_of(_PLUGINS).parent
+    open_names = [module, *(f"{_PLUGINS}.{file.stem}" for file in plugins.glob("[!_]*.py"))]
+    files: dict[str, Path] = {}
+    while open_names:
+        name = open_names.pop()
+        file = _file_of(name)
+        if name not in files and file.is_file():
+            files[name] = file
+            open_names += _imported(file)
+    return dict(sorted(files.items()))
+
+
+def _imported(file: Path) -> Iterator[str]:
+    """Names that may be modules of ours among what a file imports, and the packages they lie in."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, _IMPORTS) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name}" for name in names]
+        for name in names:
+            parts = name.split(".")
+            if parts[0] in (_PACKAGE, _PLUGINS):
+                yield from (".".join(parts[: n + 1]) for n in range(len(parts)))
+
+
+def _file_of(module: str) -> Path:
+    """Where a module of ours lies, if it is one."""
+    package, *parts = module.split(".")
+    folder = _HOUSE if package == _PACKAGE else _plugins_folder()
+    place = folder.joinpath(*parts)
+    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+
+
+@cache
+def _plugins_folder() -> Path:
+    found = importlib.util.find_spec(_PLUGINS)
+    assert found is not None
+    assert found.submodule_search_locations is not None
+    return Path(found.submodule_search_locations[0])
 
 
 def _version(package: str) -> str:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from virtual_sensor.studies.kept import file_hash, kept
+from virtual_sensor.studies.kept import file_hash, kept, sources
 from virtual_sensor.studies.measure import NINE_RAYS_MM, Report
 from virtual_sensor.studies.reproduction.beta_map import LINE_MM, BetaMap, beta_map
 from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, Fit, fit_broadening
@@ -18,12 +18,6 @@ from virtual_sensor.studies.reproduction.reconstruction import Reconstruction, r
 from virtual_sensor.studies.reproduction.settings import SCAN, Broadening, Scenes, settings
 
 T = TypeVar("T")
-
-_SEARCHING = (
-    *("curves.py", "settings.py", "numbers.py", "broadening_fit.py", "beta_map.py", "pieces.py"),
-    "reconstruction.py",
-)
-"""What pieces are made by: when it changes, they are made anew."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +37,8 @@ class Shelf:
         self, name: str, inputs: Mapping[str, Any], make: Callable[[], T], kind: type[T]
     ) -> T:
         """A dataclass of arrays: made, and kept as a file of NumPy's; or taken from there."""
-        sources = [file_hash(Path(__file__).parent / name) for name in _SEARCHING]
-        whole = {"piece": name, "sources": sources, "scene": self.scenes.inputs(), **inputs}
+        made_by = {name: file_hash(file) for name, file in sources(__name__).items()}
+        whole = {"piece": name, "sources": made_by, "scene": self.scenes.inputs(), **inputs}
         place = kept(self.folder, name, whole, lambda new: _write(new / f"{name}.npz", make()))
         return _read(place / f"{name}.npz", kind)
 
