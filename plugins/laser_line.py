@@ -132,11 +132,14 @@ def _positive(props: mi.Properties, name: str, default: float | None = None) -> 
 
 def _positions(text: str) -> np.ndarray:
     try:
-        return np.array([float(word) for word in text.replace(",", " ").split()])
+        places = np.array([float(word) for word in text.replace(",", " ").split()])
     except ValueError:
+        places = np.array([np.nan])
+    if not np.isfinite(places).all():
         raise InputError(
             f'laser_line: \'dots\' must list positions in mm, such as "0, -1.25", not "{text}"'
-        ) from None
+        )
+    return places
 
 
 mi.register_emitter("laser_line", LaserLineEmitter)

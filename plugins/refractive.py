@@ -20,6 +20,7 @@ from virtual_sensor_plugins.tabulated import Elsewhere, lit_pixels_and_tables, m
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import exists
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
@@ -352,10 +353,20 @@ def _instant(text: str) -> float | None:
 
 
 def _beside_scene(name: str) -> Path:
-    """A file's path where the scene says so, or in the scene's own folder."""
+    """A file's path where the scene says so: in its folder, its <path>s, or where one stands."""
     resolver = mi.file_resolver()
     found = Path(str(resolver.resolve(name)))
-    return (found if found.is_file() else Path(str(resolver[0])) / name).absolute()
+    if exists(found) or found.is_absolute():
+        return found.absolute()
+    mitsubas = Path(mi.__file__).parent
+    folders = [folder for each in resolver if (folder := Path(str(each)).absolute()) != mitsubas]
+    places = list(dict.fromkeys(folder / name for folder in folders))
+    beside = [place.parent for place in places if exists(place.parent)]
+    present = sorted({file.name for folder in beside for file in folder.glob("*.nc")})
+    raise InputError(
+        f"refractive: 'field': there is no such file: {', nor '.join(map(str, places))}; there"
+        f" {'are ' + ', '.join(present) if present else 'is no .nc file'}"
+    )
 
 
 def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:

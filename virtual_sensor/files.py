@@ -25,6 +25,14 @@ _KINDS = {
 }
 
 
+def exists(path: Path) -> bool:
+    """Whether something is there; a text that can't be a file's name is nothing."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
 def readable(path: Path) -> Path:
     """Give a path back if a reader may open it; to be asked by each before it does.
 

@@ -1,11 +1,26 @@
 """From a scene file to what the program works with; the only place that loads a scene.
 
 The sensor model is read *from* the loaded Mitsuba scene, so the two can't disagree.
+
+===============================  ==================================================================
+Element of a scene               What becomes of it
+===============================  ==================================================================
+integrator                       `refractive`, and no other
+sensor                           one `perspective`, a pinhole; a mirrored one is heeded, with a note
+film                             the whole one, no crop; one beyond the memory is refused
+emitter                          one `laser_line`; others light the part too
+shape of a file: ply, obj, stl   checked, and read where Mitsuba can't: `imaging.parts`
+other shapes, bsdf, texture      heeded, by Mitsuba
+to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
+medium                           ignored, with a note
+numbers                          what is not finite is refused
+lengths                          in mm; a scene that seems to be in metres gets a note
+===============================  ==================================================================
+
+`virtual_sensor.imaging.scene_file` says what becomes of the XML itself.
 """
 
 import re
-import xml.etree.ElementTree as ElementTree
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -17,6 +32,15 @@ from numpy.typing import NDArray
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import exists, readable
+from virtual_sensor.imaging.loading import load
+from virtual_sensor.imaging.scene_file import (
+    SceneFile,
+    filled,
+    included,
+    read_scene_file,
+    shortened,
+)
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
@@ -25,34 +49,7 @@ from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
-
-# What Mitsuba says of faults that are easily made, and what we say instead.
-_COMPLAINTS = (
-    (
-        r'unreferenced propert\w+ in (\w+) plugin of type "([^"]+)":\s+- \w+ "([^"]+)"',
-        r'<\1 type="\2"> has no property "\3"; correct its name or take it out',
-    ),
-    (
-        r'(\w+) plugin of type "([^"]+)": \[PluginManager\] Plugin .* not found',
-        r'there is no <\1 type="\2">; correct its type',
-    ),
-    (
-        r'(\w+) plugin of type "([^"]+)": .*Could not find property named "([^"]+)"',
-        r'<\1 type="\2"> lacks its "\3"; add it',
-    ),
-    (
-        r'(\w+) plugin of type "([^"]+)": .*file "([^"]+)": file not found',
-        r'<\1 type="\2">: there is no file "\3" where "filename" says; correct it',
-    ),
-    (
-        r'could not parse (.*) "([^"]*)"',
-        r'"\2" is no \1; correct it, or the parameter that it comes from',
-    ),
-    (
-        r"undefined parameter: (\S+)",
-        r"the parameter \1 has no value; give it one, or a <default> in the scene",
-    ),
-)
+_METRES_MM = 2.0, 5.0  # a part no larger, and a camera no farther: scenes in metres are so
 
 
 @dataclass(frozen=True)
@@ -118,13 +115,15 @@ def shipped_scenes() -> Path:
 def find_scene(name: str | Path) -> Path:
     """A scene's file: a path, or the name of one that comes with the program."""
     path = Path(name)
-    shipped = shipped_scenes() / path.with_suffix(".xml").name
-    if path.is_file():
-        return path
-    if path.name == str(name) and shipped.is_file():
-        return shipped
-    names = ", ".join(sorted(p.stem for p in shipped_scenes().glob("*.xml")))
-    raise InputError(f"{name}: there is no such scene file; scenes that come along: {names}")
+    shipped = {file.stem: file for file in sorted(shipped_scenes().glob("*.xml"))}
+    if name and exists(path) and (path.is_file() or path.stem not in shipped):
+        return readable(path)
+    if path.name == str(name) and path.stem in shipped:
+        return shipped[path.stem]
+    raise InputError(
+        f"{shortened(str(name))}: there is no such scene file; scenes that come along:"
+        f" {', '.join(shipped)}"
+    )
 
 
 def load_scene(name: str | Path, **parameters: object) -> Scene:
@@ -144,8 +143,8 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     """
     path = find_scene(name)
     given = {key: str(value) for key, value in parameters.items()}
-    values = scene_parameters(path, given)
-    loaded = _load(path, given)
+    files, values = _read(path, given)
+    loaded, notes = load(files, given, values)
     integrator = loaded.integrator()
     if not isinstance(integrator, plugins.refractive.Refractive):
         raise InputError(
@@ -157,7 +156,9 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     sensor = SensorModel(_camera(path, loaded), emitter.line)
-    return Scene(path, values, loaded, integrator, sensor, _surface(loaded))
+    notes = [*(note for file in files for note in file.notes), *notes]
+    notes += _places(path, loaded, sensor)
+    return Scene(path, values, loaded, integrator, sensor, _surface(loaded), tuple(notes))
 
 
 def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
@@ -168,32 +169,72 @@ def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
     InputError
         If the file is no scene, or has no such parameter.
     """
-    root = _root(path)
+    return _read(path, given)[1]
+
+
+def _read(path: Path, given: dict[str, str]) -> tuple[list[SceneFile], dict[str, str]]:
+    """A scene file with those that it includes, and the values of its parameters."""
+    file = read_scene_file(path)
+    root = file.elements[0]
     if root.tag != "scene":
-        raise InputError(f"{path}: its root element is <{root.tag}>; a scene's is <scene>")
-    defaults = {str(e.get("name")): str(e.get("value")) for e in root.iter("default")}
-    used = set(re.findall(r"\$(\w+)", path.read_text(encoding="utf-8")))
+        raise InputError(
+            f"{path}: its root element is <{shortened(root.tag)}>; a scene's is <scene>"
+        )
+    files, values = [file], _values([file], given)
+    for inner, _ in included(file, _folders(path), values, (path.resolve(),)):
+        files.append(inner)
+        values = _values(files, given)
+    defaults = {e.attributes["name"] for file in files for e in file.elements if e.tag == "default"}
+    used = {
+        name
+        for file in files
+        for e in file.elements
+        for text in e.attributes.values()
+        for name in re.findall(r"\$(\w+)", text)
+    }
     free = [name for name in used if not name.startswith(tuple(defaults))]
     unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in free)]
     if unknown:
         names = ", ".join(sorted(defaults)) or "none"
-        raise InputError(f"{path}: no parameter '{unknown[0]}'; the scene has: {names}")
-    values: dict[str, str] = {}
-    for name, value in (defaults | given).items():  # a default may use those before it
-        values[name] = _filled(value, values)
+        raise InputError(f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}")
     if "temperature" in values:
+        _check_temperature(path, values["temperature"])
+    return files, values
+
+
+def _values(files: list[SceneFile], given: dict[str, str]) -> dict[str, str]:
+    """Values of the parameters: as given, else by default; a default may use those before it."""
+    texts: dict[str, str] = {}
+    for element in (e for file in files for e in file.elements if e.tag == "default"):
+        name, value = (element.attributes.get(key) for key in ("name", "value"))
+        if not name or value is None:
+            raise InputError(f"{element.where}: <default> needs a name and a value; give both")
+        texts.setdefault(name, value)
+    values: dict[str, str] = {}
+    for name, text in (texts | given).items():
+        if "\0" in text:
+            raise InputError(f"{files[0].elements[0].file}: {name} has a zero byte; take it out")
         try:
-            below = float(values["temperature"]) < _ABSOLUTE_ZERO_C
-        except ValueError:
-            raise InputError(
-                f"{path}: temperature={values['temperature']} is not a number; give it in degC"
-            ) from None
-        if below:
-            raise InputError(
-                f"{path}: temperature={values['temperature']} degC is below absolute zero"
-                f" ({_ABSOLUTE_ZERO_C} degC); give the part's temperature in degC"
-            )
+            values[name] = filled(text, values)
+        except InputError as error:
+            raise InputError(f"{files[0].elements[0].file}: {error}") from None
     return values
+
+
+def _check_temperature(path: Path, text: str) -> None:
+    try:
+        temperature = float(text)
+    except ValueError:
+        raise InputError(
+            f"{path}: temperature={shortened(text)} is not a number; give it in degC"
+        ) from None
+    if temperature < _ABSOLUTE_ZERO_C:
+        raise InputError(
+            f"{path}: temperature={text} degC is below absolute zero"
+            f" ({_ABSOLUTE_ZERO_C} degC); give the part's temperature in degC"
+        )
+    if not np.isfinite(temperature):
+        raise InputError(f"{path}: temperature={text} is not a finite number; give it in degC")
 
 
 def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
@@ -207,52 +248,36 @@ def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
         If the file, or a scene that it includes, can't be read.
     """
     found: dict[Path, None] = {}
-    open_scenes, folders = [path], {Path(): None, path.parent: None}
-    while open_scenes:
-        for element in _root(open_scenes.pop()).iter():
-            texts = [_filled(text, values) for text in element.attrib.values()]
-            if element.tag == "path":
-                folders |= {folder / text: None for folder in list(folders) for text in texts}
-            for file in (folder / text for folder in folders for text in texts):
-                with suppress(OSError, ValueError):  # a text that can't be a file's name
-                    if file.is_file() and (file := file.resolve()) not in found:
-                        found[file] = None
-                        open_scenes += [file] if element.tag == "include" else []
+    folders, parents = _folders(path), (path.resolve(),)
+    file = read_scene_file(path)
+    for inner, _ in [(file, parents), *included(file, folders, values, parents)]:
+        for element in inner.elements:
+            texts = [filled(text, values) for text in element.attributes.values()]
+            for place in (folder / text for folder in folders for text in texts):
+                if exists(place) and place.is_file():
+                    found[place.resolve()] = None
     return list(found)
 
 
-def _root(path: Path) -> ElementTree.Element:
-    try:
-        return ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: not well-formed XML ({error}); mend that line") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: can't be read as a scene ({error})") from None
+def _folders(path: Path) -> dict[Path, None]:
+    """Where files that a scene refers to are looked for."""
+    return {Path(): None, path.parent: None}
 
 
-def _filled(text: str, values: dict[str, str]) -> str:
-    """A text with values in place of its ``$parameters``."""
-    for name in sorted(values, key=len, reverse=True):
-        text = text.replace(f"${name}", values[name])
-    return text
-
-
-def _load(path: Path, given: dict[str, str]) -> Any:
-    """Load with Mitsuba, and put its complaint in a user's terms."""
-    try:
-        # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
-        return mi.load_file(str(path), optimize=False, **given)
-    except Exception as error:  # Mitsuba raises RuntimeError, and passes on what plugins raise
-        text = str(error)
-    line = re.search(r"\(line (\d+), col \d+\)", text)
-    where = f"{path}, line {line[1]}" if line else str(path)
-    if ours := re.search(r"InputError: (.*)", text, re.DOTALL):
-        raise InputError(f"{where}: {ours[1].strip()}")
-    for pattern, in_our_words in _COMPLAINTS:
-        if found := re.search(pattern, text, re.DOTALL):
-            raise InputError(f"{where}: {found.expand(in_our_words)}")
-    reason = re.split(r"hile loading .*? \(line \d+, col \d+\): |\[[\w.:]+\] ", text)[-1]
-    raise InputError(f"{where}: Mitsuba can't load the scene: {reason.strip()}")
+def _places(path: Path, loaded: Any, sensor: SensorModel) -> list[str]:
+    """Notes of a scene whose lengths seem to be in metres."""
+    box = loaded.bbox()
+    corners = np.array([box.min, box.max], float)
+    if not (np.isfinite(corners).all() and np.all(corners[0] <= corners[1])):
+        raise InputError(f"{path}: its shapes have no finite size; give the scene a part")
+    size, middle = np.max(corners[1] - corners[0]), corners.mean(axis=0)
+    distance = np.linalg.norm(sensor.camera.pose.origin_mm - middle)
+    if size > _METRES_MM[0] or distance > _METRES_MM[1]:
+        return []
+    return [
+        f"{path}: the part is {size:.2g} mm in size and the camera {distance:.2g} mm away; lengths"
+        " are in mm: is the scene in metres?"
+    ]
 
 
 def _camera(path: Path, loaded: Any) -> Camera:

@@ -1,0 +1,302 @@
+"""Scene files as programs write them and as nobody should: read right, or refused in one line."""
+
+import os
+import re
+
+import numpy as np
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor.imaging.scene import scene_files, scene_parameters, shipped_scenes
+from virtual_sensor.imaging.scene_file import LONGEST_VALUE, MOST_INCLUDED, MOST_NESTED
+
+COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+LASER_PLACE = '<lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>'
+CAMERA_PLACE = '<lookat origin="0, 0, 300" target="0, 0, 0" up="-1, 0, 0"/>'
+STEEL = re.search(r" *<bsdf.*?</bsdf>\n", COLD, re.DOTALL)[0]
+SHAPES = re.search(r" *<shape.*</shape>\n", COLD, re.DOTALL)[0]
+STEEL_HEAD = '<bsdf type="diffuse" id="steel">'
+MANY = "x" * 5000
+
+
+def changed(old, new):
+    """The cold cylinder's scene with some text replaced at its first place."""
+    assert old in COLD
+    return COLD.replace(old, new, 1)
+
+
+def added(text):
+    """The cold cylinder's scene with more elements at its end."""
+    return changed("</scene>", f"{text}</scene>")
+
+
+def refusal(path, **parameters):
+    """The one line with which a scene is refused; it names the scene's file."""
+    with pytest.raises(vs.InputError) as refused:
+        vs.load_scene(path, **parameters)
+    message = str(refused.value)
+    assert message.startswith(str(path.parent))
+    assert "\n" not in message
+    assert "Traceback" not in message
+    assert len(message) < 1000
+    return message
+
+
+@pytest.mark.parametrize(
+    ("encoding", "declared"),
+    [
+        *((name, "") for name in ("utf-8-sig", "utf-16", "utf-32")),
+        *(("utf-16", "UTF-16"), ("cp1252", "windows-1252")),
+        *(("latin-1", name) for name in ("ISO-8859-1", "latin1")),
+    ],
+)
+def test_a_scene_in_any_encoding_is_the_scene(tmp_path, encoding, declared):
+    """Each letter counts where it names a file; what isn't UTF-8 is noted; lines stay the same."""
+    name = "stähl.xml"
+    (tmp_path / name).write_text(f'<scene version="3.0.0">\n{STEEL}</scene>', encoding="utf-8")
+    head = f'<?xml version="1.0"\n encoding="{declared}"?>' if declared else ""
+    path = tmp_path / "scene.xml"
+    text = head + "<!-- 60°, Größe -->\n" + changed(STEEL, f'<include filename="{name}"/>\n')
+    path.write_bytes(text.encode(encoding))
+    scene = vs.load_scene(path)
+    np.testing.assert_array_equal(
+        scene.sensor.camera.matrix, vs.load_scene("cold_cylinder").sensor.camera.matrix
+    )
+    assert scene_files(path, scene.parameters) == [tmp_path / name]
+    notes = [note for note in scene.notes if "read as" in note]
+    assert len(notes) == (encoding != "utf-8-sig")
+    faulty = text.replace('name="power"', 'name="pwoer"')
+    path.write_bytes(faulty.encode(encoding))
+    line = faulty[: faulty.index("<emitter")].count("\n") + 1
+    assert f"{path}, line {line}: <emitter" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b'<?xml version="1.0" encoding="foo"?><scene/>', "its encoding, foo, can't be read"),
+        (b'<?xml version="1.0" encoding="hex"?><scene/>', "its encoding, hex, can't be read"),
+        ("<!-- ä -->\n<scene a='ä'/>".encode("latin-1"), "line 1: not utf-8 as it says"),
+        (b"\xff\xfe<", "not UTF-16 as it says"),
+        (b'<scene a="\0"/>', "not well-formed"),
+        (b"", "no element found"),
+        (b'<!DOCTYPE scene [<!ENTITY a "b">]>\n<scene a="&a;"/>', "<!ENTITY a>"),
+        (
+            b'<!DOCTYPE s [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><scene>&b;</scene>',
+            "Mitsuba expands no entities",
+        ),
+        (b"<scene>" * 100_000, f"nest no more than {MOST_NESTED}"),
+        (f'<scene version="{"3" * 200_000}"/>'.encode(), f"no more than {LONGEST_VALUE}"),
+        (b'<scene version="3.0.0"><default value="3"/></scene>', "<default> needs a name"),
+        (b'<scene version="3.0.0"><default name="" value="3"/></scene>', "<default> needs a name"),
+        (b'<scene version="3.0.0"><default name="a"/></scene>', "<default> needs a name and a"),
+    ],
+    ids=range(13),
+)
+def test_what_is_no_scene_is_refused_before_mitsuba_reads_it(tmp_path, data, words):
+    """Rationale: Mitsuba dies of deep nesting, and Python of entities and of unknown encodings."""
+    path = tmp_path / "scene.xml"
+    path.write_bytes(data)
+    assert words in refusal(path)
+
+
+def test_growing_defaults_are_refused(tmp_path):
+    """Rationale: seven of thirty each are 2e10 characters."""
+    grows = '<default name="p0" value="xxxxxxxxxx"/>'
+    for n in range(1, 8):
+        grows += f'<default name="p{n}" value="{f"$p{n - 1}" * 30}"/>'
+    path = tmp_path / "laughs.xml"
+    path.write_text(changed("<default", f"{grows}<default"), encoding="utf-8")
+    assert f"grows beyond {LONGEST_VALUE} characters" in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("element", "close"),
+    [('<shape type="sphere">', "</shape>"), ('<bsdf type="twosided">', "</bsdf>")],
+)
+def test_deep_nesting_is_refused(tmp_path, element, close):
+    """Rationale: 10,000 nested shapes were a SIGSEGV, 1,000 nested BSDFs took for ever."""
+    path = tmp_path / "deep.xml"
+    for depth in (MOST_NESTED, 1000, 10_000):
+        path.write_text(added(element * depth + close * depth), encoding="utf-8")
+        assert f"nest no more than {MOST_NESTED}" in refusal(path)
+
+
+def test_files_that_include_one_another_are_refused(tmp_path):
+    """In a circle, or deeper than Mitsuba follows."""
+    include = '<scene version="3.0.0"><include filename="{}.xml"/></scene>'
+    for file, other in (("a", "b"), ("b", "c"), ("c", "a"), ("me", "me")):
+        (tmp_path / f"{file}.xml").write_text(include.format(other), encoding="utf-8")
+    for file in ("a", "me"):
+        assert re.search(rf"{file}\.xml includes itself", refusal(tmp_path / f"{file}.xml"))
+    for n in range(20):
+        (tmp_path / f"{n}.xml").write_text(include.format(n + 1), encoding="utf-8")
+    (tmp_path / "20.xml").write_text(COLD, encoding="utf-8")
+    assert f"no more than {MOST_INCLUDED}" in refusal(tmp_path / "0.xml")
+    assert vs.load_scene(tmp_path / "6.xml", beta=3).parameters["beta"] == "3"
+
+
+def test_parameters_of_an_included_file_are_the_scenes(tmp_path):
+    """They have defaults there, are given by name, and their faults are told of the right file."""
+    material = tmp_path / "material.xml"
+    text = f'<scene version="3.0.0">\n<default name="rho" value="0.5"/>\n{STEEL}</scene>'
+    material.write_text(text.replace('value="0.5"/>\n    </', 'value="$rho"/>\n    </'), "utf-8")
+    path = tmp_path / "scene.xml"
+    path.write_text(changed(STEEL, '<include filename="material.xml"/>\n'), encoding="utf-8")
+    assert scene_parameters(path, {"rho": "0.25"})["rho"] == "0.25"
+    half, quarter = (vs.load_scene(path, width=64, height=64, rho=rho) for rho in (0.5, 0.25))
+    np.testing.assert_allclose(vs.render(quarter), 0.5 * vs.render(half), rtol=1e-5)
+    assert "no parameter 'roh'; the scene has: along" in refusal(path, roh=1)
+    material.write_text(text.replace('"diffuse"', '"difuse"'), encoding="utf-8")
+    assert f'{material}, line 3: there is no <bsdf type="difuse">' in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name in ("alpha", "beta", "tilt", "along") for value in ("nan", "-inf")]
+    + [("fan", "nan"), ("line_length", "1e999"), ("line_radius", "inf"), ("dots", "0, nan")],
+)
+def test_a_parameter_that_is_no_finite_number_is_refused(name, value):
+    """Rationale: beta=nan was a traceback."""
+    path = shipped_scenes() / "cold_cylinder.xml"
+    message = refusal(path, **{name: value})
+    assert f"({name}={value})" in message or f"'{name.removeprefix('line_')}'" in message
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, "nan") for name in ("temperature", "emissivity", "widen", "blur")),
+        *((name, "inf") for name in ("temperature", "emissivity", "widen", "blur", "step")),
+        ("step", "nan"),
+    ],
+)
+def test_a_parameter_of_hot_air_that_is_no_finite_number_is_refused(name, value):
+    """Also a temperature of a part that has an emissivity."""
+    path = shipped_scenes() / "hot_cylinder.xml"
+    message = refusal(path, **{"emissivity": 0.5, name: value})
+    assert f"{name}={value}" in message
+    assert "finite number" in message
+
+
+FAULTS = {
+    "sphere of no radius": (
+        added('<shape type="sphere"><float name="radius" value="nan"/></shape>'),
+        '<shape type="sphere">: radius is not a finite number',
+    ),
+    "sphere at no place": (
+        added('<shape type="sphere"><point name="center" x="0" y="nan" z="0"/></shape>'),
+        "center is not a finite number",
+    ),
+    "spectrum": (
+        changed(
+            '<float name="reflectance" value="0.5"/>', '<spectrum name="reflectance" value="nan"/>'
+        ),
+        "reflectance is not a finite number",
+    ),
+    "film beyond memory": (changed('value="$width"', 'value="1000000000"'), "give a smaller one"),
+    "laser scaled": (
+        changed(LASER_PLACE, f'<scale value="2"/>{LASER_PLACE}'),
+        '<emitter type="laser_line">: to_world scales or shears',
+    ),
+    "laser sheared": (
+        changed(LASER_PLACE, '<matrix value="1 .5 0 0 0 1 0 0 0 0 1 300 0 0 0 1"/>'),
+        '<emitter type="laser_line">: to_world scales or shears',
+    ),
+    "camera scaled": (
+        changed(CAMERA_PLACE, f'<scale value="2"/>{CAMERA_PLACE}'),
+        '<sensor type="perspective">: to_world scales or shears',
+    ),
+    "laser far": (
+        changed(LASER_PLACE, LASER_PLACE.replace("300", "1e20")),
+        "mm from the origin; lengths are in mm",
+    ),
+    "no direction": (changed(LASER_PLACE, LASER_PLACE.replace("0, 1, 0", "0, 0, 1")), "lookat"),
+    "no shape": (changed(SHAPES, ""), "its shapes have no finite size"),
+    "two cameras": (added('<sensor type="perspective"/>'), "2 sensors; the scene must have one"),
+    "id missing": (changed('<ref id="steel"/>', '<ref id="steal"/>'), "no element has this id"),
+    "id twice": (changed('id="end_minus"', 'id="end_plus"'), 'two elements have the id "end_plus"'),
+    "no id": (changed('<ref id="steel"/>', "<ref/>"), '<ref> lacks its attribute "id"'),
+    "no type": (changed(' type="diffuse"', ""), '<bsdf> lacks its attribute "type"'),
+    "empty type": (changed('type="diffuse"', 'type=""'), "plugin name must be specified"),
+    "long type": (changed('type="diffuse"', f'type="{MANY}"'), "correct its type"),
+    "long property": (changed('name="power"', f'name="{MANY}"'), "correct its name"),
+    "empty property": (changed('name="power"', 'name=""'), "laser_line"),
+    "unknown element": (added("<foo/>"), "a scene knows no element <foo>"),
+    "number out of place": (
+        changed(STEEL_HEAD, f'{STEEL_HEAD}<float name="rho" value="1"/>'),
+        '<bsdf type="diffuse"> has no property "rho"',
+    ),
+    "spectrum out of place": (
+        changed(STEEL_HEAD, f'{STEEL_HEAD}<spectrum name="rho" value="1"/>'),
+        '<bsdf type="diffuse"> has no property "rho"',
+    ),
+    "pose out of place": (
+        changed(STEEL_HEAD, f'{STEEL_HEAD}<transform name="to_world"/>'),
+        '<bsdf type="diffuse"> has no property "to_world"',
+    ),
+    "width out of place": (
+        changed(
+            '<rfilter type="box"/>', '<rfilter type="box"><float name="width" value="1"/></rfilter>'
+        ),
+        '<rfilter type="box"> has no property "width"',
+    ),
+    "shape in a shape": (
+        added('<shape type="sphere"><shape type="sphere"/></shape>'),
+        '<shape type="sphere"> has no use for an element that is in it',
+    ),
+    "include missing": (added('<include filename="no.xml"/>'), '<include>: there is no file "no.x'),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_scene_that_makes_no_sense_is_refused_in_one_line(tmp_path, fault):
+    """With its file, the element and what to do."""
+    text, words = FAULTS[fault]
+    path = tmp_path / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    assert words in refusal(path)
+
+
+def test_a_scene_that_is_no_file_is_refused(tmp_path):
+    """A pipe would block for ever; a loop of links and a long name are nothing."""
+    os.mkfifo(tmp_path / "pipe.xml")
+    (tmp_path / "loop.xml").symlink_to(tmp_path / "loop.xml")
+    assert "is a pipe; give a regular file" in refusal(tmp_path / "pipe.xml")
+    assert "is a folder; give a regular file" in refusal(tmp_path)
+    for name in (tmp_path / "loop.xml", MANY, "", "a\0b"):
+        with pytest.raises(vs.InputError, match="there is no such scene file; scenes that come"):
+            vs.load_scene(name)
+
+
+def test_a_field_that_is_nowhere_is_named_with_every_place(tmp_path, monkeypatch):
+    """Rationale: it is looked for beside the scene and where one stands; one was named."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here.nc").touch()
+    message = refusal(shipped_scenes() / "hot_cylinder.xml", field="nosuch.nc")
+    for word in (f"{shipped_scenes() / 'nosuch.nc'}", f"{tmp_path / 'nosuch.nc'}", "here.nc"):
+        assert word in message
+    assert "no such file" in refusal(shipped_scenes() / "hot_cylinder.xml", field=MANY)
+    assert "zero byte" in refusal(shipped_scenes() / "hot_cylinder.xml", field="a\0b")
+
+
+def test_what_is_ignored_or_assumed_is_noted(tmp_path):
+    """A medium, a missing film, a mirrored camera, a scene in metres; of a sound scene nothing."""
+    medium = '<medium name="interior" type="homogeneous"/>'
+    ball = f'<shape type="sphere"><float name="radius" value="1"/>{medium}</shape>'
+    tiny = '<shape type="sphere"><float name="radius" value="0.015"/><ref id="steel"/></shape>\n'
+    metres = COLD.replace(SHAPES, tiny).replace("0, 0, 300", "0, 0, 0.3")
+    mirror = f'<scale x="-1"/>{CAMERA_PLACE}'
+    for text, words in (
+        (added(ball), r'line \d+: <medium type="homogeneous">: ignored'),
+        (re.sub(r"<film.*?</film>", "", COLD, flags=re.DOTALL), "has no <film>.*768 x 576"),
+        (changed(CAMERA_PLACE, mirror), '<sensor type="perspective">: to_world mirrors it'),
+        (metres, r"0\.03 mm in size and the camera 0\.\d+ mm away; .*in metres\?"),
+    ):
+        path = tmp_path / "scene.xml"
+        path.write_text(text, encoding="utf-8")
+        (note,) = vs.load_scene(path).notes
+        assert note.startswith(str(path))
+        assert re.search(words, note)
+    for name in ("cold_cylinder", "hot_cylinder", "stepped_shaft"):
+        assert vs.load_scene(name).notes == ()

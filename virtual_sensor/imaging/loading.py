@@ -1,0 +1,275 @@
+"""A scene's text to Mitsuba's objects, checked on the way; complaints in a user's terms."""
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from virtual_sensor.engine import mi
+from virtual_sensor.errors import InputError
+from virtual_sensor.files import exists
+from virtual_sensor.imaging.parts import KINDS, Part, read_part
+from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
+
+_FAR_MM = 1e6  # beyond, float32 leaves a doubt of 0.06 mm
+_RIGID = 1e-3  # of what a rotation's columns may differ from one by float32 and typed digits
+_LONGEST_WORD = 300  # of a message, such as a path
+_CHECKED_BY_PLUGIN = {  # and what they may be is said
+    *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
+    ("refractive", "tolerance"),
+}
+_PIXEL_BYTES = 64  # of a frame with its truth, at least
+
+# What Mitsuba says of faults that are easily made, and what we say instead.
+_COMPLAINTS = (
+    (
+        r'unreferenced propert\w+ in (\w+) plugin of type "([^"]+)":\s+- object ',
+        r'<\1 type="\2"> has no use for an element that is in it; take that out',
+    ),
+    (
+        r'unreferenced propert\w+ in (\w+) plugin of type "([^"]+)":\s+- \w+ "([^"]+)"',
+        r'<\1 type="\2"> has no property "\3"; correct its name or take it out',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": \[PluginManager\] Plugin .* not found',
+        r'there is no <\1 type="\2">; correct its type',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": .*Could not find property named "([^"]+)"',
+        r'<\1 type="\2"> lacks its "\3"; add it',
+    ),
+    (
+        r'(\w+) plugin of type "([^"]+)": .*file "([^"]+)": file not found',
+        r'<\1 type="\2">: there is no file "\3" where "filename" says; correct it',
+    ),
+    (
+        r'could not parse (.*) "([^"]*)"',
+        r'"\2" is no \1; correct it, or the parameter that it comes from',
+    ),
+    (
+        r"undefined parameter: (\S+)",
+        r"the parameter \1 has no value; give it one, or a <default> in the scene",
+    ),
+    (
+        r'unresolved reference to "([^"]*)"',
+        r'<ref id="\1"/>: no element has this id; correct it',
+    ),
+    (
+        r'duplicate ID: "([^"]*)"',
+        r'two elements have the id "\1"; give one another',
+    ),
+    (
+        r'missing required attribute "([^"]+)" in <(\w+)>',
+        r'<\2> lacks its attribute "\1"; add it',
+    ),
+    (
+        r'included file "([^"]*)" not found',
+        r'<include>: there is no file "\1" where "filename" says; correct it',
+    ),
+    (
+        r"unsupported XML element: <([^>]*)>",
+        r"a scene knows no element <\1>; correct its name or take it out",
+    ),
+)
+
+
+@contextmanager
+def _among(folder: Path) -> Iterator[Any]:
+    """Let Mitsuba find files in a folder, and where one stands now: it knows where it was begun."""
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    with suppress(FileNotFoundError):  # a working folder that is gone
+        resolver.prepend(str(Path.cwd()))
+        resolver.prepend(str(folder.absolute()))
+    mi.set_file_resolver(resolver)
+    try:
+        yield resolver
+    finally:
+        mi.set_file_resolver(before)
+
+
+def load(
+    files: list[SceneFile], given: dict[str, str], values: dict[str, str]
+) -> tuple[Any, list[str]]:
+    """Load with Mitsuba, and put its complaint in a user's terms; and notes."""
+    main = files[0].elements[0].file
+    config = mi.parser.ParserConfig(mi.variant())
+    # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
+    config.merge_equivalent = config.merge_meshes = False
+    with _among(main.parent), ExitStack() as temporary:
+        try:
+            state = mi.parser.parse_string(config, files[0].text, **given)
+            notes = [
+                note for node in state.nodes for note in _check_node(main, state, node, values)
+            ]
+            notes += _prepare_parts(main, state, temporary)
+            if mi.ObjectType.Film not in [node.type for node in state.nodes]:
+                notes.append(f"{main}: <sensor> has no <film>; Mitsuba's of 768 x 576 px is taken")
+            for node in state.nodes:  # else what was looked at here would never be out of place
+                for name in list(node.props.keys()):
+                    node.props.mark_queried(name, False)
+            mi.parser.transform_all(config, state)
+            return mi.parser.instantiate(config, state), notes
+        except InputError:
+            raise
+        except Exception as error:  # RuntimeError, and what plugins raise is passed on
+            text = str(error)
+    raise _complaint(text, main, [e for file in files for e in file.elements], values)
+
+
+def _complaint(
+    text: str, main: Path, elements: list[Element], values: dict[str, str]
+) -> InputError:
+    """Mitsuba's complaint in a user's terms."""
+    places = re.findall(r"(?:At|ading) (\S[^\n]*?) \(line (\d+), col \d+\)", text)
+    file, line = places[-1] if places else ("", "")
+    where = f"{main if file in ('', 'string') else file}" + (f", line {line}" if line else "")
+    if kind := re.search(r'(\w+) plugin of type "([^"]*)"', text):
+        # Of an element in an included file Mitsuba names the line in the wrong file.
+        alike = [
+            e
+            for e in elements
+            if e.tag == kind[1] and filled(e.attributes.get("type", ""), values) == kind[2]
+        ]
+        if alike and where not in [element.where for element in alike]:
+            where = alike[0].where
+    if ours := re.search(r"InputError: (.*)", text, re.DOTALL):
+        return InputError(shortened(f"{where}: {ours[1].strip()}", _LONGEST_WORD))
+    for pattern, in_our_words in _COMPLAINTS:
+        if found := re.search(pattern, text, re.DOTALL):
+            return InputError(shortened(f"{where}: {found.expand(in_our_words)}", _LONGEST_WORD))
+    if raised := re.findall(r"^(\w[\w.]*(?:Error|Exception)\b.*)", text, re.MULTILINE):
+        text = raised[-1]  # by a plugin, below its traceback
+    reason = re.split(r"ading .*? \(line \d+, col \d+\): |\[[\w.:]+\] ", text)[-1]
+    reason = " ".join(shortened(reason).split())
+    return InputError(f"{where}: Mitsuba can't load the scene: {reason[:300]}")
+
+
+def _where(main: Path, state: Any, node: Any) -> str:
+    """File, line and element of a parsed node, for messages."""
+    place = re.fullmatch(r"(.*) \(line (\d+), col \d+\)", mi.parser.file_location(state, node))
+    line = f"{main if place[1] == 'string' else place[1]}, line {place[2]}" if place else f"{main}"
+    return f'{line}: <{node.type.name.lower()} type="{shortened(node.props.plugin_name())}">'
+
+
+def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> list[str]:
+    """Refuse what would break Mitsuba or make numbers up; give notes."""
+    props, where, notes = node.props, _where(main, state, node), []
+    kind = props.plugin_name()
+    for name in list(props.keys()):
+        if props.type(name) == mi.Properties.Type.Transform:
+            numbers = np.array(props[name].matrix, float)
+        elif props.type(name) == mi.Properties.Type.Spectrum:
+            numbers = np.array(props[name].values, float)
+        elif props.type(name) in _numeric() and (kind, name) not in _CHECKED_BY_PLUGIN:
+            numbers = np.array(props[name], float)
+        else:
+            continue
+        if not np.isfinite(numbers).all():
+            raise InputError(f"{where}: {name} is not a finite number{_culprit(values)}; give one")
+        if name == "to_world" and (node.type == mi.ObjectType.Sensor or kind == "laser_line"):
+            notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4))
+    if node.type == mi.ObjectType.Film:
+        _check_film(where, int(props.get("width", 768)), int(props.get("height", 576)))
+    if node.type == mi.ObjectType.Medium:
+        notes.append(f"{where}: ignored; light meets the field of the integrator and no medium")
+    return notes
+
+
+def _numeric() -> tuple[Any, ...]:
+    """Types of Mitsuba's properties that hold numbers which may be infinite or none."""
+    kinds = mi.Properties.Type
+    return kinds.Float, kinds.Vector, kinds.Color
+
+
+def _culprit(values: dict[str, str]) -> str:
+    """The parameters that are not finite, if any."""
+    found = []
+    for name, text in values.items():
+        with suppress(ValueError):
+            if not np.isfinite(float(text)):
+                found.append(shortened(f"{name}={text}"))
+    return f" ({', '.join(found)})" if found else ""
+
+
+def _check_pose(where: str, matrix: NDArray[np.float64]) -> list[str]:
+    """Refuse a pose that scales, shears or stands beyond reason; note one that mirrors."""
+    turn, place = matrix[:3, :3], matrix[:3, 3]
+    if not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):
+        raise InputError(f"{where}: to_world scales or shears; turn and move, and no more")
+    if np.max(np.abs(place)) > _FAR_MM:
+        raise InputError(
+            f"{where}: to_world puts it {np.max(np.abs(place)):.3g} mm from the origin; lengths are"
+            f" in mm, up to {_FAR_MM:g}"
+        )
+    return [f"{where}: to_world mirrors it"] if np.linalg.det(turn) < 0.0 else []
+
+
+def _check_film(where: str, width: int, height: int) -> None:
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    if width * height * _PIXEL_BYTES > memory:
+        raise InputError(
+            f"{where}: a film of {width} x {height} px needs {width * height * _PIXEL_BYTES:.2g}"
+            f" bytes or more, and this machine has {memory:.2g}; give a smaller one"
+        )
+
+
+def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
+    """Check files of parts, and give Mitsuba those that it can't read as files that it can."""
+    notes: list[str] = []
+    folder: Path | None = None
+    for number, node in enumerate(state.nodes):
+        props, kind = node.props, node.props.plugin_name()
+        if node.type != mi.ObjectType.Shape or kind not in KINDS:
+            continue
+        where = _where(main, state, node)
+        if "filename" not in props:
+            raise InputError(f'{where} lacks its "filename"; add it')
+        name = str(props["filename"])
+        file = Path(str(mi.file_resolver().resolve(name)))
+        if not name or not exists(file):
+            raise InputError(
+                f'{where}: there is no file "{shortened(name)}" where "filename" says; correct it'
+            )
+        try:
+            part = read_part(file, kind)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from None
+        notes += part.notes
+        to_world = np.eye(4)
+        if "to_world" in props:
+            to_world = np.array(props["to_world"].matrix, float).reshape(4, 4)
+        mirrored = np.linalg.det(to_world[:3, :3]) < 0.0
+        if part.by_mitsuba and not mirrored:
+            continue
+        folder = folder or Path(temporary.enter_context(tempfile.TemporaryDirectory()))
+        written = folder / f"{number}.ply"
+        written.write_bytes(_ply(part, to_world, mirrored))
+        if "to_world" in props:
+            del props["to_world"]
+        props.set_plugin_name("ply")
+        props["filename"] = str(written)
+    return notes
+
+
+def _ply(part: Part, to_world: NDArray[np.float64], mirrored: bool) -> bytes:
+    """A part in the world, with its outside outside, as a file that Mitsuba reads."""
+    turn, place = to_world[:3, :3], to_world[:3, 3]
+    normals = part.normals
+    if normals is not None:
+        normals = normals @ np.linalg.inv(turn)
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    mesh = trimesh.Trimesh(
+        part.vertices @ turn.T + place,
+        part.faces[:, ::-1] if mirrored else part.faces,
+        vertex_normals=normals,
+        process=False,
+    )
+    return bytes(mesh.export(file_type="ply", vertex_normal=normals is not None))
