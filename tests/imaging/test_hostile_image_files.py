@@ -4,6 +4,7 @@ import struct
 
 import cv2
 import numpy as np
+import OpenEXR
 import PIL.Image
 import pytest
 from image_makers import (
@@ -71,3 +72,18 @@ def test_damaged_pngs_and_tiffs_are_refused(tmp_path):
     for name, kind in (("b.tif", "of SEPARATED"), ("c.tif", "of CFA")):
         with pytest.raises(InputError, match=kind):
             read_image(tmp_path / name)
+
+
+def test_damaged_exr_files_are_refused_in_silence(tmp_path, capfd):
+    """OpenEXR goes on without the part that it can't read, and says so on the terminal only."""
+    values = RNG.random(GREY8.shape).astype("f4")
+    parts = [
+        OpenEXR.Part({"name": name, "type": OpenEXR.scanlineimage}, {name: values})
+        for name in ("Y", "Z")
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
+    data = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(data[: len(data) * 9 // 10])
+    with pytest.raises(InputError, match=r"a\.exr: its pixels are damaged"):
+        read_image(tmp_path / "a.exr", "Y")
+    assert capfd.readouterr() == ("", "")

@@ -3,6 +3,7 @@
 import struct
 
 import cv2
+import Imath
 import numpy as np
 import OpenEXR
 import PIL.Image
@@ -308,3 +309,55 @@ def test_folders_give_all_images_and_name_what_is_left_out(tmp_path):
     paths, notes = find_images([folder])
     assert [p.name for p in paths] == ["a.tif", "b.jpg", "c.PNG"]
     assert notes == (f"{folder}: left out, as no images known here: d.gif, notes.txt, old.png.",)
+
+
+def test_what_else_the_table_names(tmp_path):
+    """Each row of the docstring that no other test goes through."""
+    values = GREY8.astype("f4")
+    wide = exr(tmp_path / "wide.exr", {"Y": values}, pixelAspectRatio=2.0)
+    same(wide, values, "not square")
+    layered = exr(tmp_path / "layers.exr", {"left.Y": values, "right.Y": values / 2})
+    same(layered, values / 2, channel="right.Y")
+    clear = dict.fromkeys("RGB", values) | {"A": values}
+    same(exr(tmp_path / "alpha.exr", clear), values, "alpha")
+    same(exr(tmp_path / "only.exr", {"A": values}), values)
+    coloured = np.dstack([GREY8] * 3)
+    lossy = tiff(tmp_path / "jpeg.tif", coloured, photometric="rgb", compression="jpeg")
+    read = read_image(lossy, "green")
+    assert np.abs(read.pixels.astype(int) - GREY8).max() <= 3
+    assert "may lose" in read.notes[0]
+    with tifffile.TiffWriter(tmp_path / "sub.tif") as file:
+        file.write(GREY8, photometric="minisblack", subifds=1)
+        file.write(GREY8[::2, ::2].copy(), photometric="minisblack", subfiletype=1)
+    same(tmp_path / "sub.tif", GREY8, "within its page")
+    volume = np.stack([GREY8] * 16)
+    refused = {
+        "is a volume": tiff(tmp_path / "v.tif", volume, volumetric=True, tile=(16, 16, 16)),
+        "of YCBCR": tiff(tmp_path / "y.tif", coloured, photometric="ycbcr"),
+        "of CIELAB": tiff(tmp_path / "l.tif", coloured, photometric="cielab"),
+        "is none of": tmp_path / "image.npy",
+    }
+    np.save(refused["is none of"], GREY8)
+    for says, path in refused.items():
+        with pytest.raises(InputError, match=says):
+            read_image(path)
+
+
+def test_exr_files_that_are_deep_or_subsampled_are_refused(tmp_path):
+    """Several values in a pixel, or one for several pixels: there is no grey image in them."""
+    deep = np.empty(GREY8.shape, object)
+    for place in np.ndindex(GREY8.shape):
+        deep[place] = np.ones(2, "f4")
+    options = {"type": OpenEXR.deepscanline, "compression": OpenEXR.ZIPS_COMPRESSION}
+    with pytest.raises(InputError, match="is deep"):
+        read_image(exr(tmp_path / "deep.exr", {"Z": deep}, **options))
+    path, header = tmp_path / "chroma.exr", OpenEXR.Header(*GREY8.T.shape)
+    half = Imath.PixelType(Imath.PixelType.HALF)
+    header["channels"] = {"Y": Imath.Channel(half, 1, 1), "RY": Imath.Channel(half, 2, 2)}
+    pixels = {"Y": GREY8.astype("f2").tobytes(), "RY": GREY8[::2, ::2].astype("f2").tobytes()}
+    file = OpenEXR.OutputFile(str(path), header)
+    file.writePixels(pixels)
+    file.close()
+    same(path, GREY8)
+    with pytest.raises(InputError, match="subsampled"):
+        read_image(path, "RY")

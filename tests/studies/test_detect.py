@@ -17,6 +17,9 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import find_images, read_image
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.detectors import NAMES
+from virtual_sensor.studies.detect import detect
+from virtual_sensor.studies.detect_results import save_detected
+from virtual_sensor.studies.tables import write_json
 
 ROW = 30.0 + 0.05 * np.arange(90)
 
@@ -284,3 +287,22 @@ def test_what_a_calibration_leaves_open_is_noted(tmp_path):
         "not used: 'reprojection_error'.",
     ]
     assert all(note in ended.output for note in notes)
+
+
+def test_names_of_every_kind_are_drawn(tmp_path):
+    """Bytes that are no UTF-8, formulas, letters that the font lacks, control characters."""
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    data = cv2.imencode(".png", picture(255, np.uint8))[1].tobytes()
+    names = [b"\xff\xe9", b"$\\frac$", "线".encode(), b"\x1b[31m", b"a\nb", b"-"]
+    for name in names:
+        (folder / f"{os.fsdecode(name)}.png").write_bytes(data)
+    paths, _ = find_images([folder])
+    found = []
+    detect(paths, "gaussian", {}, None, None, lambda each, number: found.append(each))
+    for each in found:
+        save_detected(each, each.path.stem, tmp_path)
+        assert (tmp_path / f"{each.path.stem}.png").stat().st_size > 20_000
+    assert len(found) == len(names)
+    write_json(tmp_path / "paths.json", paths := [str(path) for path in paths])
+    assert json.loads((tmp_path / "paths.json").read_text()) == paths

@@ -76,8 +76,9 @@ def detect(
     calibration: Annotated[
         Path | None,
         typer.Option(
-            help="OpenCV's YAML, XML or JSON: camera_matrix, distortion_coefficients, rotation,"
-            " translation, laser_plane. Then there are points too, as PLY."
+            help="OpenCV's or ROS's YAML, XML or JSON, of fisheye lenses too: camera_matrix,"
+            " distortion_coefficients, rotation, translation, laser_plane. Then there are points"
+            " too, as PLY."
         ),
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(

@@ -18,7 +18,7 @@ alpha, samples without a meaning     noted and ignored
 gamma, colour profiles               noted and ignored
 MaxSampleValue                       noted and ignored: it may be the image's own
 pixels that are not square (EXR)     noted and ignored
-loss (JPEG)                          noted
+lossy compression (JPEG, in TIFF)    noted
 CMYK, YCbCr (TIFF), Bayer mosaics    refused, as are volumes, complex and 64-bit integers
 deep, subsampled channels (EXR)      refused
 more than 179 million pixels         refused; truncated and damaged files as well
@@ -161,7 +161,9 @@ def _plain(path: Path, stored: StoredImage) -> StoredImage:
     if kind == "u" and size <= 2:
         return replace(stored, values=values, bits=stored.bits or 8 * size)
     if kind == "f" and size <= 8:
-        return replace(stored, values=values.astype(np.float32) if size == 2 else values, bits=None)
+        unfit = np.isnan(values)  # a NaN that signals would warn wherever it is converted
+        values = np.where(unfit, values.dtype.type(np.nan), values)
+        return replace(stored, bits=None, values=values.astype(np.float32) if size == 2 else values)
     if kind in "iu" and size <= 4:
         largest_bits = 8 * size - (kind == "i")
         return replace(stored, values=values.astype(np.float64), bits=largest_bits)

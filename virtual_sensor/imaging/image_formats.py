@@ -7,9 +7,9 @@ import logging
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ _PNG_END = b"IEND\xaeB`\x82"
 _GREY = "grey"
 _ALPHA = "alpha"
 _ORIENTATION = 0x0112  # EXIF's tag
+_LOSSY = (6, 7, 33003, 33004, 33005, 34712, 34887, 34892, 50001, 50002)  # JPEG and its kin in TIFF
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it warns on the terminal
 
@@ -51,7 +52,7 @@ def _channel(
     path: Path, channels: dict[str, NDArray], channel: str | None, remarks: list[str]
 ) -> NDArray:
     """The one that is asked for, or the only one, or any where all are the same."""
-    alpha = channels.pop(_ALPHA, None)
+    alpha = channels.pop(_ALPHA, None) if len(channels) > 1 else None
     if alpha is not None and (alpha != alpha.flat[0]).any():
         remarks.append("its alpha channel is left out: transparent pixels count as any")
     names = ", ".join(channels)
@@ -79,6 +80,19 @@ def _check_size(path: Path, *sizes: int) -> None:
         raise InputError(
             f"{path}: says it has {claimed} px; give an image of 1 to {_MOST_PIXELS} px, or cut it"
         )
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Nothing that a library in C++ says on the terminal gets there."""
+    with redirect_stdout(StringIO()), Path(os.devnull).open("wb") as nowhere:
+        said = os.dup(2)
+        os.dup2(nowhere.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(said, 2)
+            os.close(said)
 
 
 @contextmanager
@@ -206,6 +220,10 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
             bits = 16
         extra = [int(kind) for kind in page.extrasamples]
         tags = {tag.name: tag.value for tag in page.tags.values()}
+    if page.compression in _LOSSY:
+        remarks.append("its compression may lose something: centres may move")
+    if tags.get("SubIFDs"):
+        remarks.append("has images within its page, which are left out")
     if count > 1:
         remarks.append(f"has {count} pages; one is read, the others are left out")
     names = list(COLOURS) if photometric in ("RGB", "PALETTE") or jpeg else [_GREY]
@@ -238,7 +256,7 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
     """OpenEXR: a channel of any of its parts, where its display window has it."""
     name = os.fsencode(path)  # whatever its letters
     with _refusing(path, "OpenEXR"):
-        with OpenEXR.File(name, separate_channels=True, header_only=True) as file:
+        with _silent(), OpenEXR.File(name, separate_channels=True, header_only=True) as file:
             heads = [dict(part.header) for part in file.parts]  # a closed file has none
         windows = [
             (*_window(head["dataWindow"]), *_window(head["displayWindow"])) for head in heads
@@ -249,8 +267,11 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
             _check_size(path, *size, len(head["channels"]))
             if head["type"] in (OpenEXR.deepscanline, OpenEXR.deeptile):
                 raise InputError(f"{path}: is deep; flatten it to one value for each pixel")
-        with OpenEXR.File(name, separate_channels=True) as file:
+        with _silent(), OpenEXR.File(name, separate_channels=True) as file:
             parts = [{n: np.array(c.pixels) for n, c in p.channels.items()} for p in file.parts]
+        # OpenEXR leaves out what it can't read.
+        if not heads or [len(p) for p in parts] != [len(h["channels"]) or 1 for h in heads]:
+            raise InputError(f"{path}: its pixels are damaged or missing; write it again")
     remarks: list[str] = []
     names = [f"{head.get('name') or number}" for number, head in enumerate(heads, 1)]
     part, values = _exr_channel(path, names, parts, channel, remarks)
@@ -308,8 +329,6 @@ def _exr_channel(
     }
     aliases = dict(zip("RGBA", (*COLOURS, _ALPHA), strict=True))
     named = {aliases.get(name, name): parts[i][own] for name, (i, own) in places.items()}
-    if not named:
-        raise InputError(f"{path}: has no channel")
     if channel is not None and len(parts) > 1:  # "part.name" is known too where "name" would do
         prefix, _, own = channel.partition(".")
         if prefix in names and own in parts[names.index(prefix)]:

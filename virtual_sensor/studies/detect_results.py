@@ -1,5 +1,6 @@
 """What was found in an image, as files: centres as CSV, points as PLY, and a picture."""
 
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -68,7 +69,8 @@ def draw_overlay(found: Detected, path: Path) -> None:
     top, middle, bottom = figure.subplots(3, 1, height_ratios=(5.0, 0.45, 1.5))
     figure.subplots_adjust(left=0.08, right=0.985, bottom=0.07, top=0.93, hspace=0.42)
     good = line.status == Status.OK
-    figure.suptitle(f"{found.path.name}: {int(good.sum())} centres", fontsize=12)
+    name = "".join(c if c.isprintable() else "?" for c in found.path.name)
+    figure.suptitle(f"{name}: {int(good.sum())} centres", fontsize=12, parse_math=False)
     _image(top, image, line)
     many = line.status.ndim > 1
     pixel = line.pixel if many else line.pixel[None]
@@ -95,7 +97,8 @@ def draw_overlay(found: Detected, path: Path) -> None:
         bottom.text(0.5, 0.5, "no sigma is known", ha="center", transform=bottom.transAxes)
     bottom.set(ylabel="sigma in px", title="standard deviation that the detector predicts")
     bottom.set_xlabel("v in px" if upright else "u in px")
-    with written_whole(path) as temporary:
+    with written_whole(path) as temporary, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # letters of a name that the font lacks
         figure.savefig(temporary, format="png", pil_kwargs={"compress_level": 1})
 
 

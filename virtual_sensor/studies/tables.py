@@ -37,7 +37,7 @@ def write_json(path: Path, value: Any) -> None:
     """Write dictionaries, sequences, texts and numbers, NumPy's too; NaN and infinity are null."""
     text = json.dumps(_valid(value), indent=2, ensure_ascii=False, allow_nan=False)
     with written_whole(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8")
+        temporary.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _valid(value: Any) -> Any:
