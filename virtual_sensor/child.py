@@ -3,14 +3,16 @@
 Libraries that read files in C++ abort, crash or allocate without end on damaged ones, and no
 `except` helps. In a child process that is an error like others.
 
-    python -P -m virtual_sensor.child
+    python -P -m virtual_sensor.child PARENT
 
-reads a pickled request from standard input and writes pickled messages to standard output; what
-the function itself prints goes nowhere.
+is a nursery: for each request on standard input it imports the function's module and forks a child,
+which answers on standard output; what the function itself prints goes nowhere. The next child need
+not import that module again. A nursery dies as its child died, and with its parent.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import importlib
@@ -24,11 +26,14 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from virtual_sensor.errors import InputError
 
 PR_SET_PDEATHSIG = 1
+ANSWERED = 77  # exit status of a child that has sent its last message
+PATIENCE_S = 10.0  # with a nursery that is to end its child and itself
 REMEDY = "it is damaged, or claims more than it holds; write or copy it again"
 
 
@@ -67,80 +72,167 @@ def run_in_child(
         Others that the function raises, with the child's traceback as a note.
     """
     memory = memory_bytes or os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    request = pickle.dumps((target, arguments, memory, report is not None, os.getpid()))
-    command = [sys.executable, "-P", "-m", "virtual_sensor.child"]
-    paths = os.pathsep.join(path or os.getcwd() for path in sys.path)  # noqa: PTH109
+    content = pickle.dumps((arguments, memory, report is not None, str(Path.cwd()), sys.path))
+    nursery = _take()
     expired = threading.Event()
-    with (
-        tempfile.TemporaryFile() as complaints,
-        subprocess.Popen(
-            command,
+
+    def end() -> None:
+        expired.set()
+        nursery.end()
+
+    timer = threading.Timer(seconds or 0.0, end)
+    timer.daemon = True
+    kind = ""
+    try:
+        if seconds is not None:
+            timer.start()
+        kind, answer = nursery.ask((target, content), report or (lambda *told: None))
+    finally:
+        timer.cancel()
+        if kind in ("result", "error") and not expired.is_set():
+            _idle.append(nursery)
+        else:
+            nursery.end()
+    if kind == "result":
+        return answer
+    if kind == "error" and not isinstance(answer, MemoryError):
+        raise answer
+    if expired.is_set():
+        raise InputError(f"{subject}: was not read within {seconds:g} s; {REMEDY}")
+    if kind == "error" or b"bad_alloc" in answer:
+        raise InputError(
+            f"{subject}: asks for more memory than the {memory / 1e9:.3g} GB that it may have;"
+            f" {REMEDY}"
+        )
+    status = nursery.process.returncode
+    how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
+    raise InputError(f"{subject}: what reads it crashed ({how}); {REMEDY}")
+
+
+class _Nursery:
+    """A process that forks children, one at a time."""
+
+    def __init__(self) -> None:
+        self.owner = os.getpid()
+        self.complaints = tempfile.TemporaryFile("a+b")  # noqa: SIM115
+        paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "virtual_sensor.child", str(self.owner)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=complaints,
+            stderr=self.complaints,
             env=os.environ | {"PYTHONPATH": paths},
             process_group=0,  # Ctrl-C reaches this process alone, which ends the child
-        ) as child,
-    ):
+        )
 
-        def end() -> None:
-            expired.set()
-            child.kill()
-
-        timer = threading.Timer(seconds or 0.0, end)
-        timer.daemon = True
+    def ask(self, request: tuple[str, bytes], report: Callable[..., None]) -> tuple[str, Any]:
+        """Send a request and give the last message: "result" or "error"; or "death", complaints."""
+        assert self.process.stdin
+        assert self.process.stdout
+        start = os.fstat(self.complaints.fileno()).st_size
         try:
-            if seconds is not None:
-                timer.start()
-            kind, content = _answer(child, request, report or (lambda *told: None))
-        finally:
-            timer.cancel()
-            child.kill()
-        if kind == "result":
-            return content
-        if kind == "error" and not isinstance(content, MemoryError):
-            raise content
-        if expired.is_set():
-            raise InputError(f"{subject}: was not read within {seconds:g} s; {REMEDY}")
-        complaints.seek(0)
-        if kind == "error" or b"bad_alloc" in complaints.read():
-            raise InputError(
-                f"{subject}: asks for more memory than the {memory / 1e9:.3g} GB that it may have;"
-                f" {REMEDY}"
-            )
-        status = child.wait()
-        end_of_it = signal.Signals(-status).name if status < 0 else f"exit status {status}"
-        raise InputError(f"{subject}: what reads it crashed ({end_of_it}); {REMEDY}")
+            pickle.dump(request, self.process.stdin)
+            self.process.stdin.flush()
+            while True:
+                kind, content = pickle.load(self.process.stdout)
+                if kind != "report":
+                    return kind, content
+                report(*content)
+        except (BrokenPipeError, EOFError, pickle.UnpicklingError, ValueError):
+            if self.process.stdin.closed:  # by `end`, in another thread
+                return "death", b""
+            self.process.wait()
+            self.complaints.seek(start)
+            return "death", self.complaints.read()
+
+    def end(self) -> None:
+        """End it, with a child that it has."""
+        self.process.terminate()
+        try:
+            self.process.wait(PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout, self.complaints):
+            with contextlib.suppress(BrokenPipeError):
+                stream.close()  # type: ignore[union-attr]
 
 
-def _answer(
-    child: subprocess.Popen[bytes], request: bytes, report: Callable[..., None]
-) -> tuple[str, Any]:
-    """Send the request and give the last message: "result", "error", or "death" if none came."""
-    assert child.stdin
-    assert child.stdout
-    try:
-        child.stdin.write(request)
-        child.stdin.close()
-        while True:
-            kind, content = pickle.load(child.stdout)
-            if kind != "report":
-                return kind, content
-            report(*content)
-    except (BrokenPipeError, EOFError, pickle.UnpicklingError):
-        with contextlib.suppress(BrokenPipeError):
-            child.stdin.close()
-        child.wait()
-        return "death", None
+_idle: list[_Nursery] = []
 
 
-def main() -> None:
-    """Serve one request, in the child."""
-    answers = os.fdopen(os.dup(1), "wb")
-    target, arguments, memory, reports, parent = pickle.load(sys.stdin.buffer)
+def _take() -> _Nursery:
+    """An idle nursery of this process, or a new one."""
+    while _idle:
+        nursery = _idle.pop()
+        if nursery.owner != os.getpid():  # this is a fork of the process that has it
+            nursery.process.returncode = 0
+        elif nursery.process.poll() is None:
+            return nursery
+        else:
+            nursery.end()
+    return _Nursery()
+
+
+@atexit.register
+def _end_all() -> None:
+    while _idle:
+        nursery = _idle.pop()
+        if nursery.owner == os.getpid():
+            nursery.end()
+
+
+def main(parent: int) -> None:
+    """Serve requests, in the nursery."""
+    _tie_to(parent)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    children: list[int] = []
+
+    def stop(*_: object) -> None:
+        if not children:
+            os._exit(1)
+        os.kill(children[0], signal.SIGKILL)
+
+    signal.signal(signal.SIGTERM, stop)
+    while True:
+        try:
+            target, content = pickle.load(sys.stdin.buffer)
+        except EOFError:
+            return
+        with contextlib.suppress(Exception):  # the child tells of it
+            importlib.import_module(target.partition(":")[0])
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+        nursery, child = os.getpid(), os.fork()
+        if not child:
+            try:
+                signal.signal(signal.SIGTERM, signal.SIG_DFL)
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+                _answer(nursery, target, content)
+            finally:  # libraries need not be shut down, and some would hang or crash then
+                os._exit(1)
+        children.append(child)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        children.clear()
+        if status < 0:
+            with contextlib.suppress(OSError):  # SIGKILL has no handler
+                signal.signal(-status, signal.SIG_DFL)
+            os.kill(nursery, -status)
+        if status != ANSWERED:
+            os._exit(status)
+
+
+def _tie_to(parent: int) -> None:
+    """Have the kernel end this process when its parent dies."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:  # it has died before
         os._exit(1)
+
+
+def _answer(nursery: int, target: str, content: bytes) -> None:
+    """Call the function and send what it returns or raises, in the child."""
+    _tie_to(nursery)
+    answers = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):
         os.dup2(nowhere, stream)
@@ -150,6 +242,8 @@ def main() -> None:
         answers.flush()
 
     try:
+        arguments, memory, reports, folder, sys.path = pickle.loads(content)
+        os.chdir(folder)
         _, most = resource.getrlimit(resource.RLIMIT_AS)
         limit = memory if most == resource.RLIM_INFINITY else min(memory, most)
         resource.setrlimit(resource.RLIMIT_AS, (limit, most))
@@ -164,10 +258,9 @@ def main() -> None:
             send("error", error)
         except Exception:  # one that can't be pickled
             send("error", RuntimeError(traceback.format_exc()))
-    # Libraries need not be shut down, and some would hang or crash then.
-    answers.flush()
-    os._exit(0)
+    os._exit(ANSWERED)
 
 
 if __name__ == "__main__":
-    main()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    main(int(sys.argv[1]))

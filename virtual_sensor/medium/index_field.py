@@ -14,15 +14,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.lookups import LOOKUPS, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, naming, read_field_file, write_quantity
+from virtual_sensor.medium.netcdf_elements import check_box
+from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
-
-SMOOTHING_SWEEPS = 40  # inside the solid; the air near it sees two nodes
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +103,7 @@ class IndexField:
             raise InputError("origin_mm, spacing_mm and mirror need three entries each: x, y, z")
         if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
             raise InputError("origin_mm must be finite, and spacing_mm finite and positive")
+        check_box(origin, spacing, nodes.shape)
         if solid is not None:
             nodes = fill_solid(nodes, np.asarray(solid, dtype=bool), spacing)
 
@@ -307,54 +307,3 @@ class IndexField:
             raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
         low, high = self.box
         return points, ((points >= low) & (points <= high)).all(axis=1)
-
-
-def fill_solid(nodes: np.ndarray, solid: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-    """Fill the nodes inside the solid smoothly from the air, which stays as it is.
-
-    Each takes the value of the nearest air node, then a few sweeps of Jacobi's iteration for
-    Laplace's equation smooth the seams, so that no spline next to the wall sees the steel.
-
-    Parameters
-    ----------
-    nodes : ndarray of shape (nx, ny, nz)
-        Values; those inside the solid may be anything.
-    solid : ndarray of bool of shape (nx, ny, nz)
-        True inside the solid.
-    spacing : ndarray of shape (3,)
-        Distance of nodes, mm.
-
-    Returns
-    -------
-    ndarray of shape (nx, ny, nz)
-
-    Raises
-    ------
-    InputError
-        If the shapes differ or there is no air.
-    """
-    if solid.shape != nodes.shape or solid.all():
-        raise InputError(
-            f"solid must have the field's shape {nodes.shape} and leave some air; "
-            f"its shape is {solid.shape}, {solid.mean():.0%} of it solid"
-        )
-    if not solid.any():
-        return nodes
-    nearest = ndimage.distance_transform_edt(
-        solid, sampling=spacing, return_distances=False, return_indices=True
-    )
-    filled = nodes[tuple(nearest)]
-
-    # Only the box round the solid, one node wider, takes part.
-    around = tuple(
-        slice(max(s.start - 1, 0), s.stop + 1) for s in ndimage.find_objects(solid.astype(int))[0]
-    )
-    part, inside = filled[around], solid[around]
-    weights = 0.5 / spacing**2 / (1.0 / spacing**2).sum()
-    for _ in range(SMOOTHING_SWEEPS):
-        mean = sum(
-            ndimage.correlate1d(part, [w, 0.0, w], axis=axis, mode="mirror")
-            for axis, w in enumerate(weights)
-        )
-        part[inside] = mean[inside]
-    return filled

@@ -43,6 +43,8 @@ from virtual_sensor.medium.air import (
 )
 from virtual_sensor.medium.netcdf_elements import (
     AXES,
+    check_box,
+    decoded,
     number,
     on_grid,
     open_netcdf,
@@ -53,19 +55,8 @@ from virtual_sensor.medium.netcdf_elements import (
     text,
     units_of,
 )
+from virtual_sensor.medium.quantities import UNITS, check_limits, possible_ambient
 
-# What must be added to a value in these units to have it in K, kg/m3, 1; the first is written.
-UNITS = {
-    "temperature": {"K": 0.0, "kelvin": 0.0, "degC": ZERO_CELSIUS_K, "Celsius": ZERO_CELSIUS_K},
-    "density": dict.fromkeys(("kg/m3", "kg/m^3", "kg m-3", "kg m^-3"), 0.0),
-    "refractivity": dict.fromkeys(("1", "dimensionless"), 0.0),
-}
-# Values beyond these are not such a field; n itself, stored instead of n - 1, is the common one.
-LIMITS = {
-    "temperature": (0.0, 6000.0, " K"),
-    "density": (0.0, 100.0, " kg/m3"),
-    "refractivity": (-1.0, 0.9, ""),
-}
 AMBIENT = {
     "temperature": ("ambient_temperature", "ambient_pressure", "ambient_relative_humidity"),
     "density": ("ambient_density",),
@@ -273,6 +264,8 @@ def naming(path: str | Path) -> Iterator[None]:
     try:
         yield
     except InputError as error:
+        if f"{error}".startswith(f"{path}: "):
+            raise
         raise InputError(f"{path}: {error}") from error
 
 
@@ -286,6 +279,8 @@ def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
             f"ambient '{sorted(unknown)[0]}' does not go with a {kind}; give "
             f"{', '.join(AMBIENT[kind])}"
         )
+    for name, value in quantity.ambient.items():
+        possible_ambient(name, value)
     values = np.array(quantity.values, dtype=np.float64)
     if values.ndim != (3 if times is None else 4):
         raise InputError(
@@ -298,6 +293,8 @@ def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
             raise InputError(
                 f"time_s must hold the {values.shape[0]} instants of the values, finite, ascending"
             )
+    origin, spacing = (np.asarray(v, float) for v in (quantity.origin_mm, quantity.spacing_mm))
+    check_box(origin, spacing, values.shape[-3:])
     solid = None
     if quantity.solid is not None:
         solid = np.asarray(quantity.solid, dtype=bool)
@@ -310,21 +307,8 @@ def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
             f"{missing.sum()} nodes in the air have no value, the first is "
             f"{np.argwhere(missing)[0].tolist()}; fill them, or mark what is solid"
         )
-    _check_limits(kind, values)
+    check_limits(kind, values)
     return values, solid
-
-
-def _check_limits(kind: str, values: np.ndarray) -> None:
-    """Refuse values that can't be such a field's; NaN passes."""
-    low, high, unit = LIMITS[kind]
-    wrong = (values <= low) | (values >= high)
-    if wrong.any():
-        raise InputError(
-            f"variable '{kind}' is {values[wrong][0]:g}{unit} at node "
-            f"{np.argwhere(wrong)[0].tolist()}, outside {low:g} to {high:g}{unit}; "
-            "check its units and packing"
-            + (" (n - 1 is wanted, not n)" if kind == "refractivity" else "")
-        )
 
 
 def _kind(nc: netcdf_file) -> str:
@@ -341,16 +325,10 @@ def _kind(nc: netcdf_file) -> str:
 
 def _read_values(nc: netcdf_file, kind: str, time_s: float | None) -> np.ndarray:
     """Read the quantity at one instant, in the variable's units; NaN where missing."""
-    variable, times = nc.variables[kind], read_times(nc, kind)
-    scale, shift = number(variable, "scale_factor", 1.0), number(variable, "add_offset", 0.0)
+    times = read_times(nc, kind)
 
     def stored(instant: int) -> np.ndarray:
-        raw = on_grid(nc, kind, instant)
-        values = raw.astype(np.float64) * scale + shift
-        for fill in ("_FillValue", "missing_value"):
-            if fill in variable._attributes:
-                values[raw == variable._attributes[fill]] = np.nan
-        return values
+        return decoded(nc, kind, on_grid(nc, kind, instant))
 
     if time_s is None:
         return stored(-1)
@@ -382,13 +360,14 @@ def _read_refractivity(
     values = _read_values(nc, kind, time_s) + offset
     if solid is not None:
         values[solid] = np.nan
-    _check_limits(kind, values)
+    check_limits(kind, values)
 
-    def ambient(name: str, default: float) -> float:
-        return number(variable if name in variable._attributes else nc, name, default)
+    def ambient(name: str, default: float, addend: float = 0.0) -> float:
+        owner = variable if name in variable._attributes else nc
+        return possible_ambient(name, number(owner, name, default - addend) + addend)
 
     if kind == "temperature":
-        T = ambient("ambient_temperature", AMBIENT_TEMPERATURE_K - offset) + offset
+        T = ambient("ambient_temperature", AMBIENT_TEMPERATURE_K, offset)
         pressure = ambient("ambient_pressure", ATMOSPHERE_PA)
         humidity = ambient("ambient_relative_humidity", 0.0)
         n = float(air_refractivity(wavelength_nm, T - ZERO_CELSIUS_K, pressure, humidity))

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.io import netcdf_file
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, printable
+from virtual_sensor.files import readable
+from virtual_sensor.medium.units import unit_of
 
 AXES = ("x", "y", "z")
-MM = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "m": 1e3, "meter": 1e3, "metre": 1e3}
-SECONDS = {"s": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3}
+MM = {"mm": 1.0, "m": 1e3, "cm": 10.0}
+SECONDS = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 UNEVEN = 1e-4  # of the spacing
+SPACINGS_MM = (1e-6, 1e6)  # between nodes
+FARTHEST_MM = 1e8
+DEFAULT_FILLS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i4": -2147483647}
 
 
 def open_netcdf(path: Path) -> netcdf_file:
@@ -23,8 +29,10 @@ def open_netcdf(path: Path) -> netcdf_file:
     if not path.is_file():
         present = sorted(p.name for p in path.parent.glob("*.nc"))
         beside = f"in that folder: {', '.join(present)}" if present else "no .nc file is there"
+        if path.exists():
+            readable(path)
         raise InputError(f"there is no such file; {beside}")
-    content = path.read_bytes()
+    content = readable(path).read_bytes()
     if content.startswith(b"\x89HDF") or content.startswith(b"CDF\x05"):
         raise InputError(
             "is NetCDF-4 or CDF-5, and only NetCDF-3 is read; convert it with "
@@ -34,32 +42,143 @@ def open_netcdf(path: Path) -> netcdf_file:
         raise InputError("is not a NetCDF-3 file (it does not begin with 'CDF')")
     try:
         return netcdf_file(io.BytesIO(content), "r", mmap=False)
-    except (ValueError, IndexError, KeyError, TypeError) as error:
-        raise InputError(f"is truncated or damaged ({error}); copy it again") from error
+    except Exception as error:  # of struct, NumPy and others, as the damage will have it
+        told = f"{error}".partition("\n")[0] or type(error).__name__
+        raise InputError(f"is truncated or damaged ({told}); copy it again") from error
 
 
 def text(owner: Any, name: str) -> str:
     """Return a text attribute of the file or of a variable, empty if there is none."""
     value = owner._attributes.get(name, b"")
-    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return printable(value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value))
 
 
 def number(owner: Any, name: str, default: float) -> float:
     """Return a numeric attribute; a float32 stands for the shortest decimal that rounds to it."""
-    value = owner._attributes.get(name, default)
+    value = np.ravel(owner._attributes.get(name, default))
     try:
-        return float(str(np.ravel(value)[0]))
+        if value.size == 1 and np.isfinite(result := float(str(value[0]))):
+            return result
     except ValueError:
-        raise InputError(f"attribute '{name}' must be a number, not {value!r}") from None
+        pass
+    shown = text(owner, name) if value.dtype.kind == "S" else ", ".join(map(str, value[:4]))
+    raise InputError(f"attribute '{name}' must be a number, not '{shown}'; correct or remove it")
 
 
 def units_of(nc: netcdf_file, name: str, known: dict[str, float]) -> float:
-    """Look a variable's units up in the table `known`."""
-    units = text(nc.variables[name], "units")
-    if units not in known:
-        found = f"has units '{units}'" if units else "has no attribute 'units'"
+    """Give the value in the table `known` of a variable's units."""
+    said = text(nc.variables[name], "units")
+    units = unit_of(said, known)
+    if units is None:
+        found = f"has units '{said}'" if said else "has no attribute 'units'"
         raise InputError(f"variable '{name}' {found}; give one of: {', '.join(known)}")
     return known[units]
+
+
+def decoded(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
+    """Decode stored numbers of a variable as the CF conventions say.
+
+    Heeded are ``_Unsigned``, ``scale_factor``, ``add_offset``, ``_FillValue``, ``missing_value``
+    (one or several), ``valid_range``, ``valid_min`` and ``valid_max``, and of variables without a
+    ``_FillValue`` the default one of float, double and int.
+
+    Returns
+    -------
+    ndarray of float64
+        NaN where the file has no valid value.
+
+    Raises
+    ------
+    InputError
+        If the variable is text, or an attribute is unfit.
+    """
+    variable = nc.variables[name]
+    if raw.dtype.kind not in "iuf":
+        raise InputError(f"variable '{name}' holds text, no numbers; write it as float or short")
+    packed = {"scale_factor", "add_offset"} & variable._attributes.keys()
+    scale, offset = number(variable, "scale_factor", 1.0), number(variable, "add_offset", 0.0)
+    if scale == 0.0:
+        raise InputError(f"variable '{name}': its scale_factor is 0; correct it")
+    stored = _unsigned(variable, raw)
+    values = stored.astype(np.float64) * scale + offset
+    missing = _filled(nc, name, raw)
+    for value in _numbers(variable, name, "missing_value", None):
+        missing |= stored == value
+    for attribute, count in (("valid_range", 2), ("valid_min", 1), ("valid_max", 1)):
+        limits = _numbers(variable, name, attribute, count)
+        if limits:
+            # The range of a packed variable is packed, unless its type is that of unpacked values.
+            unpacked = packed and raw.dtype.kind != "f" and limits[0].dtype.kind == "f"
+            held = values if unpacked else stored
+            if attribute != "valid_max":
+                missing |= held < limits[0]
+            if attribute != "valid_min":
+                missing |= held > limits[-1]
+    values[missing] = np.nan
+    return values
+
+
+def _unsigned(variable: Any, array: np.ndarray) -> np.ndarray:
+    """Take signed integers for unsigned ones, if the variable says so."""
+    if text(variable, "_Unsigned").strip().lower() != "true" or array.dtype.kind != "i":
+        return array
+    return array.view(array.dtype.str.replace("i", "u"))
+
+
+def _numbers(variable: Any, name: str, attribute: str, count: int | None) -> list[Any]:
+    """Numbers of an attribute of a variable, of the variable's own type; none without it."""
+    value = variable._attributes.get(attribute)
+    if value is None:
+        return []
+    array = np.ravel(value)
+    if array.dtype.kind not in "iuf" or not array.size or count not in (None, array.size):
+        wanted = {None: "numbers", 1: "one number"}.get(count, f"{count} numbers")
+        raise InputError(
+            f"variable '{name}': its attribute '{attribute}' must be {wanted}; correct or remove it"
+        )
+    stored = variable.data.dtype
+    if array.dtype.kind == stored.kind and array.dtype.itemsize == stored.itemsize:
+        array = _unsigned(variable, array)
+    elif stored.kind == "f":
+        array = array.astype(stored)
+    return list(array)
+
+
+def _filled(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
+    """Where a variable was never written: its `_FillValue`, or the default of its type."""
+    variable = nc.variables[name]
+    fills = _numbers(variable, name, "_FillValue", 1)
+    if not fills:
+        fills = [DEFAULT_FILLS[raw.dtype.str[1:]]] if raw.dtype.str[1:] in DEFAULT_FILLS else []
+        fills = list(np.asarray(fills).astype(raw.dtype))
+    stored = _unsigned(variable, raw)
+    return np.any([stored == fill for fill in fills], axis=0) | np.zeros(raw.shape, bool)
+
+
+def check_box(origin: np.ndarray, spacing: np.ndarray, shape: Sequence[int]) -> None:
+    """Refuse a grid of impossible extent.
+
+    Parameters
+    ----------
+    origin, spacing : ndarray of shape (3,)
+        Of the nodes, mm.
+    shape : sequence of three int
+        Numbers of nodes.
+
+    Raises
+    ------
+    InputError
+        It names the axis.
+    """
+    ends = origin + spacing * (np.array(shape) - 1)
+    for axis, first, last, step in zip(AXES, origin, ends, spacing, strict=True):
+        if not (
+            SPACINGS_MM[0] <= step <= SPACINGS_MM[1] and max(abs(first), abs(last)) <= FARTHEST_MM
+        ):
+            raise InputError(
+                f"'{axis}' runs from {first:g} to {last:g} mm with nodes {step:g} mm apart; give"
+                f" spacings from {SPACINGS_MM[0]:g} to {SPACINGS_MM[1]:g} mm, and check the units"
+            )
 
 
 def read_axis(nc: netcdf_file, axis: str) -> tuple[float, float, float]:
@@ -67,7 +186,8 @@ def read_axis(nc: netcdf_file, axis: str) -> tuple[float, float, float]:
     if axis not in nc.variables or nc.variables[axis].dimensions != (axis,):
         raise InputError(f"there is no coordinate variable '{axis}' along a dimension '{axis}'")
     scale = units_of(nc, axis, MM)
-    nodes = scale * np.asarray(nc.variables[axis].data, dtype=np.float64)
+    with np.errstate(over="ignore"):
+        nodes = scale * decoded(nc, axis, np.asarray(nc.variables[axis].data))
     if len(nodes) < 2 or not np.isfinite(nodes).all():
         raise InputError(f"coordinate '{axis}' needs at least two nodes, all of them finite")
     steps = np.diff(nodes)
@@ -92,7 +212,8 @@ def read_times(nc: netcdf_file, name: str) -> np.ndarray | None:
         return None
     count = variable.data.shape[variable.dimensions.index("time")]
     described = "time" in nc.variables and nc.variables["time"].dimensions == ("time",)
-    if count == 1 and not (described and text(nc.variables["time"], "units") in SECONDS):
+    units = text(nc.variables["time"], "units") if described else ""
+    if count == 1 and unit_of(units, SECONDS) is None:
         return None
     if not described:
         raise InputError(
@@ -100,7 +221,7 @@ def read_times(nc: netcdf_file, name: str) -> np.ndarray | None:
             " the dimension 'time'; add it, with units 's'"
         )
     scale = units_of(nc, "time", SECONDS)
-    times = scale * np.asarray(nc.variables["time"].data, dtype=np.float64)
+    times = scale * decoded(nc, "time", np.asarray(nc.variables["time"].data))
     if len(times) < 1 or not (np.isfinite(times).all() and (np.diff(times) > 0.0).all()):
         raise InputError(
             "coordinate 'time' must hold at least one instant, all finite and ascending; sort them"
@@ -113,26 +234,34 @@ def on_grid(nc: netcdf_file, name: str, instant: int = 0) -> np.ndarray:
     variable = nc.variables[name]
     dimensions, data = variable.dimensions, variable.data
     if "time" in dimensions:
-        data = data.take(instant, axis=dimensions.index("time"))
+        along = dimensions.index("time")
+        if not data.shape[along]:
+            raise InputError(f"variable '{name}' has no instants; write one")
+        data = data.take(instant, axis=along)
         dimensions = tuple(d for d in dimensions if d != "time")
     if dimensions != AXES:
         raise InputError(
             f"variable '{name}' has the dimensions ({', '.join(dimensions)}), not (x, y, z); "
             "reorder them (`ncpdq -a x,y,z`)"
         )
-    return data
+    return np.asarray(data)
 
 
 def read_solid(nc: netcdf_file) -> np.ndarray | None:
     """Read the solid's mask, if there is one."""
     for name, variable in nc.variables.items():
         if text(variable, "fill_value_means") == "solid":
-            return on_grid(nc, name) == variable._attributes["_FillValue"]
+            if "_FillValue" not in variable._attributes:
+                raise InputError(
+                    f"variable '{name}' says fill_value_means = 'solid' and has no _FillValue; give"
+                    " it one"
+                )
+            return _filled(nc, name, on_grid(nc, name))
     if "solid" not in nc.variables:
         return None
     if nc.variables["solid"].data.ndim > 3 and len(nc.variables["solid"].data) > 1:
         raise InputError("variable 'solid' changes with time; give one mask of (x, y, z) for all")
-    flags = on_grid(nc, "solid")
+    flags = decoded(nc, "solid", on_grid(nc, "solid"))
     if not np.isin(flags, (0, 1)).all():
         raise InputError("variable 'solid' must be 0 in the air and 1 in the solid everywhere")
     return flags == 1
@@ -158,7 +287,7 @@ def read_mirror(
             raise InputError(
                 f"attribute 'mirror_planes': cannot read '{plane}'; write it like 'x=0 y=0'"
             ) from None
-        if abs(position - origin[axis]) > UNEVEN * spacing[axis]:
+        if not abs(position - origin[axis]) <= UNEVEN * spacing[axis]:
             raise InputError(
                 f"the mirror plane {plane} is not at the first node of {name}, "
                 f"{origin[axis]:g} mm; cut the field there"

@@ -2,45 +2,22 @@
 
 from __future__ import annotations
 
-import re
+import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from scipy import ndimage
 
+from virtual_sensor.child import run_in_child
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.air import ZERO_CELSIUS_K, air_refractivity
-from virtual_sensor.medium.imports.placement import (
-    Frame,
-    bounds,
-    check_size,
-    output_axes,
-    unfold,
-)
-from virtual_sensor.medium.imports.readers import read_source
-from virtual_sensor.medium.imports.resample import is_flat, resample, solid_of
-from virtual_sensor.medium.imports.sources import LENGTHS, UNITS, Source, Variable, agreed, choose
-from virtual_sensor.medium.netcdf import (
-    AMBIENT_DENSITY,
-    AMBIENT_TEMPERATURE_K,
-    GriddedQuantity,
-    naming,
-)
+from virtual_sensor.medium.air import ZERO_CELSIUS_K
+from virtual_sensor.medium.netcdf import GriddedQuantity
 
-FLOAT32_INDEX = 1.2e-7  # distance of float32 numbers above 1
-BORDER_DIFFERS = 0.01  # of n - 1, between the field's border and the surrounding air
-COLDEST_C = -50.0
-WALL_MM = 1e-4  # a node so near to the part is the part's
-KELVIN_OF_ROOMS = (230.0, 340.0)  # as a coldest value in degC it is rather K
-LEAST_DENSITY, MOST_DENSITY = 0.02, 50.0  # kg/m3, for the densest air in the field
-MOST_REFRACTIVITY = 0.01  # no gas near atmospheric pressure has more
+NEEDS_PYVISTA = "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
 
 Report = Callable[[str, float], None]
-T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -78,6 +55,8 @@ class Choices:
         Of a temperature's surrounding air.
     time_s : float, optional
         Which time of the file.
+    region : str, optional
+        Of an OpenFOAM case of several.
     """
 
     variable: str | None = None
@@ -95,14 +74,22 @@ class Choices:
     ambient: float | None = None
     pressure_pa: float | None = None
     time_s: float | None = None
+    region: str | None = None
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A field that has been imported, and what its user should know."""
+    """A field that has been imported, and what its user should know.
+
+    Attributes
+    ----------
+    quantity : GriddedQuantity
+    notes : tuple of str
+        What was ignored, converted or assumed.
+    """
 
     quantity: GriddedQuantity
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 def import_field(
@@ -112,6 +99,8 @@ def import_field(
     report: Report = lambda stage, fraction: None,
 ) -> Imported:
     """Read another solver's field and put it on a regular grid in the world frame.
+
+    This is done in a child process, which damaged files may kill.
 
     Parameters
     ----------
@@ -135,34 +124,18 @@ def import_field(
         If the file cannot be read, something about it is not known or contradicts, the numbers
         cannot be what they are said to be, or there is a hole in the light path.
     """
-    with naming(path):
-        _check(choices)
-        report("reading", 0.0)
-        source = read_source(path, choices.time_s, choices.spacing_mm)
-        variable, quantity = choose(source.variables, choices.variable, choices.quantity)
-        kind, values, ambient, notes = _in_si(variable, quantity, choices)
-
-        report("resampling", 0.3)
-        flags, nodes = _on_nodes(
-            source, values, choices, lambda fraction: report("resampling", 0.3 + 0.6 * fraction)
-        )
-        at_nodes, solid, mirror = flags
-        at_nodes[solid] = np.nan
-        notes += _border(kind, at_nodes, mirror, ambient)
-        stated = {f"ambient_{kind}": ambient} if ambient is not None else {}
-        if choices.pressure_pa is not None:
-            stated["ambient_pressure"] = choices.pressure_pa
-        made = GriddedQuantity(
-            kind,
-            at_nodes,
-            np.array([axis[0] for axis in nodes]),
-            np.array([axis[1] - axis[0] for axis in nodes]),
-            ambient=stated,
-            mirror=mirror,
-            solid=solid if solid.any() else None,
-            attributes=_provenance(Path(path), source, variable, kind, history),
-        )
-    return Imported(made, tuple(notes))
+    by_vtk = Path(path).is_dir() or Path(path).suffix.lower().startswith((".vt", ".pvt", ".foam"))
+    if by_vtk and Path(path).exists() and importlib.util.find_spec("pyvista") is None:
+        raise InputError(f"{path}: {NEEDS_PYVISTA}")
+    made: Imported = run_in_child(
+        "virtual_sensor.medium.imports.convert:import_here",
+        path,
+        choices,
+        history,
+        subject=f"{path}",
+        report=report,
+    )
+    return made
 
 
 def summary(imported: Imported) -> list[str]:
@@ -196,181 +169,3 @@ def summary(imported: Imported) -> list[str]:
         )
         lines.append(f"solid: {made.solid.sum()} nodes in {box} mm")
     return lines
-
-
-def _check(choices: Choices) -> None:
-    """Refuse options that no file makes sense of."""
-    if choices.quantity is not None and choices.quantity not in UNITS:
-        raise InputError(f"--quantity {choices.quantity}: choose one of {', '.join(UNITS)}")
-    for name in choices.mirror:
-        if name not in ("x", "y", "z"):
-            raise InputError(f"--mirror {name}: name axes, such as x,y")
-    if choices.spacing_mm is not None and not min(choices.spacing_mm) > 0.0:
-        raise InputError(f"--spacing {choices.spacing_mm}: give positive lengths")
-
-
-def _in_si(
-    variable: Variable, quantity: str, choices: Choices
-) -> tuple[str, np.ndarray, float | None, list[str]]:
-    """Kind, values and ambient in K, kg/m3 or as n - 1, and notes; refuse what cannot be."""
-    known = UNITS[quantity]
-    said = variable.units or ("1" if "1" in known else "")
-    units = agreed(f"'{variable.name}'", "--units", choices.units, said, list(known))
-    factor, addend = known[units]
-    values = np.asarray(variable.values, dtype=np.float64) * factor + addend
-    ambient = None if choices.ambient is None else choices.ambient * factor + addend
-    kind = "refractivity" if quantity == "index" else quantity
-    if choices.pressure_pa is not None and kind != "temperature":
-        raise InputError(f"--pressure goes with a temperature, not with a {kind}")
-    if not np.isfinite(values).any():
-        raise InputError(f"'{variable.name}' has no finite value; choose another --variable")
-    _refuse(kind, float(np.nanmin(values)), float(np.nanmax(values)), units, quantity, ambient)
-    if ambient is not None:
-        _refuse(kind, ambient, ambient, units, quantity, ambient)
-    notes = []
-    if quantity == "index" and variable.values.dtype == np.float32:
-        notes.append(
-            f"n is stored as float32, which resolves n - 1 by {FLOAT32_INDEX:g} only, "
-            f"{FLOAT32_INDEX / 2.7e-4:.1g} of that of air; export n - 1, the density or float64"
-        )
-    return kind, values, ambient, notes
-
-
-def _refuse(
-    kind: str, low: float, high: float, units: str, quantity: str, ambient: float | None
-) -> None:
-    """Refuse values that are likely to be in other units."""
-    if kind == "temperature":
-        low_c, celsius = low - ZERO_CELSIUS_K, UNITS[kind][units][1] != 0.0
-        if low_c < COLDEST_C or high > 6000.0:
-            raise InputError(
-                f"a temperature of {low if low_c < COLDEST_C else high:.5g} K, read in {units}: "
-                + (
-                    "degC, said to be K? Say --units degC"
-                    if low_c < COLDEST_C and not celsius
-                    else "check the units, and that missing values are NaN"
-                )
-            )
-        if celsius and KELVIN_OF_ROOMS[0] < low_c < KELVIN_OF_ROOMS[1] and ambient is None:
-            raise InputError(
-                f"the coldest air is at {low_c:.5g} degC, read in {units}: K, said to be degC? "
-                "Say --units K; or, if the surroundings are so hot, --ambient"
-            )
-    elif kind == "density" and not (LEAST_DENSITY < high < MOST_DENSITY and low > 0.0):
-        raise InputError(
-            f"densities of {low:.5g} to {high:.5g} kg/m3, read in {units}: say --units kg/m3 or "
-            "g/cm3 as it is, or choose another --variable"
-        )
-    elif kind == "refractivity" and quantity == "index" and low < -0.5:
-        raise InputError(
-            f"an index of {low + 1.0:.5g}: n - 1, said to be n? Say --quantity refractivity"
-        )
-    elif kind == "refractivity" and not -MOST_REFRACTIVITY < low <= high < MOST_REFRACTIVITY:
-        raise InputError(
-            f"n - 1 from {low:.5g} to {high:.5g}, which no gas has: "
-            + ("n, said to be n - 1? Say --quantity index" if high > 0.9 else "check the units")
-        )
-
-
-def _on_nodes(
-    source: Source, values: np.ndarray, choices: Choices, report: Callable[[float], None]
-) -> tuple[tuple[np.ndarray, np.ndarray, tuple[bool, ...]], tuple[np.ndarray, ...]]:
-    """Values, solid and mirror planes on the output grid, and the grid's axes."""
-    frame = Frame.parse(choices.axes, choices.origin_mm, choices.scale)
-    units = agreed(
-        "length", "--length-units", choices.length_units, source.length_units, list(LENGTHS)
-    )
-    geometry, values = frame.place(source.geometry, values, LENGTHS[units])
-    check_size(bounds(geometry), units)
-    flat = [is_flat(geometry, i) for i in range(3)]
-    if any(flat[1:]):
-        names = [choices.axes.split(",")[i].lstrip("+-") for i in range(3) if flat[i]]
-        raise InputError(
-            f"is 2-D, flat along its {' and '.join(names)}: say which axes are the world's y and z "
-            f"(up) of a cross-section, such as --axes {names[0]},x,y"
-        )
-    if flat[0] and choices.extrude_mm is None:
-        raise InputError("is a 2-D cross-section; say from where to where along x with --extrude")
-    if not flat[0] and choices.extrude_mm is not None:
-        raise InputError("--extrude is for a 2-D cross-section, and the data are 3-D; see --box")
-    mirror = tuple(name in choices.mirror for name in "xyz")
-    for i in range(3):
-        if mirror[i]:
-            geometry, values = unfold(geometry, values, i, flat[0])
-    axes = output_axes(geometry, mirror, choices.box_mm, choices.spacing_mm, choices.extrude_mm)
-    at_nodes = resample(geometry, values, axes, report)
-    solid = _solid(at_nodes, axes, mirror, flat[0], choices.solid)
-    return (at_nodes, solid, mirror), axes
-
-
-def _solid(
-    values: np.ndarray,
-    axes: Sequence[np.ndarray],
-    mirror: Sequence[bool],
-    flat: bool,
-    told: str,
-) -> np.ndarray:
-    """Nodes in the solid, as `Choices.solid` tells; holes elsewhere are refused."""
-    missing = ~np.isfinite(values)
-    open_faces = [(not even, True) for even in mirror]
-    if flat:
-        open_faces[0] = (False, False)
-    if told in ("auto", "enclosed"):
-        most = 1 if told == "auto" else missing.size
-        return solid_of(missing, axes, open_faces, most)
-    solid = np.zeros(missing.shape, dtype=bool)
-    if told != "none":
-        match = re.fullmatch(r"cylinder:([\d.]+)(?:,([\d.]+))?", told)
-        if not match:
-            raise InputError(
-                f"--solid {told}: say auto, enclosed, none or cylinder:RADIUS[,LENGTH] in mm"
-            )
-        radius, length = float(match[1]), float(match[2] or np.inf)
-        x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
-        solid = (np.hypot(y, z + radius) < radius + WALL_MM) & (abs(x) < 0.5 * length + WALL_MM)
-        if not solid.any():
-            raise InputError(f"--solid {told}: no node of the grid is inside; see --origin")
-    # A mesh's facets leave nodes just outside of a round part without a cell.
-    skin = ndimage.binary_dilation(solid, np.ones((3, 3, 3))) & missing
-    solid_of(missing & ~solid & ~skin, axes, open_faces, most=0)
-    return solid | skin
-
-
-def _border(
-    kind: str, values: np.ndarray, mirror: Sequence[bool], ambient: float | None
-) -> list[str]:
-    """Note that the field's border is not at the surrounding air's value."""
-    faces = [
-        values.take(node, axis).ravel()
-        for axis in range(3)
-        for node in ((-1,) if mirror[axis] else (0, -1))
-    ]
-    border = float(np.nanmedian(np.concatenate(faces)))
-    default = {
-        "temperature": AMBIENT_TEMPERATURE_K,
-        "density": AMBIENT_DENSITY,
-        "refractivity": float(air_refractivity()),
-    }[kind]
-    around = default if ambient is None else ambient
-    if abs(border / around - 1.0) < BORDER_DIFFERS:
-        return []
-    unit = {"temperature": " K", "density": " kg/m³", "refractivity": ""}[kind]
-    taken = "taken as" if ambient is None else "said to be"
-    return [
-        f"the {'n - 1' if kind == 'refractivity' else kind} at the field's border is {border:.5g}"
-        f"{unit} in the median, the surrounding air is {taken} {around:.5g}{unit}: such a jump "
-        "refracts; see --ambient and --box"
-    ]
-
-
-def _provenance(
-    path: Path, source: Source, variable: Variable, kind: str, history: str
-) -> dict[str, str]:
-    """Attributes of the file."""
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    return {
-        "title": f"{kind.capitalize()} imported from {path.resolve().name}",
-        "source": f"{path.resolve().name}, variable {variable}; read by {source.reader}",
-        "date": now,
-        "history": f"{now} {history}".strip(),
-    }

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.imports.columns import ascending, pick_time
+from virtual_sensor.medium.imports.import_field import NEEDS_PYVISTA
 from virtual_sensor.medium.imports.sources import (
     Cloud,
-    Grid,
     Mesh,
     Source,
     Variable,
     as_lattice,
     on_lattice,
-    split_units,
 )
-from virtual_sensor.medium.imports.tables import pick_time
+from virtual_sensor.medium.imports.vtk_arrays import (
+    DUPLICATE,
+    HIDDEN_CELL,
+    REFINED,
+    blank_points,
+    ghosts,
+    joined_neighbours,
+    left_out,
+    scalars,
+)
+from virtual_sensor.medium.imports.vtk_claims import check_legacy, check_mesh, check_xml
 
 SERIAL = (".vti", ".vtk", ".vtp", ".vtr", ".vts", ".vtu")
 PARALLEL = (".pvti", ".pvtr", ".pvts", ".pvtu")
@@ -38,9 +50,7 @@ def pyvista() -> Any:
     try:
         import pyvista
     except ImportError as error:
-        raise InputError(
-            "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
-        ) from error
+        raise InputError(NEEDS_PYVISTA) from error
     return pyvista
 
 
@@ -48,7 +58,32 @@ def read_vtk(path: Path) -> Source:
     """Read a file of VTK.
 
     Images and rectilinear grids become a `Grid`, as do meshes whose points, or cells' centres, lie
-    on one. Pieces of a parallel file are joined, without their ghost cells.
+    on one. A damaged file may end the process: `import_field` reads it in a child.
+
+    ===============================  =======================================================
+    Feature                          What is done
+    ===============================  =======================================================
+    .vtk .vti .vtr .vts .vtu .vtp    heeded: ASCII, binary, appended, compressed
+    .pvti .pvtr .pvts .pvtu          heeded: pieces are joined, without their ghost cells
+    values at points or cells        heeded, both in one file too; of one name those at points
+    origin, spacing, extent          heeded: an extent need not begin at 0
+    negative spacing                 heeded: reversed
+    descending coordinates           heeded: reversed
+    direction matrix                 heeded
+    blanked points and cells         heeded: no data (vtkGhostType), noted
+    vtkValidPointMask                heeded: no data where it is 0 (ParaView's resampling), noted
+    NaN                              heeded: no data
+    polyhedra, quadratic cells       heeded
+    points without cells             heeded: joined to tetrahedra
+    integers                         heeded
+    vectors, tensors, texts          ignored, and noted
+    field data                       ignored, and noted
+    time                             ignored, and noted: the file's one instant is read
+    points that are not finite       refused
+    cells that refer to no point     refused
+    less or more than is claimed     refused
+    .vtm, .pvd, .case and others     refused, with what to write in their place
+    ===============================  =======================================================
 
     Raises
     ------
@@ -56,6 +91,7 @@ def read_vtk(path: Path) -> Source:
         If it is truncated or damaged, one of its pieces is missing, or it holds no points.
     """
     pv = pyvista()
+    (check_legacy if path.suffix.lower() == ".vtk" else check_xml)(path)
     with told_by_vtk():
         if path.suffix.lower() == ".pvts":  # PyVista knows no reader of these
             from vtkmodules.vtkIOXML import vtkXMLPStructuredGridReader
@@ -69,8 +105,24 @@ def read_vtk(path: Path) -> Source:
     return _source(data, "", _version(pv))
 
 
-def read_openfoam(path: Path, time_s: float | None) -> Source:
-    """Read a case of OpenFOAM, reconstructed or decomposed.
+def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -> Source:
+    """Read a case of OpenFOAM.
+
+    ===========================  ========================================================
+    Feature                      What is done
+    ===========================  ========================================================
+    reconstructed                heeded
+    decomposed, processor0 ...   heeded
+    decomposed, processors4      refused (collated): reconstructPar; noted if times are there
+    ASCII, binary, compressed    heeded
+    times                        heeded: --time, the last by default
+    dimensions                   heeded: K, kg/m3; lengths in m
+    one region                   heeded
+    several regions              heeded: --region, or the only fluid of regionProperties
+    volScalarField               heeded: values at cells
+    vectors, tensors             ignored, and noted
+    patches, particles, sets     ignored
+    ===========================  ========================================================
 
     Parameters
     ----------
@@ -78,11 +130,13 @@ def read_openfoam(path: Path, time_s: float | None) -> Source:
         Its folder, or a file in it with the suffix .foam.
     time_s : float, optional
         The wanted time; the last by default.
+    region : str, optional
+        Of several; the only fluid by default.
 
     Raises
     ------
     InputError
-        If it is no case, the time is not there, or a file is damaged.
+        If it is no case, the time or the region is not there, or a file is damaged.
     """
     pv = pyvista()
     case = path if path.is_dir() else path.parent
@@ -106,7 +160,13 @@ def read_openfoam(path: Path, time_s: float | None) -> Source:
             kind: list(reader.time_values) if reader.reader.GetTimeValues() else []
             for kind, reader in readers.items()
         }
+    collated = next(case.glob("processors[0-9]*"), None)
     everything = [t for each in times.values() for t in each]
+    if not everything and collated:
+        raise InputError(
+            f"is decomposed in OpenFOAM's collated form ({collated.name}), which VTK doesn't read;"
+            " run `reconstructPar` (of several regions `reconstructPar -allRegions`)"
+        )
     if not everything:
         raise InputError("has no time folders; run the case first")
     wanted = pick_time(everything, time_s)
@@ -114,13 +174,45 @@ def read_openfoam(path: Path, time_s: float | None) -> Source:
     with told_by_vtk():
         readers[kind].set_active_time_value(wanted)
         blocks = readers[kind].read()
-    if "internalMesh" not in blocks.keys():  # noqa: SIM118, it is not a dict
+    regions = [name for name in blocks.keys() if _mesh_of(blocks[name]) is not None]  # noqa: SIM118
+    if "internalMesh" in blocks.keys():  # noqa: SIM118, it is not a dict
+        if region is not None:
+            raise InputError(f"--region {region}: the case has one region; leave --region out")
+        mesh, chosen = blocks["internalMesh"], ""
+    else:
+        region = _region(case, regions, region)
+        mesh, chosen = _mesh_of(blocks[region]), f", region {region}"
+    told = f"{_version(pv)}, OpenFOAM case, {kind}{chosen}, t = {wanted:g} s"
+    source = _source(mesh, "m", told)
+    if collated:
+        note = f"{collated.name}: OpenFOAM's collated form is not read, only reconstructed times"
+        source = replace(source, notes=(*source.notes, note))
+    return source
+
+
+def _mesh_of(block: Any) -> Any:
+    """The inner mesh of a region's blocks; None of other blocks."""
+    names = block.keys() if isinstance(block, pyvista().MultiBlock) else ()
+    return block["internalMesh"] if "internalMesh" in names else None
+
+
+def _region(case: Path, regions: Sequence[str], wanted: str | None) -> str:
+    """The wanted region; by default the only fluid, or the only one."""
+    listed = ", ".join(regions) or "none that has a mesh"
+    if wanted is not None:
+        if wanted not in regions:
+            raise InputError(f"--region {wanted}: there is no such region; there are: {listed}")
+        return wanted
+    properties = case / "constant" / "regionProperties"
+    text = properties.read_text("latin-1") if properties.is_file() else ""
+    fluid = re.search(r"\bfluid\s*\(([^()]*)\)", re.sub(r"//.*|/\*(?s:.*?)\*/", "", text))
+    found = [name for name in (fluid[1].split() if fluid else ()) if name in regions] or regions
+    if len(found) != 1:
         raise InputError(
-            f"has no single mesh but {', '.join(map(str, blocks.keys()))}; write the region of the "
-            "air with `foamToVTK -region NAME` and import its .vtu file"
+            f"holds {len(regions)} regions, {listed}; name that of the air with --region, such as"
+            f" --region {found[0] if found else 'air'}"
         )
-    told = f"{_version(pv)}, OpenFOAM case, {kind}, t = {wanted:g} s"
-    return _source(blocks["internalMesh"], "m", told)
+    return found[0]
 
 
 def moved(cells: Any, points: np.ndarray) -> Any:
@@ -160,59 +252,126 @@ def _version(pv: Any) -> str:
 
 
 def _source(data: Any, length_units: str, reader: str) -> Source:
-    """Make a source of a PyVista data set."""
+    """Make a source of a PyVista data set: of its values at points, at cells, or both."""
     pv = pyvista()
     if getattr(data, "n_points", 0) == 0 or not isinstance(data, pv.DataSet):
         raise InputError(
             "holds no points: it is truncated, of several blocks, or one of its pieces is missing"
         )
+    notes = left_out(data)
+    if isinstance(data, (pv.PolyData, pv.UnstructuredGrid)):
+        check_mesh(data)
     if isinstance(data, pv.ImageData) and not np.allclose(data.direction_matrix, np.eye(3)):
         data = data.cast_to_structured_grid()
-    regular = isinstance(data, (pv.ImageData, pv.RectilinearGrid))
-    at_cells = not _scalars(data.point_data) and bool(_scalars(data.cell_data))
-    if regular:
-        return _regular(data, at_cells, length_units, reader)
-    if isinstance(data, pv.PolyData) and not at_cells and data.n_cells <= data.n_verts:
-        cells, geometry = data, None
+    if isinstance(data, (pv.ImageData, pv.RectilinearGrid)):
+        make = _regular
     else:
-        cells = data.cast_to_unstructured_grid()
-        if "vtkGhostType" in cells.cell_data:
-            cells = cells.extract_cells(np.asarray(cells.cell_data["vtkGhostType"]) == 0)
-        cells = cells.clean()  # joins the points that pieces share
+        if not np.isfinite(np.asarray(data.points)).all():
+            raise InputError("the coordinates of its points are not all finite; remove those")
+        make = _irregular
+    sources = [
+        make(data, at_cells, length_units, reader, notes)
+        for at_cells in (False, True)
+        if scalars(data.cell_data if at_cells else data.point_data)
+    ]
+    if not sources:
+        return Source([], Cloud(np.zeros((0, 3))), length_units, reader, notes)
+    return replace(sources[0], at_cells=sources[1] if len(sources) > 1 else None)
+
+
+def _irregular(
+    data: Any, at_cells: bool, length_units: str, reader: str, notes: tuple[str, ...]
+) -> Source:
+    """Make a source of cells between points, or of points without cells."""
+    pv = pyvista()
+    shown, hidden = _without_blanks(data)
+    if hidden:
+        notes += (hidden,)
+    if shown.n_cells == 0:
+        raise InputError("has no cell that is not blanked; write it with its data")
+    if set(np.unique(shown.celltypes)) <= {pv.CellType.VERTEX, pv.CellType.POLY_VERTEX}:
+        cells, geometry = shown, None
+    else:
+        cells = shown.clean()  # joins the points that pieces share
         cells = moved(cells, np.asarray(cells.points, dtype=np.float64))
         geometry = Mesh(cells, at_cells)
-    variables = _scalars(cells.cell_data if at_cells else cells.point_data)
+    variables = scalars(cells.cell_data if at_cells else cells.point_data)
     places = cells.cell_centers().points if at_cells else cells.points
     places = np.asarray(places, dtype=np.float64)
     lattice = as_lattice(places)
-    if lattice and len(lattice[1]) == np.prod([len(a) for a in lattice[0].axes]):
+    if lattice and len(np.unique(lattice[1])) == len(lattice[1]) == lattice[0].size:
         values = [Variable(v.name, v.units, on_lattice(*lattice, v.values)) for v in variables]
-        return Source(values, lattice[0], length_units, reader)
-    return Source(variables, geometry or Cloud(places), length_units, reader)
+        return Source(values, lattice[0], length_units, reader, notes)
+    return Source(variables, geometry or Cloud(places), length_units, reader, notes)
 
 
-def _regular(data: Any, at_cells: bool, length_units: str, reader: str) -> Source:
+def _without_blanks(data: Any) -> tuple[Any, str]:
+    """The cells, or points without cells, that are shown, and a note on the others."""
+    pv = pyvista()
+    cells = data.cast_to_unstructured_grid()
+    if cells.n_cells == 0:
+        if not isinstance(data, pv.PolyData):
+            raise InputError("holds no cells; write the cells too, or the points alone as .vtp")
+        cells = pv.PolyData(data.points).cast_to_unstructured_grid()
+        cells.point_data.update(data.point_data)
+    points, whole = blank_points(data), cells.n_cells
+    blank = ghosts(cells.cell_data, DUPLICATE | REFINED | HIDDEN_CELL)
+    duplicates = ghosts(cells.cell_data, DUPLICATE).sum()
+    if points.any():
+        of_points = np.zeros(cells.n_points)
+        of_points[points] = 1.0
+        bare = cells.copy(deep=False)
+        bare.clear_data()
+        bare["blank"] = of_points
+        blank |= np.asarray(bare.point_data_to_cell_data().cell_data["blank"]) > 0.0
+    for arrays in (cells.point_data, cells.cell_data):
+        if "vtkGhostType" in arrays:
+            del arrays["vtkGhostType"]
+    if not blank.any():
+        return cells, ""
+    shown = cells.extract_cells(~blank)
+    count = int(blank.sum() - duplicates)
+    return shown, f"{count} of {whole} cells are blanked, and hold no data" if count else ""
+
+
+def _regular(
+    data: Any, at_cells: bool, length_units: str, reader: str, notes: tuple[str, ...]
+) -> Source:
     """Make a source of an image or of a rectilinear grid."""
     nodes = (
         [np.asarray(axis, dtype=np.float64) for axis in (data.x, data.y, data.z)]
         if hasattr(data, "x") and not hasattr(data, "spacing")
         else [
-            o + s * np.arange(n)
-            for o, s, n in zip(data.origin, data.spacing, data.dimensions, strict=True)
+            o + s * np.arange(first, last + 1)
+            for o, s, first, last in zip(
+                data.origin, data.spacing, data.extent[::2], data.extent[1::2], strict=True
+            )
         ]
     )
+    if [len(axis) for axis in nodes] != list(data.dimensions):
+        raise InputError("is damaged: its axes have other lengths than its dimensions say")
+    points = blank_points(data).reshape(data.dimensions, order="F")
+    shape = np.maximum(np.subtract(data.dimensions, 1), 1)
+    cells = ghosts(data.cell_data, REFINED | HIDDEN_CELL)
+    cells = (cells if len(cells) else np.zeros(shape.prod(), bool)).reshape(shape, order="F")
     if at_cells:
         nodes = [0.5 * (axis[1:] + axis[:-1]) if len(axis) > 1 else axis for axis in nodes]
-    shape = [len(axis) for axis in nodes]
-    found = _scalars(data.cell_data if at_cells else data.point_data)
-    values = [Variable(v.name, v.units, v.values.reshape(shape, order="F")) for v in found]
-    return Source(values, Grid((nodes[0], nodes[1], nodes[2])), length_units, reader)
-
-
-def _scalars(data: Any) -> list[Variable]:
-    """The real scalars among a data set's arrays."""
-    return [
-        Variable(*split_units(name), np.asarray(array))
-        for name, array in data.items()
-        if array.ndim == 1 and array.dtype.kind in "fiu" and not name.startswith("vtk")
-    ]
+        blank = cells | joined_neighbours(points, np.logical_or)
+    else:
+        shown = np.pad(~cells, [(1, 1) if n > 1 else (0, 0) for n in data.dimensions])
+        blank = points | ~joined_neighbours(shown, np.logical_or)
+    if blank.any():
+        what = "cells" if at_cells else "points"
+        notes += (f"{blank.sum()} of {blank.size} {what} are blanked, and hold no data",)
+    elif cells.any():
+        notes += (f"{cells.sum()} blanked cells have no point of their own, and are not heeded",)
+    found = scalars(data.cell_data if at_cells else data.point_data)
+    values = []
+    for v in found:
+        if len(v.values) != blank.size:
+            raise InputError(f"is damaged: {len(v.values)} values of '{v}' for {blank.size} places")
+        kind = np.result_type(v.values, np.float32) if blank.any() else v.values.dtype
+        whole = v.values.astype(kind).reshape(blank.shape, order="F")
+        whole[blank] = np.nan if blank.any() else 0
+        values.append(replace(v, values=whole))
+    return Source(*ascending(values, nodes), length_units, reader, notes)

@@ -118,6 +118,11 @@ def distances(geometry: Geometry) -> np.ndarray:
     return np.where(filled, volume ** (1.0 / filled.sum()), 0.0)
 
 
+def is_sized(box: np.ndarray) -> bool:
+    """Whether an extent (2, 3) in mm is one that light is sent through."""
+    return bool(SMALLEST_MM <= np.max(box[1] - box[0]) <= LARGEST_MM)
+
+
 def check_size(box: np.ndarray, units: str) -> None:
     """Refuse an extent that is a factor of 1000 beyond what light is sent through.
 
@@ -259,7 +264,10 @@ def output_axes(
                 axes.append(even)
                 continue
         step = spacing_mm[i] if spacing_mm is not None else steps[i]
-        count = max(int(np.ceil((ends[1] - ends[0]) / step - UNEVEN)) + 1, 2)
+        if not step > 0.0:
+            raise InputError(f"its cells have no extent along {name}; give a --spacing")
+        steps_of_it = min((ends[1] - ends[0]) / step, MOST_NODES)
+        count = max(int(np.ceil(steps_of_it - UNEVEN)) + 1, 2)
         axes.append(np.linspace(ends[0], ends[1], count))
     shape = [len(axis) for axis in axes]
     shown = " x ".join(map(str, shape))

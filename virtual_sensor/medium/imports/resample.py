@@ -20,7 +20,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.medium.imports import mesh_values, scattered
 from virtual_sensor.medium.imports.placement import Geometry
 from virtual_sensor.medium.imports.sources import Cloud, Grid, Mesh
-from virtual_sensor.medium.index_field import fill_solid
+from virtual_sensor.medium.solid import fill_solid
 
 THINNEST = 3  # nodes: what is thinner and has no value is a hole in the data, not a part
 
@@ -96,7 +96,8 @@ def solid_of(
 ) -> np.ndarray:
     """Find the solid among the nodes without a value; refuse holes in the data.
 
-    The solid meets no open face of the grid, and is at least `THINNEST` nodes thick.
+    The solid meets no open face of the grid, and is at least `THINNEST` nodes thick. Along x, the
+    part's axis, it may pass through the whole field.
 
     Parameters
     ----------
@@ -123,13 +124,15 @@ def solid_of(
     bodies = []
     for region, place in _regions(missing):
         where = _where(place, axes, region)
-        if _is_open(place, missing.shape, open_faces):
+        along_x = place[0] == slice(0, missing.shape[0]) and all(open_faces[0])
+        faces = ((False, False), *open_faces[1:]) if along_x else open_faces
+        if _is_open(place, missing.shape, faces):
             raise InputError(
                 f"{region.sum()} nodes {where} have no data, and are open to the field's border: a "
                 "hole in the light path? Give a --box inside the data; if it is the part, say "
                 "--solid cylinder:RADIUS"
             )
-        if min(_thickness(place, missing.shape, open_faces)) < THINNEST:
+        if min(_thickness(place, missing.shape, faces)) < THINNEST:
             raise InputError(
                 f"{region.sum()} nodes {where} have no data, too few for a part: a hole in the "
                 "light path; fill it, or leave it out with --box"

@@ -3,34 +3,24 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import ZERO_CELSIUS_K
-from virtual_sensor.medium.netcdf_elements import MM
+from virtual_sensor.medium.units import unit_of
 
 # For each quantity, what makes K, kg/m3 or 1 of a value in these units: factor, then addend.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
-    "temperature": {
-        "K": (1.0, 0.0),
-        "degC": (1.0, ZERO_CELSIUS_K),
-        "kelvin": (1.0, 0.0),
-        **dict.fromkeys(("°C", "C", "Celsius"), (1.0, ZERO_CELSIUS_K)),
-    },
-    "density": {
-        "kg/m3": (1.0, 0.0),
-        "g/cm3": (1e3, 0.0),
-        **dict.fromkeys(("kg/m^3", "kg m^-3", "kg m-3", "kg/m³"), (1.0, 0.0)),
-        **dict.fromkeys(("g/cm^3", "g cm^-3", "g cm-3", "g/cm³"), (1e3, 0.0)),
-    },
-    "refractivity": dict.fromkeys(("1", "dimensionless"), (1.0, 0.0)),
-    "index": dict.fromkeys(("1", "dimensionless"), (1.0, -1.0)),
+    "temperature": {"K": (1.0, 0.0), "degC": (1.0, ZERO_CELSIUS_K)},
+    "density": {"kg/m3": (1.0, 0.0), "g/cm3": (1e3, 0.0)},
+    "refractivity": {"1": (1.0, 0.0)},
+    "index": {"1": (1.0, -1.0)},
 }
-LENGTHS = {"mm": 1.0, "m": 1e3, **MM, "cm": 10.0, "um": 1e-3, "µm": 1e-3}
+LENGTHS = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "inch": 25.4}
 NAMES = {
     "temperature": {"t", "temp", "temperature", "statictemperature"},
     "density": {"rho", "density"},
@@ -39,6 +29,7 @@ NAMES = {
 }
 SAME_PLANE = 1e-6  # of the extent: float32's and printed coordinates' rounding
 MOST_MISSING = 0.5  # of a lattice's nodes; with more it is none
+CONTRADICTION = 1e-3  # of the range: values of one point that differ by more are no rounding
 
 
 @dataclass(frozen=True)
@@ -68,6 +59,11 @@ class Grid:
     """Nodes on the product of three coordinate axes, each ascending; a flat axis has one node."""
 
     axes: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @property
+    def size(self) -> int:
+        """Number of nodes."""
+        return int(np.prod([len(axis) for axis in self.axes]))
 
 
 @dataclass(frozen=True)
@@ -99,12 +95,18 @@ class Source:
         Of the coordinates; empty if the file does not say.
     reader : str
         What read it, with version, and the time that was read, in words.
+    notes : tuple of str
+        What the reader ignored, converted or assumed.
+    at_cells : Source or None
+        Of a file that has values at points and at cells: those at cells.
     """
 
     variables: Sequence[Variable]
     geometry: Grid | Cloud | Mesh
     length_units: str
     reader: str
+    notes: tuple[str, ...] = ()
+    at_cells: Source | None = None
 
 
 def split_units(label: str) -> tuple[str, str]:
@@ -117,22 +119,21 @@ def split_units(label: str) -> tuple[str, str]:
 
 def quantity_of(variable: Variable) -> str:
     """Tell the quantity from a variable's name or else from its units; empty if neither tells."""
-    bare = re.sub(r"[\s_]", "", variable.name.rpartition(".")[2]).lower()
+    name = variable.name.partition(" @")[0]  # without the parameters of COMSOL's sweeps
+    bare = re.sub(r"[\s_]", "", name.rpartition(".")[2]).lower()
     named = next((kind for kind, names in NAMES.items() if bare in names), "")
-    if named or variable.units in UNITS["index"]:
+    if named or unit_of(variable.units, UNITS["index"]):
         return named
-    return next((kind for kind, units in UNITS.items() if variable.units in units), "")
+    return next((kind for kind, units in UNITS.items() if unit_of(variable.units, units)), "")
 
 
-def choose(
-    variables: Sequence[Variable], name: str | None, quantity: str | None
-) -> tuple[Variable, str]:
+def choose(source: Source, name: str | None, quantity: str | None) -> tuple[Source, Variable, str]:
     """Choose the variable to import.
 
     Parameters
     ----------
-    variables : sequence of Variable
-        What there is.
+    source : Source
+        What there is, at its points and at its cells.
     name : str, optional
         The wanted one's name; else the only one whose name or units tell the quantity, or the only
         one.
@@ -141,6 +142,8 @@ def choose(
 
     Returns
     -------
+    source : Source
+        Where the variable is: the one that was given, or its `at_cells`.
     variable : Variable
     quantity : str
 
@@ -149,57 +152,83 @@ def choose(
     InputError
         If there is none, more than one comes into question, or nothing tells the quantity.
     """
-    listed = ", ".join(map(str, variables))
-    if not variables:
+    sources = [source, *([source.at_cells] if source.at_cells else [])]
+    everything = [(where, v) for where in sources for v in where.variables]
+    listed = ", ".join(str(v) for _, v in everything)
+    if not everything:
         raise InputError("holds no scalar; export the temperature, the density or the index")
     if name is not None:
-        found = [v for v in variables if v.name == name]
+        found = [(s, v) for s, v in everything if name in (v.name, str(v))]
         if not found:
             raise InputError(f"there is no variable '{name}'; there are: {listed}")
     else:
         kinds = [quantity] if quantity else list(UNITS)
-        found = [v for v in variables if quantity_of(v) in kinds] or list(variables)
-    if len(found) > 1:
+        found = [(s, v) for s, v in everything if quantity_of(v) in kinds] or everything
+    names = [v.name for _, v in found]
+    where, variable = found[0]
+    notes = where.notes
+    if len(found) == 2 and names[0] == names[1] and found[1][0] is source.at_cells:
+        notes += (f"{variable.name} is given at points and at cells; that at points is taken",)
+    elif len(found) > 1 and len(set(names)) == 1:
+        raise InputError(f"{len(found)} variables are named '{names[0]}'; rename all but one")
+    elif len(found) > 1:
         raise InputError(
-            f"{len(found)} variables come into question, {', '.join(map(str, found))}; choose one "
-            f"with --variable, such as --variable '{found[0].name}'"
+            f"{len(found)} variables come into question, {', '.join(str(v) for _, v in found)};"
+            f" choose one with --variable, such as --variable '{names[0]}'"
         )
-    quantity = quantity or quantity_of(found[0])
+    quantity = quantity or quantity_of(variable)
     if not quantity:
         raise InputError(
-            f"what is variable '{found[0]}'? Say --quantity {', '.join(UNITS)} (index is n itself)"
+            f"what is variable '{variable}'? Say --quantity {', '.join(UNITS)} (index is n itself)"
         )
-    return found[0], quantity
+    return replace(where, notes=notes), variable, quantity
 
 
-def agreed(what: str, option: str, told: str | None, said: str, known: Sequence[str]) -> str:
-    """Units that the option tells or the file says, which must not contradict each other.
+def agreed(
+    what: str,
+    option: str,
+    wanted: str | None,
+    said: str,
+    known: Sequence[str],
+    possible: Callable[[str], bool] = lambda units: True,
+) -> str:
+    """Units that the option gives or the file says.
 
     Parameters
     ----------
     what, option : str
         What has the units, and the name of the option, for the messages.
-    told : str or None
+    wanted : str or None
         The option's value.
     said : str
         What the file says; empty if nothing.
     known : sequence of str
         The units that make sense.
+    possible : callable
+        Whether the values can be in the units that the file says. Where they can't, the option may
+        contradict the file.
+
+    Returns
+    -------
+    str
+        One of `known`.
 
     Raises
     ------
     InputError
         If nobody says, the units are unknown, or the two differ.
     """
-    units = told or said
-    if not units:
+    if not (wanted or said):
         raise InputError(
             f"the file does not say the units of {what}; say {option} {' or '.join(known[:2])}"
         )
-    if units not in known:
-        raise InputError(f"{what} in '{units}'? Known are: {', '.join(known)} (see {option})")
-    if told and said and said != told and said in known:
-        raise InputError(f"the file says that {what} is in {said}; leave {option} {told} out")
+    units, of_file = unit_of(wanted or said, known), unit_of(said, known)
+    if units is None:
+        raise InputError(
+            f"{what} in '{wanted or said}'? Known are: {', '.join(known)} (see {option})"
+        )
+    if wanted and of_file and units != of_file and possible(of_file):
+        raise InputError(f"the file says that {what} is in {said}; leave {option} {wanted} out")
     return units
 
 
@@ -209,7 +238,7 @@ def as_lattice(points: np.ndarray) -> tuple[Grid, np.ndarray] | None:
     Parameters
     ----------
     points : ndarray of shape (N, 3)
-        In any order; some nodes may be absent, such as those in a solid.
+        In any order; some nodes may be absent, such as those in a solid, and some there twice.
 
     Returns
     -------
@@ -231,8 +260,7 @@ def as_lattice(points: np.ndarray) -> tuple[Grid, np.ndarray] | None:
             return None
         index = index * len(axis) + nearest
         axes.append(axis)
-    distinct = len(np.unique(index))
-    if distinct < len(points) or distinct < MOST_MISSING * np.prod([len(a) for a in axes]):
+    if len(np.unique(index)) < MOST_MISSING * np.prod([len(a) for a in axes], dtype=float):
         return None
     return Grid((axes[0], axes[1], axes[2])), index
 
@@ -243,3 +271,64 @@ def on_lattice(grid: Grid, index: np.ndarray, values: np.ndarray) -> np.ndarray:
     nodes = np.full(np.prod(shape), np.nan, np.result_type(values, np.float32))
     nodes[index] = values
     return nodes.reshape(shape)
+
+
+def in_order(points: np.ndarray, values: np.ndarray) -> tuple[Grid | Cloud, np.ndarray, list[str]]:
+    """Put points onto a lattice if they lie on one, and each once.
+
+    Parameters
+    ----------
+    points : ndarray of shape (N, 3)
+    values : ndarray of shape (N,)
+        NaN where there are none; of a point that is there twice, the other value holds.
+
+    Returns
+    -------
+    geometry : Grid or Cloud
+    values : ndarray
+    notes : list of str
+
+    Raises
+    ------
+    InputError
+        If one point has two values.
+    """
+    lattice = as_lattice(points)
+    place = lattice[1] if lattice else _same_place(points)
+    order = np.argsort(place, kind="stable")
+    starts = np.flatnonzero(np.diff(place[order], prepend=-1))
+    ordered = np.asarray(values, dtype=np.float64)[order]
+    known = ~np.isnan(ordered)
+    low = np.minimum.reduceat(np.where(known, ordered, np.inf), starts)
+    high = np.maximum.reduceat(np.where(known, ordered, -np.inf), starts)
+    count = np.add.reduceat(known.astype(float), starts)
+    sums = np.add.reduceat(np.where(known, ordered, 0.0), starts)
+    single = np.diff([*starts, len(order)]) == 1
+    means = np.where(count > 0.0, sums / np.maximum(count, 1.0), np.nan)
+    means[single] = ordered[starts[single]]
+    spread = np.where((count > 1.0) & ~single, high - low, 0.0)
+    worst, notes = int(spread.argmax()), []
+    if spread[worst] > CONTRADICTION * (np.nanmax(ordered) - np.nanmin(ordered)):
+        at = ", ".join(f"{c:g}" for c in points[order[starts[worst]]])
+        raise InputError(
+            f"the point ({at}) is there with several values, {low[worst]:.6g} to {high[worst]:.6g}:"
+            " instants, or cases of a sweep, below each other? Leave the rows of one"
+        )
+    if spread.any():
+        notes.append(
+            f"{(spread > 0.0).sum()} points are there several times with values that differ by up"
+            f" to {spread.max():.2g}; their means are taken"
+        )
+    first = order[starts]
+    if lattice:
+        return lattice[0], on_lattice(lattice[0], place[first], means), notes
+    return Cloud(points[first]), means, notes
+
+
+def _same_place(points: np.ndarray) -> np.ndarray:
+    """Number of each point among the distinct ones."""
+    order = np.lexsort(points.T)
+    new = np.concatenate([[False], (np.diff(points[order], axis=0) != 0.0).any(axis=1)])
+    place = np.empty(len(points), dtype=np.int64)
+    place[order] = np.cumsum(new)
+    return place
