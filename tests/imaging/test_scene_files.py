@@ -300,3 +300,19 @@ def test_what_is_ignored_or_assumed_is_noted(tmp_path):
         assert re.search(words, note)
     for name in ("cold_cylinder", "hot_cylinder", "stepped_shaft"):
         assert vs.load_scene(name).notes == ()
+
+
+def test_a_mirrored_camera_measures_the_same_points(tmp_path):
+    """Its image is the plain one's mirror image, and the points are the same."""
+    path = tmp_path / "mirror.xml"
+    path.write_text(changed(CAMERA_PLACE, f'<scale x="-1"/>{CAMERA_PLACE}'), encoding="utf-8")
+    film = {"width": 128, "height": 128, "line_radius": 1.0}
+    plain, mirrored = (vs.load_scene(name, **film) for name in ("cold_cylinder", path))
+    one, other = (vs.line_centres(vs.render(scene)) for scene in (plain, mirrored))
+    np.testing.assert_allclose(other.row[::-1], one.row, atol=2e-4)
+    points, again = (
+        vs.triangulate(scene.sensor, line.pixel)
+        for scene, line in ((plain, one), (mirrored, other))
+    )
+    np.testing.assert_allclose(again[::-1], points, atol=1e-3)
+    assert np.isfinite(points).any()

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
@@ -78,7 +79,8 @@ def check_scene(scene: Scene) -> list[str]:
     """
     line = lit_line(scene)
     try:
-        told = _check_border(scene.field, scene.sensor, line) if scene.field else []
+        told = check_solid(scene, line.points_mm)
+        told += _check_border(scene.field, scene.sensor, line) if scene.field else []
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
     return told + _tell_glow(scene)

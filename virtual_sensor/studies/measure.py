@@ -14,6 +14,7 @@ from virtual_sensor_plugins.lit_pixels import Account
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.dark_frames import why_dark
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
@@ -175,10 +176,7 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
     frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
     seconds["render"] = clock() - at
     if not np.any(frame.radiance > 0.0):
-        raise InputError(
-            f"{scene.path}: no sample of the frame met the laser's light; give a wider or longer"
-            " line (line_radius, line_length), or more samples (spp)"
-        )
+        raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
     laser, across_mm = scene.sensor.laser, frame.laser_mm[:, :, 0]
     compared: Agreement | DotAgreement

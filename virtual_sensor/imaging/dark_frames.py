@@ -1,0 +1,111 @@
+"""Why a frame stays black though its geometry is sound: the cause is looked for and named."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.engine import mi
+from virtual_sensor.imaging.checks import lit_line
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.trace import to_numpy, to_vectors
+
+Array = NDArray[np.float64]
+
+_SAME_MM = 0.1  # float32 and facets apart
+
+
+def why_dark(scene: Scene) -> str:
+    """The cause of a black frame and its remedy, in a sentence that starts with the element.
+
+    Straight light is followed from the camera to the laser's line on the part, and what the part
+    sends back is asked of its material there.
+    """
+    camera, laser = scene.sensor.camera, scene.sensor.laser
+    line = lit_line(scene)
+    shown = camera.inside(camera.project(line.points_mm))
+    points = line.points_mm[shown]
+    depth_mm = camera.pose.to_local(points)[:, 2]
+    return (
+        _clipped(scene, depth_mm)
+        or _unanswered(scene, points, laser.rays(0.0, line.y_mm[shown])[1])
+        or _missed(scene, camera, depth_mm)
+    )
+
+
+def _clipped(scene: Scene, depth_mm: Array) -> str:
+    held = mi.traverse(scene.mitsuba.sensors()[0])
+    far, near = (float(np.ravel(held[name])[0]) for name in ("far_clip", "near_clip"))
+    for name, limit, cut in (
+        ("far_clip", far, depth_mm >= far),
+        ("near_clip", near, depth_mm <= near),
+    ):
+        if cut.all():
+            return (
+                f"<sensor>: {name} is {limit:g} mm, and the laser's line lies {depth_mm.min():.4g}"
+                f" to {depth_mm.max():.4g} mm in front of the camera, which is cut off; change it"
+            )
+    return ""
+
+
+def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
+    """Why the surface at points of the line sends nothing of light in some directions back."""
+    origin_mm = scene.sensor.camera.pose.origin_mm
+    toward = points_mm - origin_mm
+    distance_mm = np.linalg.norm(toward, axis=1)
+    toward /= distance_mm[:, None]
+    start = mi.Point3f(to_vectors(np.broadcast_to(origin_mm, points_mm.shape)))
+    si = scene.mitsuba.ray_intersect(mi.Ray3f(start, mi.Vector3f(to_vectors(toward))))
+    reached = np.abs(np.array(si.t) - distance_mm) < _SAME_MM
+    if not reached.any():
+        return (
+            "<shape>: something stands between the camera and the laser's line all along; take it"
+            " away, or turn the camera (to_world, alpha)"
+        )
+    bsdf = si.bsdf()
+    back = mi.Vector3f(to_vectors(-light))
+    answer = bsdf.eval(mi.BSDFContext(), si, si.to_local(back))
+    if np.any(np.array(answer).reshape(-1, len(points_mm))[:, reached] > 0.0):
+        return ""
+    seen = next(
+        shape
+        for shape in scene.mitsuba.shapes()
+        if np.any(np.array(si.shape == mi.ShapePtr(shape))[reached])
+    )
+    material, part = f'<bsdf id="{seen.bsdf().id()}">', f'<shape id="{seen.id()}">'
+    kinds = np.bitwise_or.reduce(np.array(bsdf.flags())[reached])
+    if not kinds & int(mi.BSDFFlags.Smooth):
+        what = "lets light through" if kinds & int(mi.BSDFFlags.Transmission) else "is a mirror"
+        return (
+            f"{material}: it {what}, and sends none of the laser's light to the camera; give it a"
+            " rough surface (diffuse, roughconductor)"
+        )
+    normal, shading = to_numpy(si.n)[reached], to_numpy(si.sh_frame.n)[reached]
+    sides = [np.einsum("ij,ij->i", normal, d[reached]) < 0.0 for d in (toward, light)]
+    if not np.any(sides[0] & sides[1]):
+        return (
+            f"{part}: camera and laser are not both in front of its faces, which have no back; if"
+            " they are turned inside out, reverse the order of their corners, or put the <bsdf>"
+            ' into <bsdf type="twosided">'
+        )
+    if not np.any(np.einsum("ij,ij->i", normal, shading) > 0.0):
+        return (
+            f"{part}: its vertex normals are nil or point into it; make them anew, or set"
+            " face_normals"
+        )
+    return (
+        f"{material}: it reflects nothing of the laser's light to the camera; raise its reflectance"
+    )
+
+
+def _missed(scene: Scene, camera: Camera, depth_mm: Array) -> str:
+    """Light is there, and no sample met it."""
+    width_px = 2.0 * scene.sensor.laser.radius_mm * abs(camera.matrix[0, 0]) / depth_mm.mean()
+    if scene.field and width_px > 1.0:
+        return (
+            '<integrator type="refractive">: by straight light the line is seen, and no bent ray'
+            " finds it through this field; change the field, or how it is marched (step, way)"
+        )
+    return (
+        f'<emitter type="laser_line">: no sample of the frame met the line, which is {width_px:.2g}'
+        " px wide; give a wider or longer one (line_radius, line_length), or more samples (spp)"
+    )
