@@ -1,4 +1,4 @@
-"""A real sensor's calibration, as OpenCV stores it: YAML, XML or JSON of `cv2.FileStorage`.
+"""A real sensor's calibration, as OpenCV and ROS store it: YAML, XML or JSON.
 
 =======================  ===========================================================================
 image_width, _height     px
@@ -15,17 +15,23 @@ rotation, translation    from the world to the camera, x_c = R x_w + t, mm; R as
 laser_plane              n_x, n_y, n_z, d with n . x = d in the world, mm
 =======================  ===========================================================================
 
-Another name than the first is noted, two names of one element are refused.  Matrices are OpenCV's
-or ROS's (rows, cols, data) or lists, nested or not.  What else a file holds (a rectification, a
-projection matrix, how it was calibrated) is not used, and noted.
+Another name than the first is noted, two names of one element, or an element twice, are refused.
+Matrices are OpenCV's or ROS's (rows, cols, data) or lists, nested or not.  What else a file holds
+(a rectification, a projection matrix, how it was calibrated) is not used, and noted.
 """
 
+import json
 import re
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import cv2
 import numpy as np
+import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
@@ -63,10 +69,11 @@ _MODELS = {
 _ORTHOGONAL = 1e-4
 _ZERO = 1e-9  # px
 _LARGEST_PX = 2**20
-_LARGEST_BYTES = 2**24
+_LARGEST_BYTES = 2**22
 _DEEPEST = 100
 _MOST_NUMBERS = 100
 _MOST_NAMES = 10
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,7 @@ def read_calibration(path: Path) -> Calibration:
     InputError
         Naming the file, the element and what it should be.
     """
-    file = _File(path, _opened(path))
+    file = _File(path, _elements(path))
     size = (_pixels(file, "image_width"), _pixels(file, "image_height"))
     matrix = file.numbers("camera_matrix", (9,)).reshape(3, 3)
     f = matrix[[0, 1], [0, 1]]
@@ -193,27 +200,62 @@ def read_calibration(path: Path) -> Calibration:
     return calibration
 
 
-def _opened(path: Path) -> cv2.FileStorage:
-    """A file of `cv2.FileStorage`, looked at first: its parser overflows the stack."""
+def _elements(path: Path) -> dict[str, Any]:
+    """The elements of a file by their names: numbers and words as text, lists, dictionaries."""
     try:
         if readable(path).stat().st_size > _LARGEST_BYTES:
             raise InputError(f"{path}: is too large for a calibration, over {_LARGEST_BYTES} bytes")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: can't be read as a calibration ({error})") from None
+        text = path.read_text(encoding="utf-8-sig", errors="replace").lstrip()
+    except OSError as error:
+        raise InputError(f"{path}: can't be read as a calibration ({error.strerror})") from None
     if _nesting(text) > _DEEPEST:
         raise InputError(f"{path}: is nested over {_DEEPEST} levels deep; no calibration is")
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        opened = storage.isOpened() and storage.root().isMap()
-    except (cv2.error, SystemError) as error:
-        reason = str(error.__cause__ or error).strip().splitlines()[-1]
+        elements = _xml(ElementTree.fromstring(text)) if text.startswith("<") else _yaml(text)
+    except (ValueError, ElementTree.ParseError, yaml.YAMLError, RecursionError) as error:
+        reason = " ".join(f"{error}".split())[:200]
         raise InputError(f"{path}: is not OpenCV's YAML, XML or JSON ({reason})") from None
-    if not opened:
+    if not isinstance(elements, dict):
         raise InputError(
             f"{path}: is not OpenCV's YAML, XML or JSON; write it with cv2.FileStorage"
         )
-    return storage
+    return elements
+
+
+class _Loader(getattr(yaml, "CBaseLoader", yaml.BaseLoader)):  # type: ignore[misc]
+    """YAML whose numbers stay text, since 010 is no 8 and 1e-5 is a number; tags are not read."""
+
+    def construct_mapping(self, node: Any, deep: bool = True) -> dict[str, Any]:
+        return _once(
+            (f"{key.value}", self.construct_object(value, True)) for key, value in node.value
+        )
+
+
+def _yaml(text: str) -> Any:
+    """What a YAML or JSON text holds."""
+    if text.startswith("{"):
+        with suppress(json.JSONDecodeError):
+            return json.loads(text, object_pairs_hook=_once)
+    start = text.startswith("%YAML") and text.find("\n") + 1  # OpenCV's has a colon in it
+    return yaml.load(text[int(start) :], Loader=_Loader)
+
+
+def _xml(element: ElementTree.Element) -> Any:
+    """What an XML element of OpenCV's holds."""
+    if all(child.tag == "_" for child in element):
+        words = [word.strip('"') for word in (element.text or "").split()]
+        return [_xml(child) for child in element] or (words[0] if len(words) == 1 else words)
+    return _once((child.tag, _xml(child)) for child in element)
+
+
+def _once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """A dictionary of names that are there once each."""
+    known: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in known:
+            raise ValueError(f"'{name}' is there twice")
+        known[name] = value
+    return known
 
 
 def _nesting(text: str) -> int:
@@ -231,14 +273,14 @@ class _File:
     """The elements of a file, by their names, and what is to be said of them."""
 
     path: Path
-    storage: cv2.FileStorage
+    elements: dict[str, Any]
     used: set[str] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
 
-    def node(self, name: str) -> cv2.FileNode | None:
+    def find(self, name: str) -> Any:
         """An element by any of its names; None where it is left out."""
         names = (name, *_ALSO.get(name, ()))
-        there = [n for n in names if not self.storage.getNode(n).empty()]
+        there = [n for n in names if n in self.elements]
         if len(there) > 1:
             both = " and ".join(f"'{n}'" for n in there)
             raise InputError(f"{self.path}: has {both}, which mean the same; leave one")
@@ -247,18 +289,21 @@ class _File:
         if there != [name]:
             self.notes.append(f"'{there[0]}' is taken as '{name}'")
         self.used.add(there[0])
-        return self.storage.getNode(there[0])
+        return self.elements[there[0]]
 
     def numbers(self, name: str, counts: tuple[int, ...], default: Array | None = None) -> Array:
         """The numbers of an element, as many as it may have."""
-        node = self.node(name)
-        if node is None:
+        found = self.find(name)
+        if found is None:
             if default is None:
                 raise InputError(
                     f"{self.path}: lacks '{name}'; add it (see metrology/calibration.py)"
                 )
             return default
-        values = _numbers(node)
+        try:
+            values = np.array(_numbers(found))
+        except (ValueError, TypeError, OverflowError, RecursionError):
+            values = np.array([np.nan])
         if values.size not in counts or not np.isfinite(values).all():
             wanted = " or ".join(map(str, counts))
             raise InputError(f"{self.path}: '{name}' must hold {wanted} finite numbers")
@@ -266,14 +311,12 @@ class _File:
 
     def word(self, name: str) -> str:
         """A word or a number as text; "" where it is left out."""
-        node = self.node(name)
-        if node is None:
-            return ""
-        return node.string() if node.isString() else f"{node.real():g}"
+        found = self.find(name)
+        return f"{found:g}" if isinstance(found, int | float) else f"{found or ''}"
 
     def all_notes(self) -> tuple[str, ...]:
         """What was said, and the names that nobody asked for."""
-        others = sorted(set(self.storage.root().keys()) - self.used)
+        others = sorted(self.elements.keys() - self.used)
         if others:
             more = f" and {len(others) - _MOST_NAMES} more" if len(others) > _MOST_NAMES else ""
             names = ", ".join(f"{name!r}" for name in others[:_MOST_NAMES])
@@ -298,7 +341,7 @@ def _is_fisheye(file: _File) -> bool:
             f" {model or 'left out'} name no lens model known here; known are 0 or 1, and"
             f" {', '.join(_MODELS)}"
         )
-    if file.node("xi") is not None:
+    if file.find("xi") is not None:
         raise InputError(
             f"{file.path}: 'xi' is of an omnidirectional lens, which is not known here"
         )
@@ -307,7 +350,7 @@ def _is_fisheye(file: _File) -> bool:
 
 def _pose(file: _File) -> Pose:
     """Where the camera stands: the inverse of the file's rotation and translation."""
-    given = [file.node(name) is not None for name in ("rotation", "translation")]
+    given = [file.find(name) is not None for name in ("rotation", "translation")]
     if given.count(True) == 1:
         has, lacks = ("rotation", "translation")[:: 1 if given[0] else -1]
         raise InputError(
@@ -326,17 +369,24 @@ def _pose(file: _File) -> Pose:
     return Pose(turned, -turned @ file.numbers("translation", (3,), np.zeros(3)))
 
 
-def _numbers(node: cv2.FileNode) -> Array:
-    """Numbers of a matrix, of lists within lists or a single one; none where others are among them.
+def _numbers(value: Any) -> list[float]:
+    """Numbers of a matrix, of lists within lists or a single one.
 
-    Not by `node.mat()`: where a matrix lacks its `cols`, that writes past its memory (OpenCV 5.0).
+    Raises
+    ------
+    ValueError
+        Where something else is among them, rows differ in length, or there are too many.
     """
-    if node.isMap():
-        node = node.getNode("data")
-    if node.isInt() or node.isReal():
-        return np.array([node.real()])
-    if not node.isSeq() or not 0 < node.size() <= _MOST_NUMBERS:
-        return np.zeros(0)
-    parts = [_numbers(node.at(i)) for i in range(node.size())]
-    same = len({part.size for part in parts}) == 1
-    return np.concatenate(parts) if same else np.zeros(0)
+    if isinstance(value, dict):
+        value = value.get("data")
+    if not isinstance(value, list):
+        if isinstance(value, str) and not _NUMBER.fullmatch(value):
+            raise ValueError(value)
+        return [float(value)]
+    rows: list[list[float]] = []
+    for each in value:
+        rows.append(_numbers(each))
+        length = len(rows[0])
+        if not 0 < length <= _MOST_NUMBERS // len(rows) or len(rows[-1]) != length:
+            raise ValueError("rows")  # YAML's references make much out of little
+    return [number for row in rows for number in row]
