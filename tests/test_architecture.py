@@ -31,6 +31,7 @@ PACKAGES = {
 STAIRS = (  # from the ground up
     (
         "virtual_sensor.errors",
+        "virtual_sensor.interrupts",
         "virtual_sensor.files",
         "virtual_sensor.child",
         "virtual_sensor.engine",
@@ -41,7 +42,7 @@ STAIRS = (  # from the ground up
     ("virtual_sensor.metrology",),
     ("virtual_sensor.imaging",),
     ("virtual_sensor.studies",),
-    ("virtual_sensor.cli",),
+    ("virtual_sensor.cli", "virtual_sensor.__main__"),
 )
 # Metrology serves images of real cameras too: it knows no renderer.
 METROLOGY_KNOWS = (

@@ -351,7 +351,8 @@ def test_a_killed_run_leaves_no_results_and_does_not_hinder_the_next(here, blow,
         assert run.stdout.readline() == "writing\n"
         run.send_signal(getattr(signal, blow))
         out, err = run.communicate()
-    assert (run.returncode, out.strip(), err) == (status, "", "")
+    said = {"SIGINT": "Stopped by Ctrl-C.\n", "SIGTERM": "Stopped by SIGTERM.\n"}.get(blow, "")
+    assert (run.returncode, out.strip(), err) == (status, "", said)
     left = [path.name for path in here.iterdir()]
     assert len(left) == (blow == "SIGKILL")
     assert all(name.startswith(".measured.") for name in left)

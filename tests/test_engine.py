@@ -67,9 +67,10 @@ def refusal(python):
     def run(code, **settings):
         attempt = "".join(f"    {line}\n" for line in code.splitlines())
         return python(
-            "from virtual_sensor.errors import EngineError\n"
             f"try:\n{attempt}    raise SystemExit('nothing was refused')\n"
-            "except EngineError as error:\n    print(error)",
+            "except Exception as error:\n"
+            "    assert type(error).__name__ == 'EngineError'\n"
+            "    print(error)",
             **settings,
         )
 
@@ -144,6 +145,39 @@ def test_drjit_imported_first_with_a_bad_library_is_an_error_with_a_remedy(refus
     assert "import virtual_sensor before drjit" in words
     named = words.partition("DRJIT_LIBLLVM_PATH=")[2].splitlines()[0]
     assert Path(named) == engine.find_llvm()[0]
+
+
+@needs_llvm_15
+@pytest.mark.parametrize("named", [None, LLVM_15])
+@pytest.mark.parametrize("other", ["drjit", "mitsuba"])
+def test_who_imports_mitsuba_after_us_gets_an_llvm_that_works(python, named, other):
+    """Rationale: by itself Dr.Jit loads the system's newest, and LLVM 15 aborts at a minimum."""
+    code = (
+        f"import virtual_sensor, {other}, drjit\n"
+        "print(drjit.minimum(drjit.llvm.Float(1, 5), 3), drjit.detail.llvm_version()[0] >= 17)\n"
+        + IMPORT
+        + "print(activate().llvm.origin)"
+    )
+    settings = {"DRJIT_LIBLLVM_PATH": named} if named else {}
+    assert python(code, **settings).splitlines() == [
+        "[1, 3] True",
+        "the wheel karellen-llvm-core",
+    ]
+
+
+@needs_llvm_15
+def test_nobody_is_told_to_do_what_was_done(refusal):
+    """Rationale: another library's LLVM is in use then; the remedy is to start with ours."""
+    code = """
+import virtual_sensor.engine as engine
+engine.choose_llvm = lambda: None  # stands for what else loads LLVM first
+import drjit
+engine._chosen = engine.find_llvm()
+engine.activate()
+"""
+    words = refusal(code, DRJIT_LIBLLVM_PATH=LLVM_15)
+    assert "something else has loaded that library" in words
+    assert "before drjit" not in words
 
 
 def test_drjit_imported_first_with_a_good_library_is_kept_with_its_variant(python):

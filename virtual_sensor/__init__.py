@@ -6,10 +6,13 @@
 >>> line = vs.line_centres(image)
 >>> points_mm = vs.triangulate(scene.sensor, line.pixel)
 
-Names are loaded when first used: those that compute with Dr.Jit start the engine then.
+Names are loaded when first used: those that compute with Dr.Jit start the engine then. Whoever
+imports drjit or mitsuba afterwards gets an LLVM library that is proven to work.
 """
 
+import contextlib
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -63,6 +66,26 @@ __all__ = [
     "trace",
     "triangulate",
 ]
+
+
+class _LlvmFirst:
+    """Has an LLVM library chosen at the moment at which drjit is imported, by whomever.
+
+    By default Dr.Jit takes the system's newest, of which some abort at the first kernel.
+    """
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> None:
+        """Find nothing: the other finders import drjit."""
+        if name == "drjit":
+            from virtual_sensor import engine
+
+            with contextlib.suppress(engine.EngineError):  # told when the engine starts
+                engine.choose_llvm()
+
+
+if "drjit" not in sys.modules:
+    sys.meta_path.insert(0, _LlvmFirst)
 
 
 def __getattr__(name: str) -> Any:

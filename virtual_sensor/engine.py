@@ -5,7 +5,8 @@ such import activates the engine. Until then drjit is not imported.
 
 Dr.Jit's CPU backend loads an LLVM shared library while it is imported, by default the system's
 newest. LLVM 15 and 16 then abort the process at the first kernel that takes a minimum. So each
-library is first proven in a process of its own, and the proof is remembered.
+library is first proven in a process of its own, and the proof is remembered. Whoever imports drjit
+or mitsuba after virtual_sensor gets a proven library too.
 
 ====================== ===========================================================
 environment variable   meaning
@@ -132,6 +133,7 @@ class Engine:
 
 
 _active: Engine | None = None
+_chosen: tuple[Path, str, tuple[RejectedLibrary, ...]] | None = None
 
 
 def __getattr__(name: str) -> Any:
@@ -244,24 +246,36 @@ def _requested_threads() -> int | None:
 
 def _load_llvm() -> Llvm:
     """Import drjit with a proven library, or judge the one that it has loaded already."""
-    path: Path | None = None
-    origin = "loaded before virtual_sensor"
-    rejected: tuple[RejectedLibrary, ...] = ()
     if "drjit" not in sys.modules:
-        path, origin, rejected = find_llvm()
-        os.environ["DRJIT_LIBLLVM_PATH"] = str(path)
+        choose_llvm()
 
     import drjit
 
+    path, origin, rejected = _chosen or (None, "loaded before virtual_sensor", ())
     release = drjit.detail.llvm_version()  # (-1, -1, -1) where Dr.Jit has none or refused it
     loaded = next((library for library in _mapped() if _major(library) == release[0]), path)
     if release[0] < OLDEST_LLVM:
         found = f"LLVM {release[0]} ({loaded})" if release[0] > 0 else "no LLVM that it can use"
         raise EngineError(
-            f"Dr.Jit was imported with {found}: import virtual_sensor before drjit, mitsuba and "
-            f"whatever else loads LLVM, or start Python with DRJIT_LIBLLVM_PATH={find_llvm()[0]}"
+            f"Dr.Jit was imported with {found}: {_remedy()}start Python with"
+            f" DRJIT_LIBLLVM_PATH={find_llvm()[0]}"
         )
     return Llvm(loaded, ".".join(map(str, release)), origin, rejected)
+
+
+def choose_llvm() -> None:
+    """Find an LLVM library once, and have Dr.Jit load it when it is imported."""
+    global _chosen
+    if _chosen is None:
+        _chosen = find_llvm()
+        os.environ["DRJIT_LIBLLVM_PATH"] = str(_chosen[0])
+
+
+def _remedy() -> str:
+    """What would have helped, but for the environment variable."""
+    if _chosen:
+        return "something else has loaded that library before; import virtual_sensor first, or "
+    return "import virtual_sensor before drjit, mitsuba and whatever else loads LLVM, or "
 
 
 def _mapped() -> list[Path]:

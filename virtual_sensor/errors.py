@@ -28,15 +28,22 @@ class EngineError(RuntimeError):
 
 
 class Interrupted(SystemExit):
-    """A run was stopped by Ctrl-C or a signal, in good order: the same command goes on.
+    """A simulation was stopped by Ctrl-C or a signal, in good order: the same command goes on.
 
-    Its text tells so, `code` is the status to exit with, `time_s` the flow time reached, s.
+    Attributes
+    ----------
+    folder : Path
+        Of the case.
+    time_s : float
+        Flow time reached, s.
+    code : int
+        Status to exit with.
     """
 
     def __init__(self, folder: Path, time_s: float, code: int) -> None:
         super().__init__(code)
+        self.folder = folder
         self.time_s = time_s
-        self.told = f"stopped at {time_s:.8g} s of flow; the same command goes on ({folder})"
 
     def __str__(self) -> str:
-        return self.told
+        return f"stopped at {self.time_s:.8g} s of flow; the same command goes on ({self.folder})"

@@ -1,20 +1,35 @@
 """Results are written whole or not at all: in a hidden folder beside their place first.
 
+The hidden folder is ``.NAME.RANDOM.unfinished``, and its process holds a lock in it. What a killed
+run has left is put right when the same output is written next: see `settle`.
+
 And only regular files are read: a FIFO would block for ever.
 """
 
+import ctypes
+import errno
+import fcntl
+import logging
 import os
+import re
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError
 
 RESULTS_SIGN = "summary.json"
 """A folder with this file holds results and may be replaced; what else it is, nobody knows."""
 
+_LOCK = ".lock"
+_NAMED = re.compile(r"\.(.+)\.[a-z0-9_]{8}\.unfinished", re.DOTALL)
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h
+
+_log = logging.getLogger(__name__)
 
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -67,6 +82,8 @@ def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
         earlier results, or its place can't be written.
     """
     with _told(path):
+        final = path.resolve()
+        settle(final.parent, final.name)
         if path.exists():
             if not overwrite:
                 raise InputError(f"{path}: exists; name another with -o, or say --overwrite")
@@ -78,7 +95,7 @@ def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
                     " --overwrite would delete; name another with -o"
                 )
         place = next(p for p in path.absolute().parents if p.exists())
-        with tempfile.TemporaryDirectory(dir=place):
+        with _workshop(place / path.name):
             pass
 
 
@@ -98,6 +115,8 @@ def written_whole(path: Path) -> Iterator[Path]:
         try:
             yield new
         except RuntimeError as error:  # OpenEXR's, where others raise OSError
+            if interrupts.exit_status(error):
+                raise
             raise OSError(f"{error}") from error
         new.replace(path.resolve())
 
@@ -105,6 +124,8 @@ def written_whole(path: Path) -> Iterator[Path]:
 @contextmanager
 def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
     """Give a temporary folder to fill; it takes its place when all went well, else it is removed.
+
+    Where the system can, it changes places with the folder that it replaces in one step.
 
     Raises
     ------
@@ -121,24 +142,132 @@ def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
         except InputError as error:
             raise InputError(f"{error}".replace(f"{new}", f"{path}")) from error
         try:
-            if overwrite and final.exists():
-                final.replace(old)
-            new.replace(final)
-        finally:
-            if old.exists() and not final.exists():
-                old.replace(final)
+            new.replace(final)  # where there is none, or an empty one
+        except OSError as error:
+            if not overwrite or error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            if not _exchanged(new, final):
+                final.replace(old)  # killed here, `settle` puts it back
+                new.replace(final)
+
+
+def settle(place: Path, name: str | None = None) -> None:
+    """Put right what killed runs have left in a folder, and log it.
+
+    Results that were just being replaced are put back, unfinished ones are removed. What another
+    process is still at work in stays, and so does what belongs to another user.
+
+    Parameters
+    ----------
+    place : Path
+        The folder that the outputs are in; it need not exist.
+    name : str, optional
+        Of one output; by default all of them.
+    """
+    with suppress(OSError):
+        for workshop in sorted(place.glob(".*.unfinished")):
+            named = _NAMED.fullmatch(workshop.name)
+            if not named or name not in (None, named[1]) or workshop.is_symlink():
+                continue
+            with suppress(OSError):
+                if workshop.stat().st_uid != os.geteuid() or (lock := _lock(workshop)) is None:
+                    continue
+                final, left = place / named[1], any(f.name != _LOCK for f in workshop.iterdir())
+                try:
+                    restored = _close(workshop, final)
+                finally:
+                    os.close(lock)
+                if restored:
+                    _log.warning("%s: results that a killed run had moved are back here", final)
+                elif left:
+                    _log.warning("%s: what a killed run had left unfinished is removed", final)
 
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """Give a hidden folder on the same disk, which is removed in the end with all it holds."""
     with _told(path):
-        parent = path.resolve().parent
-        parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(
-            ".unfinished", f".{path.name}.", parent, ignore_cleanup_errors=True
-        ) as folder:
-            yield Path(folder)
+        final = path.resolve()
+        final.parent.mkdir(parents=True, exist_ok=True)
+        with _workshop(final) as folder:
+            yield folder
+
+
+@contextmanager
+def _workshop(final: Path) -> Iterator[Path]:
+    """Give a hidden folder beside a place for results, locked against `settle` by others."""
+    lock = None
+    while lock is None:  # another process may settle it between these two steps
+        folder = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", final.parent))
+        try:
+            lock = _lock(folder)
+        except OSError:  # a disk without locks, where nobody can settle anything
+            lock = os.open(os.devnull, os.O_RDONLY)
+
+    def close() -> None:
+        _close(folder, final)
+
+    try:
+        with interrupts.on_stop(close):
+            try:
+                yield folder
+            finally:
+                close()
+    finally:
+        os.close(lock)
+
+
+def _lock(workshop: Path) -> int | None:
+    """Lock a hidden folder and give the open lock; None if another process has it, or had it.
+
+    Raises
+    ------
+    OSError
+        If the disk has no locks.
+    """
+    path = workshop / _LOCK
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(lock), path.stat()):
+            return lock
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except OSError:
+        os.close(lock)
+        raise
+    os.close(lock)
+    return None
+
+
+def _close(workshop: Path, final: Path) -> bool:
+    """Remove a hidden folder; results in it that have no other place are put back first."""
+    old = workshop / "old"
+    restored = old.is_dir() and not os.path.lexists(final)
+    if restored:
+        old.replace(final)
+    with suppress(OSError):  # so that other threads write into it no more
+        doomed = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", workshop.parent))
+        workshop = workshop.replace(doomed)
+    shutil.rmtree(workshop, ignore_errors=True)
+    return restored
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Let two folders change places in one step; False where the system can't."""
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename is None:
+        return False
+    paths = (_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other))
+    if rename(*paths, _RENAME_EXCHANGE) == 0:
+        return True
+    number = ctypes.get_errno()
+    if number in (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP):
+        return False
+    raise OSError(number, os.strerror(number))
 
 
 @contextmanager

@@ -1,18 +1,16 @@
 """The command `virtual-sensor`: arguments to studies, nothing else."""
 
-import signal
-import sys
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.table import Table
 
-from virtual_sensor import engine
+from virtual_sensor import engine, interrupts
 from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep, trial
+from virtual_sensor.cli.console import errors, one_line, streams
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
@@ -33,6 +31,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+_CommandLineError: Any = typer.BadParameter.__base__
 
 app.add_typer(simulation.app, name="field")  # with the commands of field.py
 
@@ -268,19 +267,42 @@ def doctor() -> None:
     raise typer.Exit(0 if diagnosis.ok else 1)
 
 
-def main() -> None:
-    """Run the command; a user's errors and a stop are told in a line, without a traceback."""
-    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # and clean up
+def run() -> int:
+    """Run the command and give its exit status; errors and a stop are told in a line each."""
+    with streams() as faults:
+        status = _run()
+    if faults:
+        errors.print(
+            f"Error: standard output: can't be written ({faults[0].strerror}); results in files are"
+            " complete",
+            soft_wrap=True,
+        )
+    return status or (1 if faults else 0)
+
+
+def _run() -> int:
     try:
-        app()
-    except (InputError, EngineError) as error:
-        told = Console(stderr=True, markup=False, emoji=False, highlight=False)
-        told.print(f"Error: {error}", style="red", soft_wrap=True)
-        sys.exit(2)
-    except Interrupted as stopped:
-        console.print(f"{stopped}", style="yellow", soft_wrap=True)
-        sys.exit(stopped.code or 1)
-    except RuntimeError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):  # Dr.Jit's loops wrap a Ctrl-C
+        return app(prog_name="virtual-sensor", standalone_mode=False) or 0
+    except _CommandLineError as error:
+        return _refused(error)
+    except BaseException as error:
+        status = interrupts.exit_status(error)
+        if status is None and not isinstance(error, (InputError, EngineError)):
             raise
-        sys.exit(130)
+        if status is None:
+            # One line for a user's slip, whatever the names in it.
+            text = str(error) if isinstance(error, EngineError) else one_line(str(error))
+            errors.print(f"Error: {text}", style="red", soft_wrap=True)
+            return 2
+        text = f"{error}" if isinstance(error, Interrupted) else interrupts.line(status)
+        errors.print(text, style="yellow", soft_wrap=True)
+        return status
+
+
+def _refused(error: Any) -> int:
+    """Say in a line what is wrong with the command line."""
+    if said := error.format_message():  # without arguments the help has been printed
+        asked = error.ctx.command_path if error.ctx else "virtual-sensor"
+        text = f"Error: {one_line(said).rstrip('.')}; see `{asked} --help`"
+        errors.print(text, style="red", soft_wrap=True)
+    return int(error.exit_code)

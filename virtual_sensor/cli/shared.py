@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+from virtual_sensor import interrupts
+from virtual_sensor.cli.console import console, printable
 from virtual_sensor.errors import InputError
-
-# Paths and messages may hold [brackets] and :colons:, which rich would take for its own.
-console = Console(markup=False, emoji=False, highlight=False)
 
 SceneArgument = Annotated[
     str,
@@ -62,7 +60,7 @@ def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
     There is no bar where the output is no terminal.
     """
     columns = (
-        TextColumn("{task.description:<36}"),
+        TextColumn("{task.description:<36}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
@@ -71,9 +69,10 @@ def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
         task = bar.add_task(first, total=1.0)
 
         def report(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, completed=fraction)
+            bar.update(task, description=printable(stage), completed=fraction)
 
-        yield report
+        with interrupts.on_stop(bar.stop):  # which shows the cursor again
+            yield report
 
 
 def print_notes(notes: Iterable[str]) -> None:
@@ -93,7 +92,10 @@ def closing(output: Path) -> None:
 
 def see_own_modules() -> None:
     """Let modules of the working folder be imported too, as `python -m` does; after all others."""
-    here = str(Path.cwd())
+    try:
+        here = str(Path.cwd())
+    except OSError:  # it was deleted
+        return
     if here not in sys.path:
         sys.path.append(here)
 

@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from virtual_sensor import interrupts
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists
@@ -121,6 +122,7 @@ def load(
             raise
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
             text = str(error)
+    interrupts.raised_again(text)
     raise _complaint(text, main, [e for file in files for e in file.elements], values)
 
 

@@ -4,10 +4,8 @@ import ast
 import hashlib
 import importlib.util
 import json
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from glob import escape
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ import numpy as np
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import folder_written_whole, written_whole
+from virtual_sensor.files import folder_written_whole, settle, written_whole
 
 _PACKAGE, _PLUGINS = "virtual_sensor", "virtual_sensor_plugins"
 _HOUSE = Path(engine.__file__).parent
@@ -176,6 +174,7 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
         As `make` does, or if the folder can't be written.
     """
     key = key_of(inputs)
+    settle(folder)  # also the same work's under another name
     place = found(folder, key)
     if place is None:
         place = folder / f"{name}-{key}"
@@ -185,9 +184,6 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
         except InputError:
             if not place.is_dir():  # else another process was faster
                 raise
-    # A killed process leaves its unfinished folder; nobody needs that once this one is here.
-    for left in folder.glob(f".{escape(place.name)}.*.unfinished"):
-        shutil.rmtree(left, ignore_errors=True)
     return place
 
 
@@ -199,12 +195,13 @@ def own_folder(folder: Path, mark: str, words: str) -> None:
     InputError
         If it holds something else, or can't be written.
     """
+    settle(folder)
     sign = folder / mark
     if sign.is_file():
         return
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is not a folder; name another with -o")
-    # The sign of a run that was killed in its first moment is its own, too.
+    # What a run that begins at this moment has hidden is its own, too.
     if folder.is_dir() and any(not file.match(f".{mark}.*") for file in folder.iterdir()):
         raise InputError(f"{folder}: holds other files (there is no {mark}); name another with -o")
     with written_whole(sign) as temporary:

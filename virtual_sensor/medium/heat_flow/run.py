@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError, Interrupted
 from virtual_sensor.medium.heat_flow import saved
 from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam
@@ -103,7 +104,7 @@ def run_case(
     made = setup_of(folder)
     foam = find_openfoam(processes > 1)
     try:
-        with _alone(folder) as lock:
+        with interrupts.raising(), _alone(folder) as lock:
             saved.remove_unfinished(folder)
             report(Progress("meshing", _reached(folder), end_s))
             make_mesh(foam, folder)
@@ -111,8 +112,10 @@ def run_case(
             distribute(foam, folder, processes, bool(made.get("section")))
             set_parameters(folder, endTime=f"{end_s:g}")
             return _Run(foam, folder, end_s, processes, report, stop, lock).to_the_end()
-    except (KeyboardInterrupt, SystemExit) as error:
-        code = 130 if isinstance(error, KeyboardInterrupt) else error.code
+    except BaseException as error:
+        code = error.code if isinstance(error, SystemExit) else interrupts.exit_status(error)
+        if code is None:
+            raise
         raise Interrupted(folder, _reached(folder), code if isinstance(code, int) else 1) from error
 
 
