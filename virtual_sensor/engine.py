@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from virtual_sensor.errors import EngineError
+from virtual_sensor.files import scratch_folder
 
 if TYPE_CHECKING:
     import drjit as dr
@@ -371,10 +372,11 @@ def _proof_file(library: Path) -> Path:
 def _prove(library: Path) -> str | None:
     """Run the test kernels in a process of its own, which may abort; say what went wrong."""
     try:
-        with tempfile.TemporaryDirectory() as folder:
+        with scratch_folder() as folder:
             run = subprocess.run(
                 [sys.executable, "-c", PROOF],
-                env=os.environ | {"DRJIT_LIBLLVM_PATH": str(library), "DRJIT_CACHE_DIR": folder},
+                env=os.environ
+                | {"DRJIT_LIBLLVM_PATH": str(library), "DRJIT_CACHE_DIR": str(folder)},
                 cwd=folder,
                 capture_output=True,
                 text=True,

@@ -151,6 +151,18 @@ def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
                 new.replace(final)
 
 
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give a folder for files that nobody needs afterwards; a signal removes it too."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+
+        def close() -> None:
+            shutil.rmtree(folder, ignore_errors=True)
+
+        with interrupts.on_stop(close):
+            yield Path(folder)
+
+
 def settle(place: Path, name: str | None = None) -> None:
     """Put right what killed runs have left in a folder, and log it.
 

@@ -2,7 +2,6 @@
 
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from virtual_sensor import interrupts
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import exists
+from virtual_sensor.files import exists, scratch_folder
 from virtual_sensor.imaging.parts import KINDS, Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
 
@@ -251,7 +250,7 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
         mirrored = np.linalg.det(to_world[:3, :3]) < 0.0
         if part.by_mitsuba and not mirrored:
             continue
-        folder = folder or Path(temporary.enter_context(tempfile.TemporaryDirectory()))
+        folder = folder or temporary.enter_context(scratch_folder())
         written = folder / f"{number}.ply"
         written.write_bytes(_ply(part, to_world, mirrored))
         if "to_world" in props:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.heat_flow import saved
 from virtual_sensor.medium.heat_flow.balance import (
@@ -220,7 +220,7 @@ def simulate(
 
 def as_field(quantity: GriddedQuantity) -> IndexField:
     """The field of a quantity that is in no file yet."""
-    with TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         path = Path(folder) / "field.nc"
         write_quantity(path, quantity)
         return IndexField.read(path)

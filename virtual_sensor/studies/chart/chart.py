@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import scratch_folder
 from virtual_sensor.studies.chart.machine import cuda_found, machine
 from virtual_sensor.studies.chart.pareto import pareto
 from virtual_sensor.studies.chart.rows import RUNGS, read_rungs
@@ -189,7 +189,7 @@ def on_gpu(panels: Sequence[str], quick: bool) -> tuple[list[Rung], list[str]]:
     if not panels:
         return [], []
     options = [word for name in panels for word in ("--panel", name)]
-    with TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         place = Path(folder, "gpu")
         command = [sys.executable, "-c", "from virtual_sensor.cli import main; main()"]
         command += ["--variant", CUDA_VARIANT, "chart", *options, "-o", f"{place}"]

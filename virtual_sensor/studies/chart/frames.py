@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -209,7 +209,7 @@ def with_lamp(**settings: Any) -> Scene:
     path = find_scene(SCENE)
     if "field" not in settings:
         settings["field"] = load_scene(SCENE).integrator.field_file
-    with TemporaryDirectory() as folder:
+    with scratch_folder() as folder:
         lit = Path(folder, f"{SCENE}.xml")
         text = path.read_text(encoding="utf-8").replace("</scene>", f"{_LAMP}</scene>")
         lit.write_text(text, encoding="utf-8")
