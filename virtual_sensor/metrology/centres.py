@@ -22,9 +22,11 @@ class Status(IntEnum):
     POOR_FIT = 6
     BAD_PIXELS = 7
     SKEWED = 8
-    """Lopsided: a second line in its skirt, or an edge across it, would shift the centre."""
+    """Lopsided: a second line in its skirt, or a step of the background, shifts the centre."""
     DOUBLED = 9
     """Two peaks of much the same height, apart or merged into one flat one."""
+    CUT = 10
+    """An edge hides a part of the profile: what is left of it has another centre."""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,17 @@
-"""Where a line begins or ends within a column: the few columns that it only partly covers."""
+"""Where a line ends, or an edge cuts it: columns that it covers in part, and those among them."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_profiles import Array, Index
 
 STEP = 0.02  # relative drop of amplitude that betrays a partly lit column
 _MOST = 2  # columns at each end
 _BEYOND = _MOST + 1  # columns off the image that the look inward may touch
+_FEW = 8  # centres in a row that are OK, between troubles: fewer are cut as those near them are
+_NEAR = 2 * _FEW  # columns
+_THIN = 0.6  # times the usual width
 _SAME_LINE = (3.0, 2.0)  # px, and widths: so near lie peaks of one line in adjoining columns
 
 
@@ -80,3 +84,30 @@ def _followed(peaks: Index, towards: Index, step: int) -> Index:
 def _at(values: Array, peaks: Index) -> Array:
     rank, column = peaks
     return np.where(rank >= 0, values[rank, column], np.nan)
+
+
+def among_cuts(status: NDArray[np.integer], width: Array) -> NDArray[np.bool_]:
+    """Centres (K, W) among cut ones, or between these and the line's end: they are cut as well.
+
+    What is SKEWED between two that are CUT is so by the same edge.  A few that are OK, or what is
+    left of a line and much narrower than the rest, only seem to be whole.
+    """
+    cut = status == Status.CUT
+    for line, widths, here in zip(status, width, cut, strict=True):
+        if not here.any():
+            continue
+        for first, last in _runs(line == Status.SKEWED):
+            here[first:last] = last - first <= _NEAR and here[[first - 1, last % line.size]].all()
+        ok = line == Status.OK
+        thin = _THIN * np.median(widths[ok]) if ok.any() else 0.0
+        for first, last in _runs(ok):
+            near = here[max(first - _NEAR, 0) : last + _NEAR].sum() > 1
+            here[first:last] = near and (
+                last - first <= _FEW or np.median(widths[first:last]) < thin
+            )
+    return cut
+
+
+def _runs(mask: NDArray[np.bool_]) -> Index:
+    """First and behind the last of each run in a mask (W,): (N, 2)."""
+    return np.flatnonzero(np.diff(mask, prepend=False, append=False)).reshape(-1, 2)

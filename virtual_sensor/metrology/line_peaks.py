@@ -21,7 +21,7 @@ from virtual_sensor.metrology.detectors import (
     by_foreign,
     find_detector,
 )
-from virtual_sensor.metrology.line_ends import line_ends
+from virtual_sensor.metrology.line_ends import among_cuts, line_ends
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
     REACH,
@@ -37,7 +37,7 @@ from virtual_sensor.metrology.line_profiles import (
     saturation_level,
     window,
 )
-from virtual_sensor.metrology.line_shapes import shapes
+from virtual_sensor.metrology.line_shapes import Shapes, shapes
 from virtual_sensor.metrology.ridges import ridges
 
 ALONG = ("columns", "rows")
@@ -185,6 +185,7 @@ def _columnwise(
     max_sigma: float,
 ) -> LineCentres:
     peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma, count)
+    peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))  # neighbours beside each other
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
     status[:, ~seen] = Status.BAD_PIXELS
     status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)
@@ -196,11 +197,12 @@ def _columnwise(
         group = shape.peaks.take(chosen)
         profile = detector.estimate(filled, group, noise, max_sigma)
         status[group.rank, group.column] = _judge(
-            image, profile, group, noise, shape.skewed[chosen], shape.flat[chosen]
+            image, profile, noise, Shapes._make((group, *(part[chosen] for part in shape[1:])))
         )
         found[:, group.rank, group.column] = profile
 
-    found[:, status != Status.OK] = np.nan
+    there = np.isin(status, (Status.OK, Status.CUT))
+    found[:, ~there] = np.nan
     profile = Profile(*found)
     ends = line_ends(
         (status != Status.NO_PEAK) & seen,
@@ -209,7 +211,8 @@ def _columnwise(
         profile.sigma,
         profile.amplitude,
     )
-    status[ends & (status == Status.OK)] = Status.LINE_END
+    status[ends & there] = Status.LINE_END
+    status[among_cuts(status, profile.sigma)] = Status.CUT
     found[:, status != Status.OK] = np.nan
     if count == 1:
         found, status = found[:, 0], status[0]
@@ -260,28 +263,28 @@ def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> I
 def _judge(
     image: NDArray,
     profile: Profile,
-    at: Peaks,
     noise: Noise,
-    skewed: NDArray[np.bool_],
-    flat: NDArray[np.bool_],
+    shape: Shapes,
 ) -> Index:
     """Status of each fitted peak: (L,)."""
+    at = shape.peaks
     found = np.isfinite(profile.row)
     row = np.where(found, profile.row, at.row)
     margin = IN_VIEW * at.sigma
     in_view = (row - margin >= -0.5) & (row + margin <= len(image) - 0.5)
     spread = np.sqrt(noise.variance(at.amplitude, at.column))
     misfit = at.residual > MAX_RESIDUAL * at.amplitude + 2.0 * np.maximum(spread, at.speckle)
-    apart = np.abs(row - at.row) > MAX_APART_PX + APART * profile.row_error
+    apart = np.abs(row - at.row) > MAX_APART_PX + APART * shape.noisy * profile.row_error
     width_error = np.sqrt(at.sigma) * np.maximum(spread, at.residual) / at.amplitude
     narrow = np.where(found, profile.sigma, at.sigma) - width_error < MIN_SIGMA_PX
     reasons = (
         # In noise a line too narrow may seem broad enough.
         (Status.TOO_NARROW, narrow),
         (Status.AT_BORDER, ~in_view),
+        (Status.CUT, shape.sharp & (shape.skewed | shape.flat | apart | misfit)),
         (Status.POOR_FIT, ~found),
-        (Status.DOUBLED, flat),
-        (Status.SKEWED, skewed | apart),  # of a symmetric line all centres are the same
+        (Status.DOUBLED, shape.flat & ~shape.skewed),
+        (Status.SKEWED, shape.skewed | apart),  # of a symmetric line all centres are the same
         (Status.POOR_FIT, misfit),
     )
     return np.select([is_so for _, is_so in reasons], [why for why, _ in reasons], Status.OK)

@@ -33,7 +33,11 @@ _OUTER = 2.5  # sigma from the centre on which the level below the line is seen
 _ROUGH_FROM_PX = 1.5  # sigma from which on rows next to each other tell noise from shape
 _CLOSE, _MOST_STEPS = 0.2, 3  # in sigma: the last step before the shape is judged
 
-_NEIGHBOURS = 31
+_ALIKE = 1.5  # times the noise that neighbours' differences show
+_ABRUPT = 0.65  # of the misfit's changes, in two adjacent rows: an edge, where another line has 0.5
+_SHARP_FROM_PX = 0.8  # sigma from which on an edge can be told from another line
+
+_NEIGHBOURS, _NEXT = 31, 9
 _PHASES = 16
 _WIDTHS = 16  # an octave
 _IN_GROUP = 8  # of these share a window
@@ -45,11 +49,19 @@ _RIDGE = 1e-12  # no normal matrix is singular
 
 
 class Shapes(NamedTuple):
-    """The peaks at the Gaussians that fit best, and which of them are no such line: (L,) each."""
+    """The peaks at the Gaussians that fit best, and which of them are no such line: (L,) each.
+
+    `stepped`: because the level below them differs from side to side.  `sharp`: what is left
+    beside the Gaussian is one abrupt change, as where an edge cuts the line; `noisy`: how large a
+    part of the rest is noise.
+    """
 
     peaks: Peaks
     skewed: NDArray[np.bool_]
     flat: NDArray[np.bool_]
+    stepped: NDArray[np.bool_]
+    sharp: NDArray[np.bool_]
+    noisy: Array
 
 
 class _Design(NamedTuple):
@@ -116,21 +128,30 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
             found[:, going[chosen]] = _stepped(near, gaussian, here.take(chosen), max_sigma)
         row, sigma = found[:2, going]
         going = going[np.hypot(row - here.row, sigma - here.sigma) > _CLOSE * here.sigma]
-    residual, tests, errors, spread, told = (np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1))
+    residual, tests, errors, spread, told, abrupt = (
+        np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1, 1)
+    )
     at = _moved(at, found)
     for chosen, half in _groups(at.sigma):
         here = at.take(chosen)
         near = _near(image, here, half)
         gaussian = np.einsum("lin,ln->il", near.design("gaussian"), near.values)
-        residual[:, chosen], tests[:, chosen], errors[:, chosen], told[:, chosen] = _judged(
-            near, gaussian, here, noise
-        )
+        judged = _judged(near, gaussian, here, noise)
+        for values, part in zip((residual, tests, errors, told, abrupt), judged, strict=True):
+            values[:, chosen] = part
         spread[:, chosen] = near.design("spread").T
         found[:, chosen] = _stepped(near, gaussian, here, max_sigma)
     scatter = _scatter(tests)
+    sharp = (abrupt[0] > _ABRUPT) & (at.sigma > _SHARP_FROM_PX)
+    # Neighbours are not abrupt in two rows each by chance: only the other rows tell the noise.
+    shared = sharp & (median_filter(abrupt[0], _NEXT, mode="nearest") > _ABRUPT)
+    shared &= np.abs(tests[0]) > 0.25 * MAX_SKEW  # without any there is no misfit worth a name
+    noisy = np.where(shared, np.sqrt(1.0 - abrupt[0]), 1.0)
+    if not noise.known:
+        errors *= noisy
     (skew, flat, step), (skew_error, flat_error, step_error) = (
         tests,
-        SIGNIFICANCE * np.fmax(errors, scatter),
+        SIGNIFICANCE * np.fmax(_shared(tests, errors, at.sigma), scatter),
     )
     leans = (np.abs(skew) > MAX_SKEW + skew_error) | (np.abs(step) > MAX_STEP + step_error)
     # As much noise in each pixel would scatter the shapes so.
@@ -144,7 +165,8 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
     at = _moved(at, found)._replace(
         residual=residual[0], noise=local, excess=excess**2, speckle=speckle
     )
-    return Shapes(at, leans, flat > MAX_FLAT + flat_error)
+    stepped = np.abs(step) > np.abs(skew)  # twice it, where a step of the level makes both
+    return Shapes(at, leans, flat > MAX_FLAT + flat_error, stepped, sharp & ~stepped, noisy)
 
 
 def _scatter(tests: Array) -> Array:
@@ -159,6 +181,24 @@ def _scatter(tests: Array) -> Array:
         away = median_filter(np.abs(values - middle), _NEIGHBOURS, mode="nearest") / QUARTILE
         values[:] = np.where(np.abs(middle) < away, away, 0.0)
     return scatter
+
+
+def _shared(tests: Array, errors: Array, sigma: Array) -> Array:
+    """The noise of the shapes (3, L), less where neighbours share a shape: there it is none.
+
+    An edge across the line seems to be noise in each profile of its own; and the pixels deform
+    every narrow one.
+    """
+    tests = np.nan_to_num(tests)
+    change = np.abs(np.diff(tests, axis=1, append=tests[:, -1:]))
+    least = np.empty_like(errors)
+    for number, values in enumerate(tests):
+        alike = median_filter(change[number], _NEIGHBOURS, mode="nearest")
+        alike *= _ALIKE / (QUARTILE * np.sqrt(2.0))
+        shared = np.abs(median_filter(values, _NEXT, mode="nearest")) > alike
+        shared &= sigma > _SHARP_FROM_PX
+        least[number] = np.where(shared, np.fmin(errors[number], alike), errors[number])
+    return least
 
 
 def _moved(at: Peaks, found: Array) -> Peaks:
@@ -181,10 +221,11 @@ def _stepped(near: "_Near", gaussian: Array, at: Peaks, max_sigma: float) -> Arr
 
 def _judged(
     near: "_Near", gaussian: Array, at: Peaks, noise: Noise
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """Misfit of the fits (4, L); skewness, flatness and step (3, L), and their noise (3, L).
 
-    And the misfit (L,) that the noise makes which was told; infinity if none was.
+    And the misfit (L,) that the noise makes which was given, infinity if none was; and which part
+    of the misfit's changes from row to row lies in two of them.
     """
     taper, basis, tests = near.design("taper"), near.design("basis"), near.design("tests")
     beyond = np.einsum("lin,ln->il", tests, near.values)
@@ -206,7 +247,11 @@ def _judged(
     height = np.where(gaussian[1] > 0.0, gaussian[1], np.nan)
     told = beyond / height * [[1.0], [-1.0], [1.0]]
     residual = np.sqrt(left / np.maximum(weight - 4.0, 1.0))
-    return residual, told, np.sqrt(errors) / height, expected
+    pair = np.minimum(taper[:, 1:], taper[:, :-1])
+    change = (pair * (misfit[:, 1:] - misfit[:, :-1])) ** 2
+    most = (change[:, 1:] + change[:, :-1]).max(axis=1)
+    abrupt = most / np.maximum(change.sum(axis=1), np.finfo(np.float32).tiny)
+    return residual, told, np.sqrt(errors) / height, expected, abrupt
 
 
 def _groups(sigma: Array) -> list[tuple[Index, int]]:
