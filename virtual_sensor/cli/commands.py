@@ -4,7 +4,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 from rich.table import Table
 
@@ -153,11 +152,11 @@ def search(
 ) -> None:
     """Search, ray by ray, for the pixels that see the laser: no image is made.
 
-    Without -y or --rays: the paper's nine rays, y = 0 to -10 mm.
+    Without -y or --rays: the paper's nine rays, y = 0 to -10 mm. Exit status 1: none is found.
     """
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.studies.search import search as run
-    from virtual_sensor.studies.tables import write_csv
+    from virtual_sensor.studies.tables import in_words, write_csv
 
     if method not in ("paper", "newton"):
         raise InputError(f"--method {method}: choose paper or newton")
@@ -165,19 +164,23 @@ def search(
         raise InputError("-y and --rays: choose one of them")
     if output:
         check_output(output, overwrite)
-    columns = run(load_scene(scene, **definitions(define)), method, y, rays)
+    result = run(load_scene(scene, **definitions(define)), method, y, rays)
+    columns, number = result.columns, len(result.columns["y_mm"])
     if output:
         write_csv(output, columns)
-        found = np.sum(columns["status"] == "found")
-        console.print(f"{len(columns['y_mm'])} rays in {output}, {found} found", soft_wrap=True)
-        return
-    shown = Table("y, mm", "u, px", "v, px", "distance, µm", "marches", "status")
-    for row in zip(
-        *(columns[k] for k in ("y_mm", "pixel_u", "pixel_v", "distance_um", "marches", "status")),
-        strict=True,
-    ):
-        shown.add_row(*(f"{v:.4f}" if isinstance(v, float) else str(v) for v in row))
-    console.print(shown)
+        console.print(f"{number} rays in {output}, {result.found} found", soft_wrap=True)
+    else:
+        shown = Table("y, mm", "u, px", "v, px", "distance, µm", "marches", "status")
+        names = ("y_mm", "pixel_u", "pixel_v", "distance_um", "marches", "status")
+        for row in zip(*(columns[name] for name in names), strict=True):
+            shown.add_row(*(in_words(v) if isinstance(v, float) else str(v) for v in row))
+        console.print(shown)
+    print_notes(result.notes)
+    if number and not result.found:
+        if output:
+            statuses = ", ".join(sorted(set(columns["status"])))
+            print_notes([f"no ray was found: {statuses}"])
+        raise typer.Exit(1)
 
 
 @app.command(

@@ -7,8 +7,17 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import SceneArgument, Scheduler, console, definitions, reporting
+from virtual_sensor.cli.shared import (
+    SceneArgument,
+    Scheduler,
+    console,
+    definitions,
+    print_notes,
+    reporting,
+)
 from virtual_sensor.errors import InputError
+
+_SHOWN = 10  # cases whose notes are printed
 
 Choices = Annotated[
     list[str] | None,
@@ -33,10 +42,11 @@ def sweep(
     """Measure a scene over any of its parameters: a table over all cases, and a folder for each.
 
     Finished cases are kept: stopped or killed, the same command goes on, and one with more values
-    makes only what is missing. Cases that can't be measured are listed in the end.
+    makes only what is missing. Cases that can't be measured are listed in the end; exit status 1:
+    there are some, or some have found nothing.
     """
     from virtual_sensor.studies.sweep import CaseStatus, differing, plan, run
-    from virtual_sensor.studies.sweep_results import save_sweep
+    from virtual_sensor.studies.sweep_results import save_sweep, sweep_notes
 
     choices = {name: _values(text) for name, text in definitions(define).items()}
     if len(choices) < len(define or []):
@@ -53,6 +63,10 @@ def sweep(
     failed = [end for end in finished if end.status == CaseStatus.FAILED]
     for end in failed:
         console.print(f"{end.case.name}: {end.message}", style="red", soft_wrap=True)
+    notes = sweep_notes(finished, columns)
+    print_notes(notes[:_SHOWN])
+    if len(notes) > _SHOWN:
+        print_notes([f"{len(notes) - _SHOWN} cases more have notes: see summary.json"])
     kept = sum(end.was_kept for end in finished)
     console.print(
         f"{len(finished)} cases: {len(finished) - kept - len(failed)} measured, {kept} kept,"
@@ -60,7 +74,7 @@ def sweep(
         f" {output / 'sweep.png'} first",
         soft_wrap=True,
     )
-    if failed:
+    if any(status != CaseStatus.OK for status in columns["status"]):
         raise typer.Exit(1)
 
 

@@ -210,6 +210,11 @@ class DotAgreement:
     searched: Array
 
     @property
+    def found(self) -> NDArray[np.bool_]:
+        """Which laser rays have a dot; shape (M,)."""
+        return np.isfinite(self.pixel[:, 0])
+
+    @property
     def difference_px(self) -> Array:
         """Centroid minus searched pixel, shape (M, 2)."""
         return self.pixel - self.searched
@@ -217,7 +222,7 @@ class DotAgreement:
     @property
     def count(self) -> int:
         """Number of dots found."""
-        return int(np.isfinite(self.pixel[:, 0]).sum())
+        return int(self.found.sum())
 
     @property
     def rms_px(self) -> float:

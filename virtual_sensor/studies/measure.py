@@ -32,7 +32,14 @@ from virtual_sensor.studies.agreement import (
     match_dots,
     sound,
 )
-from virtual_sensor.studies.notes import WRONG, coarse_grid, counts_of, frame_notes, unlit_rays
+from virtual_sensor.studies.notes import (
+    TRUTH,
+    WRONG,
+    coarse_grid,
+    counts_of,
+    frame_notes,
+    unlit_rays,
+)
 
 NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
 """The paper's laser rays: positions y along the line."""
@@ -279,7 +286,7 @@ def _state_summary(state: State) -> dict[str, Any]:
         }
         if agreement
         else None,
-        "line centres beside the frame's truth": {
+        TRUTH: {
             "ok, truth known": state.sound.known,
             WRONG: state.sound.wrong,
             "largest, px": state.sound.largest_px,

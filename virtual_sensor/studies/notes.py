@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
 """What makes a centre that is ok a wrong one (see `agreement.Sound`)."""
+TRUTH = "line centres beside the frame's truth"
+"""Under this a summary counts them."""
 
 
 def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:

@@ -4,6 +4,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.imaging.render import write_exr, write_png
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
@@ -17,7 +19,7 @@ from virtual_sensor.studies.measure import (
     State,
     nine_ray_deviations,
 )
-from virtual_sensor.studies.notes import WRONG
+from virtual_sensor.studies.notes import TRUTH, WRONG
 from virtual_sensor.studies.report import draw_report
 from virtual_sensor.studies.tables import (
     in_words,
@@ -65,6 +67,8 @@ def save(
                         "flux": seen.flux,
                         **vectors("searched_pixel", seen.searched, "uv"),
                         **vectors("point_mm", state.points_mm, "xyz"),
+                        "status": np.where(seen.found, "ok", "not_found"),
+                        "status_search": status_names(state.dense.status, SearchStatus),
                     },
                 )
             brightness = state.dots.flux if state.dots else state.line.amplitude
@@ -87,7 +91,6 @@ def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
     """Accuracy and speed of a measurement, as the README shows them."""
     states = figures["states"]
     line, dots = "rendered line minus search, px", "rendered dots minus search, px"
-    truth = "line centres beside the frame's truth"
     of_dots = {
         "Rendered dots minus ray search, rms": ("{:.4f} px", (dots, "rms")),
         "... at most, along the line": ("{:.4f} px", (dots, "largest in u")),
@@ -101,7 +104,7 @@ def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
         "... compared with the search": ("{}", (line, "columns compared")),
         "... left out, an edge cuts the line": ("{}", (line, "centres cut by an edge")),
         "... left out, off the searched line": ("{}", (line, "centres off the searched line")),
-        "Centres that are ok and wrong by the frame's truth": ("{}", (truth, WRONG)),
+        "Centres that are ok and wrong by the frame's truth": ("{}", (TRUTH, WRONG)),
     }
     rows = {
         **(of_dots if result.cold.dots else of_line),

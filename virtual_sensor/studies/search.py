@@ -1,5 +1,6 @@
 """The ray search alone, without any image."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,31 @@ from virtual_sensor.studies.measure import NINE_RAYS_MM
 from virtual_sensor.studies.tables import status_names, vectors
 
 
+@dataclass(frozen=True)
+class Search:
+    """What was searched for.
+
+    Attributes
+    ----------
+    columns : dict
+        Of a table, one row per ray.
+    notes : tuple of str
+        What the user should know of the scene.
+    """
+
+    columns: dict[str, Any]
+    notes: tuple[str, ...]
+
+    @property
+    def found(self) -> int:
+        """How many rays have a pixel that is good."""
+        return int(np.sum(self.columns["status"] == "found"))
+
+
 def search(
     scene: Scene, method: str, y_mm: ArrayLike | None = None, rays: int | None = None
-) -> dict[str, Any]:
+) -> Search:
     """Search the pixels of laser rays at y_mm, of so many rays along the line, or the paper's nine.
-
-    Returns
-    -------
-    dict
-        Columns of a table, one row per ray.
 
     Raises
     ------
@@ -32,11 +49,11 @@ def search(
     y = NINE_RAYS_MM if y_mm is None else np.asarray(y_mm, float)
     if not np.isfinite(y).all():
         raise InputError(f"search: the rays' y are {y.tolist()}; give finite numbers in mm")
-    check_scene(scene)
+    notes = (*scene.notes, *check_scene(scene))
     if rays:
         y = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
     found = ray_search(scene, y, method)
-    return {
+    columns = {
         "y_mm": y,
         **vectors("laser_point_mm", found.laser_point_mm, "xyz"),
         **vectors("pixel", found.pixel, "uv"),
@@ -45,3 +62,4 @@ def search(
         "marches": found.iterations,
         "status": status_names(found.status, SearchStatus),
     }
+    return Search(columns, notes)

@@ -37,6 +37,8 @@ class CaseStatus(StrEnum):
     """How a case ended."""
 
     OK = "ok"
+    NOTHING_FOUND = "nothing_found"
+    """It was measured, and no frame has a line centre or a dot."""
     FAILED = "failed"
 
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, written_whole
 from virtual_sensor.studies.kept import fingerprint
+from virtual_sensor.studies.notes import TRUTH, WRONG
 from virtual_sensor.studies.sweep import CaseStatus, Finished, differing
 from virtual_sensor.studies.tables import write_csv, write_json
 
@@ -42,23 +43,40 @@ def save_sweep(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any
     write_csv(folder / "sweep.csv", columns)
     draw_sweep(columns, swept, folder / "sweep.png")
     failed = {end.case.name: end.message for end in finished if end.status == CaseStatus.FAILED}
+    names = [end.case.name for end in finished]
     summary = {
         "scene": finished[0].case.scene if finished else None,
         "swept": {name: list(dict.fromkeys(columns[name])) for name in swept},
         "cases": len(finished),
         "failed": failed,
+        "nothing found": [
+            name
+            for name, status in zip(names, columns["status"], strict=True)
+            if status == CaseStatus.NOTHING_FOUND
+        ],
+        "notes": sweep_notes(finished, columns),
         "program": fingerprint(),
     }
     write_json(folder / RESULTS_SIGN, summary)
     return columns
 
 
+def sweep_notes(finished: Sequence[Finished], columns: dict[str, list[Any]]) -> list[str]:
+    """The notes of all cases that were measured, each after the case's name."""
+    return [
+        f"{end.case.name}: {message}"
+        for end, message in zip(finished, columns["message"], strict=True)
+        if message and end.status != CaseStatus.FAILED
+    ]
+
+
 def table(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any]]:
     """Columns of the tidy table, one row for each case.
 
-    The given parameters as they were used; status; of each state the number of centres, and rms
-    and largest distance of rendered from searched in px, across the line, or of a laser that makes
-    dots along u and v; the nine rays' largest differences in um; the case's folder, relative to
+    The given parameters as they were used; status; of each state the number of centres, those that
+    were compared and those that are ok and wrong, and rms and largest distance of rendered from
+    searched in px, across the line, or of a laser that makes dots along u and v; how many of the
+    nine rays are lit, and their largest differences in um; the case's folder, relative to
     `folder`, and its message.  What a case does not have is NaN.
 
     Raises
@@ -71,12 +89,17 @@ def table(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any]]:
     columns: dict[str, list[Any]] = {
         name: [end.case.values.get(name, "") for end in finished] for name in given
     }
-    columns["status"] = [end.status.value for end in finished]
+    columns["status"] = [_status(end, row).value for end, row in zip(finished, rows, strict=True)]
     for name in _figures({}):
         columns[name] = [row[name] for row in rows]
     columns["folder"] = [_relative(end.folder, folder) for end in finished]
     columns["message"] = [row["message"] for row in rows]
     return columns
+
+
+def _status(end: Finished, row: dict[str, Any]) -> CaseStatus:
+    nothing = not any(row[f"{name}_centres"] > 0.0 for name in STATES)
+    return CaseStatus.NOTHING_FOUND if nothing and end.status == CaseStatus.OK else end.status
 
 
 def _row(end: Finished, folder: Path) -> dict[str, Any]:
@@ -101,12 +124,15 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
         line = {} if dots else state.get("rendered line minus search, px", {})
         figures |= {
             f"{name}_centres": dots.get("found", state.get("line", {}).get("ok")),
+            f"{name}_compared": dots.get("found", line.get("columns compared")),
+            f"{name}_wrong": state.get(TRUTH, {}).get(WRONG) if line else None,
             f"{name}_line_rms_px": line.get("rms"),
             f"{name}_line_largest_px": line.get("largest"),
             f"{name}_dots_largest_u_px": dots.get("largest in u"),
             f"{name}_dots_largest_v_px": dots.get("largest in v"),
         }
     nine = summary.get("nine_rays_um", {})
+    figures["rays_lit"] = summary.get("rays lit")
     figures |= {name: nine.get(key) for name, key in _NINE_RAYS.items()}
     return {name: np.nan if value is None else value for name, value in figures.items()}
 

@@ -60,7 +60,7 @@ def in_words(value: float | None, shape: str = "{:.4f}") -> str:
 
 def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:
     """Names of status numbers, in lower case."""
-    return np.array([kind(number).name.lower() for number in np.asarray(status).ravel()])
+    return np.array([kind(n).name.lower() for n in np.asarray(status).ravel()], np.str_)
 
 
 def vectors(name: str, values: NDArray[np.floating], axes: Sequence[str]) -> dict[str, ArrayLike]:
