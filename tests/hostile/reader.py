@@ -9,9 +9,11 @@ import ctypes
 import faulthandler
 import functools
 import importlib
+import json
 import os
 import pickle
 import resource
+import shutil
 import sys
 import traceback
 import warnings
@@ -163,6 +165,41 @@ def forked(
     return content
 
 
+def command(path: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """The program, as a user calls it, in this process."""
+    from command_line import command as run
+
+    from virtual_sensor.errors import InputError
+
+    place = path.parent / "results"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    names = {"{in}": str(path), "{out}": str(place / "made")}
+    given = [
+        functools.reduce(lambda t, n: t.replace(*n), names.items(), a) for a in options["line"]
+    ]
+    status, out, said = run(*given)
+    if status == 2:
+        raise InputError(said.strip())
+    if status:
+        raise RuntimeError(f"exit status {status}: {said}")
+    written = {}
+    for file in sorted(place.rglob("*")):
+        if file.suffix == ".json":  # NaN is not JSON
+            json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_json)
+        if file.suffix in (".csv", ".nc", ".ply", ".exr"):
+            written[str(file.relative_to(place))] = file.read_bytes()
+    return {
+        "out": out,
+        "files": sorted(written),
+        "tables": [t for n, t in sorted(written.items()) if n.endswith(".csv")],
+    }
+
+
+def _no_json(constant: str) -> None:
+    raise RuntimeError(f"{constant} is no JSON")
+
+
 READERS: dict[str, Callable[[Path, dict[str, Any]], dict[str, Any]]] = {
     "image": image,
     "field": field,
@@ -170,6 +207,7 @@ READERS: dict[str, Callable[[Path, dict[str, Any]], dict[str, Any]]] = {
     "calibration": calibration,
     "scene": scene,
     "call": call,
+    "command": command,
 }
 
 

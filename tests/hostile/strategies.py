@@ -1,6 +1,6 @@
 """Which strategies there are, and how many of a campaign's cases each has."""
 
-from hostile import arguments, calibrations, fields, images, imports, scenes
+from hostile import arguments, calibrations, commands, fields, images, imports, scenes
 
 BY_KIND = {
     "image": images.cases,
@@ -10,6 +10,7 @@ BY_KIND = {
     "calibration": calibrations.cases,
     "scene": scenes.cases,
     "call": arguments.cases,
+    "command": commands.cases,
 }
 SHARES = {
     "image": 8.0,
@@ -19,4 +20,5 @@ SHARES = {
     "calibration": 4.0,
     "scene": 2.0,
     "call": 2.0,
+    "command": 0.5,
 }
