@@ -137,7 +137,9 @@ def _short(result: Result) -> str:
 
 def _poor(case: Case, text: str) -> str:
     """What is wrong with a refusal's message."""
-    name = case.main.rpartition("/")[2]
+    name = (
+        case.main.rpartition("/")[2] if case.kind != "command" else ""
+    )  # there an option is named
     if not text.strip():
         return "message: it is empty"
     if "\n" in text or "\r" in text:

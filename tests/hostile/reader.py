@@ -181,19 +181,16 @@ def command(path: Path, options: dict[str, Any]) -> dict[str, Any]:
     status, out, said = run(*given)
     if status == 2:
         raise InputError(said.strip())
-    if status:
-        raise RuntimeError(f"exit status {status}: {said}")
+    if status or "Traceback" in out + said:
+        raise RuntimeError(f"exit status {status}: {out}{said}")
     written = {}
     for file in sorted(place.rglob("*")):
         if file.suffix == ".json":  # NaN is not JSON
             json.loads(file.read_text(encoding="utf-8"), parse_constant=_no_json)
         if file.suffix in (".csv", ".nc", ".ply", ".exr"):
             written[str(file.relative_to(place))] = file.read_bytes()
-    return {
-        "out": out,
-        "files": sorted(written),
-        "tables": [t for n, t in sorted(written.items()) if n.endswith(".csv")],
-    }
+    tables = [content for name, content in sorted(written.items()) if name.endswith(".csv")]
+    return {"files": sorted(written), "tables": tables}
 
 
 def _no_json(constant: str) -> None:

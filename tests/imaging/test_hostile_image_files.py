@@ -87,3 +87,16 @@ def test_damaged_exr_files_are_refused_in_silence(tmp_path, capfd):
     with pytest.raises(InputError, match=r"a\.exr: its pixels are damaged"):
         read_image(tmp_path / "a.exr", "Y")
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_tiff_that_claims_more_rows_than_its_strips_hold_is_refused(tmp_path, capfd):
+    """Absent strips are no black rows; nor does a library print what it misses of a PNG."""
+    data = packed_tiff(tmp_path / "a.tif", GREY8, 8).read_bytes()
+    (tmp_path / "a.tif").write_bytes(data.replace(tag(257, 64), tag(257, 6400)))
+    image = png(tmp_path / "a.png", GREY8).read_bytes()
+    header = chunk(b"IHDR", struct.pack(">II", 90, 65) + image[24:29])
+    (tmp_path / "a.png").write_bytes(image[:8] + header + image[33:])
+    for name in ("a.tif", "a.png"):
+        with pytest.raises(InputError, match=name):
+            read_image(tmp_path / name)
+    assert capfd.readouterr() == ("", "")

@@ -4,6 +4,7 @@
 """
 
 import logging
+import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -162,13 +163,9 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
 
 
 def _decoded(path: Path, data: bytes) -> NDArray:
-    """Pixels by OpenCV, which complains to the terminal only."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
+    """Pixels by OpenCV, which complains to the terminal only, as libpng does."""
+    with _silent():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     if image is None:
         raise InputError(f"{path}: can't be decoded; is it whole, and what its name says?")
     return image
@@ -197,8 +194,11 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         _check_size(path, page.size)
         segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         end = file.filehandle.size
-        if not segments or not all(size and at + size <= end for at, size in segments):
-            raise InputError(f"{path}: is not a whole TIFF file; copy it again")
+        claimed = math.prod(page.chunked)  # tifffile fills absent strips with nought
+        present = all(size and at + size <= end for at, size in segments)
+        broken = InputError(f"{path}: is not a whole TIFF file; copy it again")
+        if not (segments and present and len(segments) >= claimed):
+            raise broken
         photometric = page.photometric.name
         known = ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE")
         jpeg = photometric == "YCBCR" and page.compression in (6, 7)  # decoded to RGB
@@ -206,6 +206,8 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
             what = f"of {photometric}" if page.imagedepth == 1 else "a volume"
             raise InputError(f"{path}: is {what}; save it as one grey or RGB image")
         values = page.asarray()
+        if values.size != page.size:  # nothing of it can be decoded
+            raise broken
         values = np.moveaxis(values, page.axes.index("S"), -1) if "S" in page.axes else values
         values = values.reshape(page.imagelength, page.imagewidth, -1)
         values = values.astype(np.uint8) if values.dtype == bool else values
