@@ -100,3 +100,11 @@ def test_a_tiff_that_claims_more_rows_than_its_strips_hold_is_refused(tmp_path, 
         with pytest.raises(InputError, match=name):
             read_image(tmp_path / name)
     assert capfd.readouterr() == ("", "")
+
+
+def test_an_image_without_samples_is_refused(tmp_path):
+    """A TIFF of 0 samples in a pixel."""
+    path = packed_tiff(tmp_path / "a.tif", GREY8, 8)
+    path.write_bytes(path.read_bytes().replace(tag(277, 1), tag(277, 0)))
+    with pytest.raises(InputError, match=r"a\.tif: says it has 90 x 64 x 0 px"):
+        read_image(path)

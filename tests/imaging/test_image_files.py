@@ -361,3 +361,11 @@ def test_exr_files_that_are_deep_or_subsampled_are_refused(tmp_path):
     same(path, GREY8)
     with pytest.raises(InputError, match="subsampled"):
         read_image(path, "RY")
+
+
+def test_places_that_are_not_there_are_refused(tmp_path):
+    """Names that no system takes, links to nowhere: the same line."""
+    (tmp_path / "link.png").symlink_to("nowhere")
+    for name in ("missing.png", "x" * 5000, "a\0b.png", "link.png", "link.png/a.png"):
+        with pytest.raises(InputError, match="no such image or folder"):
+            find_images([tmp_path / name])

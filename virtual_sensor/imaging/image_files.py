@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import readable
+from virtual_sensor.files import exists, readable
 from virtual_sensor.imaging.image_formats import (
     StoredImage,
     read_exr,
@@ -93,8 +93,13 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     found: list[Path] = []
     notes: list[str] = []
     for place in places:
+        if not exists(place):
+            raise InputError(f"{place}: there is no such image or folder")
         if place.is_dir():
-            entries = sorted(p for p in place.iterdir() if not p.name.startswith("."))
+            try:
+                entries = sorted(p for p in place.iterdir() if not p.name.startswith("."))
+            except OSError as error:
+                raise InputError(f"{place}: can't be read ({error.strerror})") from None
             inside = [p for p in entries if p.suffix.lower() in ENDINGS and p.is_file()]
             if not inside:
                 raise InputError(f"{place}: holds no image; known are {', '.join(ENDINGS)}")
@@ -105,10 +110,8 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
                 names = ", ".join(others[:_MOST_NAMES])
                 notes.append(f"{place}: left out, as no images known here: {names}{more}.")
             found += inside
-        elif place.exists():
-            found.append(place)
         else:
-            raise InputError(f"{place}: there is no such image or folder")
+            found.append(place)
     return list(dict.fromkeys(found)), tuple(notes)
 
 

@@ -190,8 +190,8 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         pages: Any = file.pages
         page = next((p for p in pages if not p.is_reduced), pages[0])
         count = max(len(pages), int((file.imagej_metadata or {}).get("images", 1)))
-        _check_size(path, page.imagewidth, page.imagelength)
-        _check_size(path, page.size)
+        samples = page.samplesperpixel * page.imagedepth
+        _check_size(path, page.imagewidth, page.imagelength, samples)
         segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         end = file.filehandle.size
         claimed = math.prod(page.chunked)  # tifffile fills absent strips with nought
