@@ -232,11 +232,10 @@ def test_a_line_that_stands_is_told_from_one_that_is_not_there(tmp_path):
     images = {"lying": lying, "standing": lying.T, "clipped": clipped, "dark": 0 * lying}
     for (name, along), better in cases.items():
         cv2.imwrite(str(tmp_path / "a.png"), images[name])
-        output = tmp_path / f"{name}_{along}"
-        ended = run(tmp_path / "a.png", "--along", along, "-o", output)
-        hint = [f"{tmp_path / 'a.png'}: shows its line along the {better}: give --along {better}."]
-        assert json.loads((output / "summary.json").read_text())["notes"] == hint * bool(better)
-        assert ended.exit_code == 0
+        path, options = tmp_path / "a.png", {"along": along}
+        hint = (f"{path}: shows its line along the {better}: give --along {better}.",)
+        notes = detect([path], "gaussian", options, None, None, lambda *_: None)
+        assert notes == hint * bool(better)
 
 
 def test_no_saturation_beyond_what_a_file_can_hold(tmp_path):
@@ -294,7 +293,7 @@ def test_names_of_every_kind_are_drawn(tmp_path):
     folder = tmp_path / "shots"
     folder.mkdir()
     data = cv2.imencode(".png", picture(255, np.uint8))[1].tobytes()
-    names = [b"\xff\xe9", b"$\\frac$", "线".encode(), b"\x1b[31m", b"a\nb", b"-"]
+    names = [b"\xff\xe9 a\nb", b"$\\frac$ \x1b[31m" + "线".encode()]
     for name in names:
         (folder / f"{os.fsdecode(name)}.png").write_bytes(data)
     paths, _ = find_images([folder])
