@@ -1,5 +1,6 @@
 """The readers of OBJ and STL files; `virtual_sensor.imaging.parts` says what becomes of what."""
 
+import logging
 import re
 from io import BytesIO
 from typing import Any
@@ -10,6 +11,8 @@ from trimesh.exchange.stl import load_stl
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.polygons import Array, Polygons, numbers
 from virtual_sensor.imaging.scene_file import shortened
+
+logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it would show tracebacks
 
 _FREE_FORM = ("surf", "curv", "curv2", "cstype")
 _STL_HEAD, _STL_FACET = 84, 50
