@@ -203,13 +203,17 @@ def attempt(variant=None):
         print(error)
 attempt("scalar_rgb")
 attempt("llvm_ad_mno")
+attempt("llvm_ad_spectral")
+attempt("llvm_ad_spectral_polarized")
 os.environ["VIRTUAL_SENSOR_THREADS"] = "few"
 attempt()
 os.environ["VIRTUAL_SENSOR_THREADS"] = "1"
 attempt("llvm_ad_rgb")
 attempt("llvm_ad_mono")
 """
-    scalar, unknown, threads, started, late = python(code).splitlines()
+    scalar, unknown, *spectral, threads, started, late = python(code).splitlines()
+    for words, other in zip(spectral, ("mono", "mono_polarized"), strict=True):
+        assert f"the laser has one: choose 'llvm_ad_{other}'" in words
     assert "'scalar_rgb'" in scalar
     assert "'llvm_ad_mono'" in scalar
     assert "no variant 'llvm_ad_mno'" in unknown

@@ -213,6 +213,11 @@ def _start(variant: str) -> Engine:
             f"the Mitsuba variant {variant!r} has no arrays to compute with: choose "
             f"{DEFAULT_VARIANT!r} or, with an NVIDIA GPU, 'cuda_ad_mono'"
         )
+    if "spectral" in variant:
+        raise EngineError(
+            f"the Mitsuba variant {variant!r} draws wavelengths at random, and the laser has one: "
+            f"choose {variant.replace('spectral', 'mono')!r}"
+        )
     threads = _requested_threads()
     llvm = _load_llvm() if backend == "llvm" else None
 
