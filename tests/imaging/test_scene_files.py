@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
+from virtual_sensor.engine import mi
 from virtual_sensor.imaging.scene import scene_files, scene_parameters, shipped_scenes
 from virtual_sensor.imaging.scene_file import LONGEST_VALUE, MOST_INCLUDED, MOST_NESTED
 
@@ -241,6 +242,18 @@ FAULTS = {
         ),
         '<rfilter type="box"> has no property "width"',
     ),
+    "ball squeezed": (
+        added('<shape type="sphere"><transform name="to_world"><scale x="2"/></transform></shape>'),
+        '<shape type="sphere">: to_world has non-uniform scaling, and Mitsuba would draw another',
+    ),
+    "cylinder sheared": (
+        changed(
+            '<point name="p0"',
+            '<transform name="to_world"><matrix value="1 .5 0 0 0 1 0 0 0'
+            ' 0 1 0 0 0 0 1"/></transform><point name="p0"',
+        ),
+        '<shape type="cylinder">: to_world has ',
+    ),
     "shape in a shape": (
         added('<shape type="sphere"><shape type="sphere"/></shape>'),
         '<shape type="sphere"> has no use for an element that is in it',
@@ -316,3 +329,14 @@ def test_a_mirrored_camera_measures_the_same_points(tmp_path):
     )
     np.testing.assert_allclose(again[::-1], points, atol=1e-3)
     assert np.isfinite(points).any()
+
+
+def test_what_mitsuba_warns_of_is_a_note_and_is_not_printed(capfd):
+    """Rationale: it went to the terminal in colours, and no summary held it."""
+    scene = vs.load_scene("cold_cylinder", width=64, height=64, spp=7)
+    (note,) = scene.notes
+    assert re.search(r"cold_cylinder\.xml: \[StratifiedSampler\] Sample count .* to 9", note)
+    mi.Log(mi.LogLevel.Warn, "as before")
+    printed = capfd.readouterr()
+    assert "Sample count" not in printed.out + printed.err
+    assert "as before" in printed.out + printed.err

@@ -95,6 +95,50 @@ def _among(folder: Path) -> Iterator[Any]:
         mi.set_file_resolver(before)
 
 
+class _Listener(mi.Appender):
+    """Takes down what Mitsuba warns of, which it would print."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: list[str] = []
+
+    def append(self, level: Any, text: str) -> None:
+        """Take a line of the log down."""
+        self.heard.append(text)
+
+    def log_progress(self, *progress: Any) -> None:
+        """Nothing: loading takes no time."""
+
+
+@contextmanager
+def _listening() -> Iterator[list[str]]:
+    """Hear Mitsuba's warnings in place of the terminal."""
+    logger, listener = mi.logger(), _Listener()
+    before = [logger.appender(number) for number in range(logger.appender_count())]
+    logger.clear_appenders()
+    logger.add_appender(listener)
+    try:
+        yield listener.heard
+    finally:
+        logger.clear_appenders()
+        for appender in before:
+            logger.add_appender(appender)
+
+
+def _warnings(main: Path, heard: list[str]) -> list[str]:
+    """Notes of Mitsuba's warnings; refuse a shape that is not what the scene says."""
+    notes = []
+    for line in dict.fromkeys(re.sub(r"^.*? WARN +", "", text) for text in heard):
+        if found := re.match(r"\[(\w+)\] 'to_world' transform shouldn't contain (.*?)!", line):
+            raise InputError(
+                f'{main}: <shape type="{found[1].lower()}">: to_world has {found[2]}, and Mitsuba'
+                " would draw another shape; turn, move and scale evenly, or give a mesh"
+            )
+        if "Monochrome mode" not in line:  # whose one channel is what is wanted
+            notes.append(shortened(f"{main}: {line}", _LONGEST_WORD))
+    return notes
+
+
 def load(
     files: list[SceneFile], given: dict[str, str], values: dict[str, str]
 ) -> tuple[Any, list[str]]:
@@ -103,7 +147,7 @@ def load(
     config = mi.parser.ParserConfig(mi.variant())
     # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
     config.merge_equivalent = config.merge_meshes = False
-    with _among(main.parent), ExitStack() as temporary:
+    with _among(main.parent), ExitStack() as temporary, _listening() as heard:
         try:
             state = mi.parser.parse_string(config, files[0].text, **given)
             notes = [
@@ -116,7 +160,8 @@ def load(
                 for name in list(node.props.keys()):
                     node.props.mark_queried(name, False)
             mi.parser.transform_all(config, state)
-            return mi.parser.instantiate(config, state), notes
+            loaded = mi.parser.instantiate(config, state)
+            return loaded, notes + _warnings(main, heard)
         except InputError:
             raise
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
