@@ -363,8 +363,9 @@ def _beside_scene(name: str) -> Path:
     places = list(dict.fromkeys(folder / name for folder in folders))
     beside = [place.parent for place in places if exists(place.parent)]
     present = sorted({file.name for folder in beside for file in folder.glob("*.nc")})
+    others = "".join(f"; nor is there {place}" for place in places[1:])
     raise InputError(
-        f"refractive: 'field': there is no such file: {', nor '.join(map(str, places))}; there"
+        f"refractive: 'field': {places[0]}: there is no such file{others}; there"
         f" {'are ' + ', '.join(present) if present else 'is no .nc file'}"
     )
 
