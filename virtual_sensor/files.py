@@ -208,6 +208,10 @@ def _beside(path: Path) -> Iterator[Path]:
 @contextmanager
 def _workshop(final: Path) -> Iterator[Path]:
     """Give a hidden folder beside a place for results, locked against `settle` by others."""
+    try:
+        str(final).encode()
+    except UnicodeEncodeError:  # libraries take a name as UTF-8
+        raise InputError(f"{final}: its name is not UTF-8; name another with -o") from None
     lock = None
     while lock is None:  # another process may settle it between these two steps
         folder = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", final.parent))

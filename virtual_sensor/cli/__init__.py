@@ -5,6 +5,7 @@ Signals are handled before anything else is imported, which takes a second.
 
 import atexit
 import os
+import sys
 from typing import Any
 
 from virtual_sensor import interrupts
@@ -21,14 +22,28 @@ def main() -> None:
         except OSError:
             os.open(os.devnull, os.O_RDWR)
 
-    from virtual_sensor.cli.commands import run
-
-    status = run()
+    status = _run()
     if ours:
         # Python's own end takes the handlers away, while libraries may still abort or hang.
         atexit._run_exitfuncs()
         os._exit(status)
     raise SystemExit(status)
+
+
+def _run() -> int:
+    try:
+        os.getcwd()  # noqa: PTH109
+    except OSError as error:  # Mitsuba would abort
+        sys.stderr.write(f"Error: the working folder is gone ({error.strerror}); go to another\n")
+        return 2
+
+    from virtual_sensor.cli.commands import run
+
+    try:
+        return run()
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        return 1
 
 
 def __getattr__(name: str) -> Any:

@@ -31,6 +31,8 @@ app = typer.Typer(
 )
 
 _CommandLineError: Any = typer.BadParameter.__base__
+_HELP_WIDTH = 72
+"""Characters that the help needs to be written in boxes."""
 
 app.add_typer(simulation.app, name="field")  # with the commands of field.py
 
@@ -285,7 +287,10 @@ def run() -> int:
 
 def _run() -> int:
     try:
-        return app(prog_name="virtual-sensor", standalone_mode=False) or 0
+        command: Any = typer.main.get_command(app)
+        if console.width < _HELP_WIDTH:
+            _plainly(command)
+        return command(prog_name="virtual-sensor", standalone_mode=False) or 0
     except _CommandLineError as error:
         return _refused(error)
     except BaseException as error:
@@ -302,9 +307,19 @@ def _run() -> int:
         return status
 
 
+def _plainly(command: Any) -> None:
+    """Have a command's help, and that of those below it, written without boxes, which cut words."""
+    command.rich_markup_mode = None
+    for each in getattr(command, "commands", {}).values():
+        _plainly(each)
+
+
 def _refused(error: Any) -> int:
     """Say in a line what is wrong with the command line."""
-    if said := error.format_message():  # without arguments the help has been printed
+    said = error.format_message()
+    if type(error).__name__ == "NoArgsIsHelpError":
+        console.print(said, soft_wrap=True, end="")  # the help, if it is not printed yet
+    else:
         asked = error.ctx.command_path if error.ctx else "virtual-sensor"
         text = f"Error: {one_line(said).rstrip('.')}; see `{asked} --help`"
         errors.print(text, style="red", soft_wrap=True)
