@@ -44,6 +44,7 @@ def chart(
     from virtual_sensor.studies.chart.chart import PANELS, check_panels
     from virtual_sensor.studies.chart.chart import chart as run
     from virtual_sensor.studies.chart.report import FRONT_HEAD, PAGE, front_rows, save_chart
+    from virtual_sensor.studies.tables import in_words
 
     check_panels(panel or [])
     check_output(output, overwrite, folder=True)
@@ -58,9 +59,9 @@ def chart(
             table.add_row(*row)
         console.print(table)
     for scaling in result.scalings:
+        power = in_words(scaling.exponent, "{:.2f}")
         console.print(
-            f"  {scaling.name}: time to the power {scaling.exponent:.2f}; {scaling.note}",
-            soft_wrap=True,
+            f"  {scaling.name}: time to the power {power}; {scaling.note}", soft_wrap=True
         )
     print_notes(result.notes)
     for fact, value in result.machine.items():

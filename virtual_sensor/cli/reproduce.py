@@ -6,7 +6,14 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import Definitions, Scheduler, console, definitions, reporting
+from virtual_sensor.cli.shared import (
+    Definitions,
+    Scheduler,
+    console,
+    definitions,
+    print_notes,
+    reporting,
+)
 
 EPILOG = (
     "Examples:\n\n"
@@ -32,6 +39,7 @@ def reproduce(
     """
     from virtual_sensor.studies.reproduction.report import PAGE, save_reproduction
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
+    from virtual_sensor.studies.tables import in_words
 
     with reporting("reading what is kept") as report:
         result = run(
@@ -48,9 +56,10 @@ def reproduce(
         table.add_row(air, figures["airs"][air], str(number))
     console.print(table)
     for name, value in figures["rendered minus searched, px"].items():
-        console.print(f"  rendered minus searched, {name}: {value:.4f} px")
+        console.print(f"  rendered minus searched, {name}: {in_words(value)} px")
     for line in figures["cylinder fit"]:
         console.print(f"  {line}", soft_wrap=True)
+    print_notes(figures["notes"])
     console.print(
         f"{figures['measured now']} of {len(result.measured['status'])} cases measured now,"
         f" {figures['seconds']:.0f} s; look at {output / 'report' / PAGE} first",

@@ -35,7 +35,7 @@ from virtual_sensor.studies.reproduction.reconstruction import columns as recons
 from virtual_sensor.studies.reproduction.reconstruction import told as reconstruction_told
 from virtual_sensor.studies.reproduction.reproduce import Reproduction, worst
 from virtual_sensor.studies.reproduction.statements import Verdict
-from virtual_sensor.studies.tables import write_csv, write_json
+from virtual_sensor.studies.tables import in_words, write_csv, write_json
 
 Array = NDArray[np.float64]
 
@@ -116,6 +116,11 @@ def summary(result: Reproduction) -> dict[str, Any]:
             float(np.abs(_left_over(curve)).max()) for curve in result.curves.nine.values()
         ),
         "cylinder fit": reconstruction_told(result.reconstructions).split("  "),
+        "notes": [
+            f"{Path(folder).name}: {message}"
+            for folder, message in zip(measured["folder"], measured["message"], strict=True)
+            if message
+        ],
         "measured now": result.made,
         "seconds": round(result.seconds, 1),
     }
@@ -273,9 +278,10 @@ def page(result: Reproduction, figures: dict[str, Any], pictures: Sequence[str])
             f" {figures['statements']} statements borne out</li>"
             for air, number in figures["borne out"].items()
         ),
-        f"<li>rendered and searched: the line across itself to {apart[LINE_RMS]:.4f} px rms in the"
-        f" worst case, dots to {apart['dots, largest in u']:.4f} px in u and"
-        f" {apart['dots, largest in v']:.4f} px in v</li>",
+        "<li>rendered and searched: the line across itself to"
+        f" {in_words(apart[LINE_RMS])} px rms in the worst case, dots to"
+        f" {in_words(apart['dots, largest in u'])} px in u and"
+        f" {in_words(apart['dots, largest in v'])} px in v</li>",
         *(f"<li>{escape(line)}</li>" for line in figures["cylinder fit"]),
         "</ul>",
         "<h2>What the paper states, and what we find</h2>",

@@ -252,4 +252,4 @@ def _sections(
 
 def worst(measured: Mapping[str, Sequence[Any]], columns: Sequence[str]) -> float:
     """The largest of some columns of the sweep's table; NaN where a case has none."""
-    return float(np.nanmax([np.asarray(measured[name], float) for name in columns]))
+    return float(np.fmax.reduce([value for name in columns for value in measured[name]]))
