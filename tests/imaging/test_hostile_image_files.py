@@ -7,6 +7,7 @@ import numpy as np
 import OpenEXR
 import PIL.Image
 import pytest
+import tifffile
 from image_makers import (
     GREY8,
     GREY16,
@@ -108,3 +109,18 @@ def test_an_image_without_samples_is_refused(tmp_path):
     path.write_bytes(path.read_bytes().replace(tag(277, 1), tag(277, 0)))
     with pytest.raises(InputError, match=r"a\.tif: says it has 90 x 64 x 0 px"):
         read_image(path)
+
+
+def test_a_tiff_whose_next_page_is_cut_off_is_refused(tmp_path):
+    """The first page is whole; that there was another, only its offset says."""
+    path = tmp_path / "a.tif"
+    with tifffile.TiffWriter(path) as file:
+        for image in (GREY8, GREY8):
+            file.write(image, photometric="minisblack")
+    with tifffile.TiffFile(path) as file:
+        second = file.pages[1].offset
+    data = path.read_bytes()
+    for cut in (second, second + 20):
+        path.write_bytes(data[:cut])
+        with pytest.raises(InputError, match=r"a\.tif"):
+            read_image(path)

@@ -18,7 +18,7 @@ from virtual_sensor.imaging.image_files import find_images, read_image
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.detectors import NAMES
 from virtual_sensor.studies.detect import detect
-from virtual_sensor.studies.detect_results import save_detected
+from virtual_sensor.studies.detect_results import names_of, save_detected
 from virtual_sensor.studies.tables import write_json
 
 ROW = 30.0 + 0.05 * np.arange(90)
@@ -299,9 +299,10 @@ def test_names_of_every_kind_are_drawn(tmp_path):
     paths, _ = find_images([folder])
     found = []
     detect(paths, "gaussian", {}, None, None, lambda each, number: found.append(each))
-    for each in found:
-        save_detected(each, each.path.stem, tmp_path)
-        assert (tmp_path / f"{each.path.stem}.png").stat().st_size > 20_000
+    for name, each in zip(names_of([*paths, paths[-1]]), [*found, found[-1]], strict=True):
+        save_detected(each, name, tmp_path)
+        assert (tmp_path / f"{name}.png").stat().st_size > 20_000
+        assert name.isprintable()
     assert len(found) == len(names)
     write_json(tmp_path / "paths.json", paths := [str(path) for path in paths])
     assert json.loads((tmp_path / "paths.json").read_text()) == paths

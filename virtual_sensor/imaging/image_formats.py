@@ -197,7 +197,9 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         claimed = math.prod(page.chunked)  # tifffile fills absent strips with nought
         present = all(size and at + size <= end for at, size in segments)
         broken = InputError(f"{path}: is not a whole TIFF file; copy it again")
-        if not (segments and present and len(segments) >= claimed):
+        file.filehandle.seek(pages.next_page_offset or 0)
+        ends = file.filehandle.read(file.tiff.offsetsize) == bytes(file.tiff.offsetsize)
+        if not (ends and segments and present and len(segments) >= claimed):
             raise broken
         photometric = page.photometric.name
         known = ("MINISBLACK", "MINISWHITE", "RGB", "PALETTE")

@@ -29,14 +29,20 @@ _STATUS = ListedColormap(
 
 
 def names_of(paths: Sequence[Path]) -> list[str]:
-    """A name for each image's files, all different: its own, with its folder's where needed."""
+    """A name for each image's files, all different: its own, of letters that print."""
     names: list[str] = []
     for path in paths:
-        name, number = path.stem, 2
+        stem = _printable(path.stem)
+        name, number = stem, 2
         while name in names:
-            name, number = f"{path.stem}_{number}", number + 1
+            name, number = f"{stem}_{number}", number + 1
         names.append(name)
     return names
+
+
+def _printable(name: str) -> str:
+    """A file's name without control characters, and without bytes that are no UTF-8."""
+    return "".join(c if c.isprintable() else "_" for c in name)
 
 
 def save_detected(found: Detected, name: str, folder: Path) -> None:
@@ -69,8 +75,9 @@ def draw_overlay(found: Detected, path: Path) -> None:
     top, middle, bottom = figure.subplots(3, 1, height_ratios=(5.0, 0.45, 1.5))
     figure.subplots_adjust(left=0.08, right=0.985, bottom=0.07, top=0.93, hspace=0.42)
     good = line.status == Status.OK
-    name = "".join(c if c.isprintable() else "?" for c in found.path.name)
-    figure.suptitle(f"{name}: {int(good.sum())} centres", fontsize=12, parse_math=False)
+    figure.suptitle(
+        f"{_printable(found.path.name)}: {int(good.sum())} centres", fontsize=12, parse_math=False
+    )
     _image(top, image, line)
     many = line.status.ndim > 1
     pixel = line.pixel if many else line.pixel[None]
