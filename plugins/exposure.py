@@ -1,5 +1,6 @@
 """Samples of pixels, chunk by chunk, summed on a film."""
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -8,10 +9,28 @@ from numpy.typing import NDArray
 from virtual_sensor_plugins.lit_pixels import film_place, film_rays
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
 from virtual_sensor.medium.lookups import in_own_memory
+
+ONE_FRAME = threading.RLock()
+"""Held while a frame is made: hot and cold states of a scene, in any thread, share one film."""
 
 Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
 """From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
+
+
+def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
+    """A sampler like the sensor's, of as many samples a pixel; 0: as many as it has."""
+    sampler = sensor.sampler().fork()
+    if spp:
+        sampler.set_sample_count(spp)
+    taken = sampler.sample_count()
+    if taken != (spp or taken) or not taken:
+        raise InputError(
+            f"{spp} samples a pixel: the scene's <sampler> would take {taken}; give a number that"
+            " it has (spp), such as 1, 4, 9 or 16"
+        )
+    return sampler
 
 
 class Exposure:
@@ -20,6 +39,8 @@ class Exposure:
     Parameters
     ----------
     sensor : mi.Sensor
+    sampler : mi.Sampler
+        The frame's own: what another frame takes from the sensor's stays as it is.
     seed : int
     pixels : int
         How many will be exposed in all.
@@ -28,9 +49,14 @@ class Exposure:
     """
 
     def __init__(
-        self, sensor: mi.Sensor, seed: int, pixels: int, progress: Callable[[float], None] | None
+        self,
+        sensor: mi.Sensor,
+        sampler: mi.Sampler,
+        seed: int,
+        pixels: int,
+        progress: Callable[[float], None] | None,
     ) -> None:
-        self.sensor, self.sampler, self.film = sensor, sensor.sampler(), sensor.film()
+        self.sensor, self.sampler, self.film = sensor, sampler, sensor.film()
         self.block = self.film.create_block()
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = self._chunks = 0

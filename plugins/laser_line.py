@@ -8,6 +8,11 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.illumination import LaserFrame
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
+from virtual_sensor.optics.surfaces import own_variant
+
+_FARTHEST_MM = 1e6  # float32 places are good to 0.06 mm there
+_SQUARE = 1e-4  # a rotation's axes are of length 1 and square to each other, but for rounding
+_MOST_DOTS = 1000
 
 
 class LaserLineEmitter(mi.Emitter):
@@ -35,7 +40,7 @@ class LaserLineEmitter(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.line = LaserLine(
-            pose=Pose.from_matrix(props["to_world"].matrix),
+            pose=_pose(props),
             distance_mm=_positive(props, "distance", 300.0),
             length_mm=_positive(props, "length"),
             radius_mm=_positive(props, "radius"),
@@ -121,12 +126,50 @@ class LaserLineEmitter(mi.Emitter):
         return f"LaserLine[{self.line}]"
 
 
+def laser_of(scene: mi.Scene) -> LaserLineEmitter:
+    """The scene's only laser line generator.
+
+    Raises
+    ------
+    InputError
+        If there is none, or several.
+    EngineError
+        If the scene is another Mitsuba variant's.
+    """
+    own_variant(scene)
+    found = [e for e in scene.emitters() if isinstance(e, LaserLineEmitter)]
+    if len(found) != 1:
+        raise InputError(
+            f'{len(found)} emitters of type "laser_line"; a scene for the refractive integrator has'
+            " exactly one"
+        )
+    return found[0]
+
+
+def _pose(props: mi.Properties) -> Pose:
+    """Where the exit stands: a rotation and a place, since what else it is told it can't do."""
+    matrix = np.asarray(props["to_world"].matrix, float).reshape(4, 4)
+    axes = matrix[:3, :3]
+    if not np.isfinite(matrix).all():
+        raise InputError(
+            "laser_line: 'to_world' is no rotation; give a <lookat> whose up and direction differ"
+        )
+    if not np.allclose(axes.T @ axes, np.eye(3), atol=_SQUARE):
+        raise InputError(
+            "laser_line: 'to_world' scales or shears, which a laser can't; give rotations and"
+            " translations alone, and its size by 'length', 'radius' and 'distance'"
+        )
+    return Pose.from_matrix(matrix)
+
+
 def _positive(props: mi.Properties, name: str, default: float | None = None) -> float:
     if default is None and name not in props:
         raise InputError(f"laser_line: the property '{name}' is missing; give it in mm")
     value = float(props.get(name, default))
     if not (np.isfinite(value) and value > 0.0):
         raise InputError(f"laser_line: '{name}' must be a positive number, not {value:g}")
+    if name != "power" and value > _FARTHEST_MM:
+        raise InputError(f"laser_line: '{name}' is {value:g} mm; give at most {_FARTHEST_MM:g} mm")
     return value
 
 
@@ -137,8 +180,12 @@ def _positions(text: str) -> np.ndarray:
         places = np.array([np.nan])
     if not np.isfinite(places).all():
         raise InputError(
-            f'laser_line: \'dots\' must list positions in mm, such as "0, -1.25", not "{text}"'
+            f'laser_line: \'dots\' must list positions in mm, such as "0, -1.25", not "{text[:80]}"'
         )
+    if places.size > _MOST_DOTS:
+        raise InputError(f"laser_line: {places.size} 'dots'; give at most {_MOST_DOTS}")
+    if np.abs(places).max(initial=0.0) > _FARTHEST_MM:
+        raise InputError(f"laser_line: 'dots' lie beyond {_FARTHEST_MM:g} mm; give them in mm")
     return places
 
 

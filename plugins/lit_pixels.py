@@ -240,3 +240,12 @@ def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]
     """The pixels of a mask and their neighbours."""
     image = mask.astype(np.uint8).reshape(height, width)
     return cv2.dilate(image, np.ones((3, 3), np.uint8)).ravel() > 0
+
+
+def guess_from(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
+    """What is known near samples, from the light at their pixels' centres; straight if nothing."""
+    sound = dr.isfinite(light.a)
+    identity = (1.0, 0.0, 0.0, 1.0)
+    known = light.jacobian or identity
+    jacobian = (dr.select(sound, j, i) for j, i in zip(known, identity, strict=True))
+    return *(dr.select(sound, shift, 0.0) for shift in light.shift), tuple(jacobian)

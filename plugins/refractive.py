@@ -1,19 +1,21 @@
 """The `refractive` integrator: what a camera sees through air of varying refractive index."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from virtual_sensor_plugins.exposure import Exposure
+from virtual_sensor_plugins.exposure import ONE_FRAME, Exposure, own_sampler
 from virtual_sensor_plugins.glow import Glow
-from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.laser_line import LaserLineEmitter, laser_of
 from virtual_sensor_plugins.lit_pixels import (
     Account,
     LitPixels,
     Sight,
     centre_rays,
     find_lit_pixels,
+    guess_from,
     rows,
 )
 from virtual_sensor_plugins.tabulated import Elsewhere, lit_pixels_and_tables, merged
@@ -31,6 +33,8 @@ from virtual_sensor.optics.tabulate import NoMapError
 
 WAYS = ("tabulated", "exact", "first_order", "straight")
 """How bent rays are found, by name."""
+
+_MOST_STEPS = 40_000  # of a march: twice as many as elsewhere, for rays aslant through the field
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "elsewhere": 1 << 22}
@@ -71,11 +75,16 @@ class Refractive(mi.SamplingIntegrator):
         self.widen = float(props.get("widen", 1.0))
         self.blur_mm = float(props.get("blur", 0.0))
         self.wavelength_nm = float(props.get("wavelength", 532.0))
+        if not 0.0 < self.wavelength_nm < np.inf:
+            raise InputError(
+                f"refractive: 'wavelength' must be a positive number of nm, not"
+                f" {self.wavelength_nm:g}"
+            )
         self.way = str(props.get("way", "tabulated"))
         if self.way not in WAYS:
             raise InputError(f"refractive: 'way' must be one of {', '.join(WAYS)}, not {self.way}")
         self.tolerance_px = float(props.get("tolerance", 0.003))
-        if not self.tolerance_px > 0.0:
+        if not 0.0 < self.tolerance_px < np.inf:
             raise InputError(
                 f"refractive: 'tolerance' must be a positive number of px, not {self.tolerance_px}"
             )
@@ -89,6 +98,7 @@ class Refractive(mi.SamplingIntegrator):
                 method=str(props.get("method", "leapfrog")),
                 precision=str(props.get("precision", "single")),
                 first_order=self.way == "first_order",
+                max_steps=_MOST_STEPS,
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
@@ -101,6 +111,7 @@ class Refractive(mi.SamplingIntegrator):
         self.glows = True
         self.field_file = _beside_scene(name) if name else None
         self.field = self._air(self.field_file, time_s) if self.field_file else None
+        _ = self._refracting  # a march that can't get through the air is refused on loading
 
     def _air(self, file: Path, time_s: float | None) -> IndexField:
         air = IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
@@ -130,12 +141,20 @@ class Refractive(mi.SamplingIntegrator):
         choices |= {"way": way, "tolerance": tolerance_px, **self.model}
         other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
         other.field, other.glows = self.field, self.glows
+        other.march = replace(march, first_order=way == "first_order")
         other.field_file, other.widen, other.blur_mm = self.field_file, self.widen, self.blur_mm
         return other
 
     @property
     def _refracting(self) -> IndexField | None:
-        return None if self.way == "straight" else self.field
+        """The air that bends light; an InputError if the march can't get through it."""
+        if self.way == "straight":
+            return None
+        try:
+            self.march.check(self.field)
+        except InputError as error:
+            raise InputError(f"refractive: {error} (step)") from None
+        return self.field
 
     def look(self, scene: mi.Scene, ray: Any, guess: Any = None, active: Any = True) -> Sight:
         """Follow camera rays to the surface and find the laser's light there, by marching."""
@@ -253,22 +272,39 @@ class Refractive(mi.SamplingIntegrator):
         lit: LitPixels | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Any:
-        """Mitsuba's `render`.
+        """Mitsuba's `render`; a frame at a time, whatever the thread.
 
         `lit` spares looking for the lit pixels if they are known, and keeps account; `progress` is
         told the fraction done.
         """
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        film, sampler = sensor.film(), sensor.sampler()
-        if spp:
-            sampler.set_sample_count(spp)
-        film.prepare([])
-        lit = lit or self.lit_pixels(scene, sensor)
-        width, height = (int(n) for n in film.crop_size())
+        sampler = own_sampler(sensor, spp)
+        with ONE_FRAME:
+            lit = lit or self.lit_pixels(scene, sensor)
+            film = sensor.film()
+            film.prepare([])
+            film.put_block(self._exposed(scene, sensor, sampler, seed, lit, progress))
+            if not develop:
+                return None
+            image = film.develop()
+            dr.eval(image)
+            return image
+
+    def _exposed(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor,
+        sampler: mi.Sampler,
+        seed: int,
+        lit: LitPixels,
+        progress: Callable[[float], None] | None,
+    ) -> Any:
+        """The block of a frame's samples."""
+        width, height = (int(n) for n in sensor.film().crop_size())
         laser_alone = not self._other_lights(scene)
         count = lit.index.size if laser_alone else width * height
-        exposure = Exposure(sensor, seed, count, progress)
+        exposure = Exposure(sensor, sampler, seed, count, progress)
         every = np.arange(width * height, dtype=np.uint32)
 
         def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
@@ -277,7 +313,7 @@ class Refractive(mi.SamplingIntegrator):
 
         def by_guess(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             centre = rows(lit.sight.light, row)
-            sight = self.look(scene, ray, _guess(centre))
+            sight = self.look(scene, ray, guess_from(centre))
             # A guess from a dark centre beside a step leads astray; a folded one stays dark.
             folded = centre.status == int(LightStatus.FOLDED)
             sure = dr.isfinite(centre.a) & (sight.light.status == int(LightStatus.LIT))
@@ -309,8 +345,7 @@ class Refractive(mi.SamplingIntegrator):
                     return self._shaded(scene, sampler, bent(ray, pixel), True, None)
 
                 exposure.add(rest, by_tangents, _LANES["elsewhere"])
-        film.put_block(exposure.block)
-        return film.develop() if develop else None
+        return exposure.block
 
     def _tabulated(self, scene: mi.Scene, ray: Any, lit: LitPixels) -> Sight:
         """What rays see by the tables; those of which these can't tell are marched, and counted."""
@@ -329,17 +364,6 @@ class Refractive(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
         return f"Refractive[{self.march}, field={self.field_file}]"
-
-
-def laser_of(scene: mi.Scene) -> LaserLineEmitter:
-    """The scene's only laser line generator."""
-    found = [e for e in scene.emitters() if isinstance(e, LaserLineEmitter)]
-    if len(found) != 1:
-        raise InputError(
-            f'{len(found)} emitters of type "laser_line"; a scene for the refractive integrator has'
-            " exactly one"
-        )
-    return found[0]
 
 
 def _instant(text: str) -> float | None:
@@ -368,15 +392,6 @@ def _beside_scene(name: str) -> Path:
         f"refractive: 'field': {places[0]}: there is no such file{others}; there"
         f" {'are ' + ', '.join(present) if present else 'is no .nc file'}"
     )
-
-
-def _guess(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
-    """What is known near samples, from the light at their pixels' centres; straight if nothing."""
-    sound = dr.isfinite(light.a)
-    identity = (1.0, 0.0, 0.0, 1.0)
-    known = light.jacobian or identity
-    jacobian = (dr.select(sound, j, i) for j, i in zip(known, identity, strict=True))
-    return *(dr.select(sound, shift, 0.0) for shift in light.shift), tuple(jacobian)
 
 
 mi.register_integrator("refractive", Refractive)

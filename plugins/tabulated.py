@@ -130,12 +130,12 @@ def lit_pixels_and_tables(
     pad = np.array([pad_p, pad_p, _PAD_MM])
     seen = places.camera.min(axis=0) - pad, places.camera.max(axis=0) + pad
     depth = places.laser[:, 2]
-    low, high = emitter.extent
-    pad_ab = moves.laser_mm + _PAD_MM
-    lit = (
-        np.append(low - pad_ab, depth.min() - _PAD_MM),
-        np.append(high + pad_ab, depth.max() + _PAD_MM),
-    )
+    pad_ab, seen_ab = moves.laser_mm + _PAD_MM, places.laser[:, :2]
+    low, high = (ends + side * pad_ab for ends, side in zip(emitter.extent, (-1, 1), strict=True))
+    # A line may be much longer than what of it is seen.
+    low = np.maximum(low, seen_ab.min(axis=0) - moves.light_mm - _PAD_MM)
+    high = np.minimum(high, seen_ab.max(axis=0) + moves.light_mm + _PAD_MM)
+    lit = np.append(low, depth.min() - _PAD_MM), np.append(high, depth.max() + _PAD_MM)
     camera, account.camera = camera_map(field, pose, *seen, march, error_mm)
     laser, account.laser = laser_map(field, emitter.line, *lit, moves.laser_mm, march, error_mm)
     account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm

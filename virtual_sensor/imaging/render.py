@@ -9,13 +9,20 @@ import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
+from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Account
+from virtual_sensor_plugins.refractive import laser_of
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.optics.rays import whole_number
+from virtual_sensor.optics.sight import check_scene_given
 
 Image = NDArray[np.float32]
+
+_MOST_SAMPLES = 1 << 20  # a pixel's are in flight at once
+_LARGEST_SEED = 2**32 - 1
 
 
 @dataclass(frozen=True)
@@ -56,9 +63,25 @@ def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
         Samples per pixel; the scene's own if not given.
     seed : int
         Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
+
+    Raises
+    ------
+    InputError
+        If it is no scene, or one of the numbers can't be used.
+    EngineError
+        If the scene was loaded under another Mitsuba variant.
     """
-    image = scene.integrator.render(scene.mitsuba, scene.mitsuba.sensors()[0], seed, spp or 0)
-    return _first_channel(image)
+    samples, seed = _checked("render", scene, spp, seed)
+    sensor = scene.mitsuba.sensors()[0]
+    return _first_channel(scene.integrator.render(scene.mitsuba, sensor, seed, samples))
+
+
+def _checked(asker: str, scene: Scene, spp: int | None, seed: int) -> tuple[int, int]:
+    """Samples a pixel, 0 for the scene's own, and seed."""
+    check_scene_given(asker, scene)
+    laser_of(scene.mitsuba)
+    samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
+    return samples, whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
 
 
 def _first_channel(image: Any) -> Image:
@@ -75,15 +98,17 @@ def render_frame(
 ) -> Frame:
     """Render the scene's camera image together with its ground truth.
 
-    `progress` is told the fraction of the samples done.
+    `progress` is told the fraction of the samples done.  Raises as `render` does.
     """
+    samples, seed = _checked("render_frame", scene, spp, seed)
     camera = scene.sensor.camera
     width, height = camera.size
     sensor = scene.mitsuba.sensors()[0]
-    lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
-    image = scene.integrator.render(
-        scene.mitsuba, sensor, seed, spp or 0, lit=lit, progress=progress
-    )
+    with ONE_FRAME:
+        lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
+        image = scene.integrator.render(
+            scene.mitsuba, sensor, seed, samples, lit=lit, progress=progress
+        )
 
     light = lit.sight.light
     a, b = light.a.numpy(), light.b.numpy()

@@ -44,11 +44,13 @@ from virtual_sensor.imaging.scene_file import (
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
+from virtual_sensor.optics.trace import to_vectors
 
 # Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
+_CLEARANCE_MM = 0.01
 _METRES_MM = 2.0, 5.0  # a part no larger, and a camera no farther: scenes in metres are so
 
 
@@ -156,6 +158,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     sensor = SensorModel(_camera(path, loaded), emitter.line)
+    _check_samples(files, values, loaded)
     notes = [*(note for file in files for note in file.notes), *notes]
     notes += _places(path, loaded, sensor)
     return Scene(path, values, loaded, integrator, sensor, _surface(loaded), tuple(notes))
@@ -270,6 +273,7 @@ def _places(path: Path, loaded: Any, sensor: SensorModel) -> list[str]:
     corners = np.array([box.min, box.max], float)
     if not (np.isfinite(corners).all() and np.all(corners[0] <= corners[1])):
         raise InputError(f"{path}: its shapes have no finite size; give the scene a part")
+    _check_clearance(path, loaded, sensor.camera.pose.origin_mm)
     size, middle = np.max(corners[1] - corners[0]), corners.mean(axis=0)
     distance = np.linalg.norm(sensor.camera.pose.origin_mm - middle)
     if size > _METRES_MM[0] or distance > _METRES_MM[1]:
@@ -278,6 +282,34 @@ def _places(path: Path, loaded: Any, sensor: SensorModel) -> list[str]:
         f"{path}: the part is {size:.2g} mm in size and the camera {distance:.2g} mm away; lengths"
         " are in mm: is the scene in metres?"
     ]
+
+
+def _check_clearance(path: Path, loaded: Any, place_mm: NDArray[np.float64]) -> None:
+    """A camera that touches a shape sees nothing but that, at no distance."""
+    steps = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1.0
+    unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    start = place_mm - _CLEARANCE_MM * unit
+    met = SceneSurface(loaded).distance(
+        to_vectors(start), to_vectors(unit), 2.0 * _CLEARANCE_MM, True
+    )
+    if np.isfinite(np.array(met)).any():
+        raise InputError(
+            f"{path}: <sensor>: the camera stands on a surface; move it away from it (to_world)"
+        )
+
+
+def _check_samples(files: list[SceneFile], values: dict[str, str], loaded: Any) -> None:
+    """Samplers round a number that they can't do, and the frame is not of the number given."""
+    taken = str(loaded.sensors()[0].sampler().sample_count())
+    for element in (e for file in files for e in file.elements):
+        if element.tag != "integer" or element.attributes.get("name") != "sample_count":
+            continue
+        asked = filled(element.attributes.get("value", ""), values).strip()
+        if asked != taken or not int(taken):
+            raise InputError(
+                f"{element.where}: a sample_count of {shortened(asked)}: this <sampler> would take"
+                f" {taken}; give a number that it has (spp), such as 1, 4, 9 or 16"
+            )
 
 
 def _camera(path: Path, loaded: Any) -> Camera:

@@ -13,9 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.newton_search import newton, newton_along_line
-from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.rays import March, whole_number
 from virtual_sensor.optics.sensor_model import Camera
-from virtual_sensor.optics.sight import REFERENCE, SearchScene, incidence_points, seen_points
+from virtual_sensor.optics.sight import (
+    REFERENCE,
+    SearchScene,
+    check_scene_given,
+    incidence_points,
+    seen_points,
+)
 
 __all__ = [
     "REFERENCE",
@@ -29,6 +35,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
+_MOST_STEPS = 1000  # of the paper's search: its step is halved in each
 _LEAN = 5e-3  # a bent line of sight leans from the straight one by some milliradians
 
 
@@ -118,17 +125,40 @@ def ray_search(
     Raises
     ------
     InputError
-        If the method is neither.
+        If the method is neither, or a number can't be searched with.
     """
+    check_scene_given("ray_search", scene)
     if method not in ("paper", "newton"):
         raise InputError(f"ray_search: method must be paper or newton, not '{method}'")
-    b = np.atleast_1d(np.asarray(laser_y_mm, float))
+    b = np.atleast_1d(_numbers("laser_y_mm", laser_y_mm))
+    if b.ndim > 1:
+        raise InputError(f"ray_search: laser_y_mm has the shape {b.shape}; give a list, (N,)")
+    b = np.where(np.isfinite(b), b, np.nan)
+    whole_number("ray_search: k_stop", k_stop, 1, _MOST_STEPS)
+    grid = _numbers("grid_px", grid_px)
+    if grid.shape != (2,) or not np.all((grid > 0.0) & (grid < np.inf)):
+        raise InputError(f"ray_search: grid_px must be two positive numbers of px, not {grid_px}")
+    for name, value in (("r_max_um", r_max_um), ("z_max_mm", z_max_mm)):
+        if not value > 0.0:
+            raise InputError(f"ray_search: {name} must be positive, not {value}")
+    (march or REFERENCE).check(scene.field)
+    if not b.size:  # Dr.Jit knows no empty array
+        none = np.zeros((0, 3))
+        nil = np.zeros(0, int)
+        return FoundPixels(none, none[:, :2], none, none[:, 0], nil, nil)
     if method == "paper":
         found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE)
     else:
         found = _newton(scene, b, march)
     lit = scene.sensor.laser.reaches(0.0, b)
     return _checked(scene.sensor.camera, found, lit, r_max_um, z_max_mm)
+
+
+def _numbers(name: str, values: ArrayLike) -> Array:
+    try:
+        return np.asarray(values, float)
+    except (TypeError, ValueError):
+        raise InputError(f"ray_search: {name} must be numbers, not {values!r:.80}") from None
 
 
 def _paper(

@@ -1,5 +1,6 @@
 """Rays and how to march them: the straight ray, the bent one beside it, and what bends it."""
 
+import operator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -8,6 +9,19 @@ import numpy as np
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
+
+_MOST_STEPS = 2**31 - 1
+
+
+def whole_number(name: str, value: Any, least: int, most: int) -> int:
+    """The value as int; raises InputError, naming it, if it is none within the bounds."""
+    try:
+        whole = operator.index(value)
+    except TypeError:
+        whole = least - 1
+    if not least <= whole <= most:
+        raise InputError(f"{name} must be a whole number from {least} to {most}, not {value!r}")
+    return whole
 
 
 class Lookup(Protocol):
@@ -74,14 +88,38 @@ class March:
     max_steps: int = 20_000
 
     def __post_init__(self) -> None:
-        if not self.step_mm > 0.0:
-            raise InputError(f"step_mm must be positive, not {self.step_mm}")
-        if not self.tolerance_mm > 0.0:
-            raise InputError(f"tolerance_mm must be positive, not {self.tolerance_mm}")
+        for name in ("step_mm", "tolerance_mm"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise InputError(f"{name} must be positive and finite, not {value}")
+        whole_number("max_steps", self.max_steps, 1, _MOST_STEPS)
         if self.method not in STEPPERS:
             raise InputError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
         if self.precision not in ("single", "double"):
             raise InputError(f"precision must be single or double, not '{self.precision}'")
+
+    def check(self, field: Field | None) -> None:
+        """Ask whether steps so long, or so short, get through a field.
+
+        Raises
+        ------
+        InputError
+            If one step is longer than the field, or all that a ray may take end within it.
+        """
+        if field is None:
+            return
+        sides = np.ptp(np.asarray(field.box, float), axis=0)
+        if self.step_mm > sides.min():
+            raise InputError(
+                f"a step of {self.step_mm:g} mm is longer than the field's shortest side,"
+                f" {sides.min():g} mm; give a shorter one, such as 2 mm"
+            )
+        longest = float(sides.max())
+        if self.method not in CONTROLLED and self.step_mm * self.max_steps < longest:
+            raise InputError(
+                f"{self.max_steps} steps of {self.step_mm:g} mm end within the field, which is"
+                f" {longest:.0f} mm long; give steps of {longest / self.max_steps:.2g} mm or more"
+            )
 
     def __str__(self) -> str:
         steps = f"steps of {self.step_mm:g} mm"

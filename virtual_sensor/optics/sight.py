@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.engine import dr
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend, in_plane
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
@@ -29,6 +30,13 @@ class SearchScene(Protocol):
     def field(self) -> Field | None: ...  # noqa: D102
     @property
     def surface(self) -> Surface: ...  # noqa: D102
+
+
+def check_scene_given(asker: str, scene: object) -> None:
+    """Raise InputError unless it is a scene: a name or a path is easily given in its place."""
+    if not all(hasattr(scene, name) for name in ("sensor", "field", "surface")):
+        given = f"load_scene({scene!r})" if isinstance(scene, str) else "one from load_scene"
+        raise InputError(f"{asker}: {str(scene)[:80]!r} is no scene; give {given}")
 
 
 def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:

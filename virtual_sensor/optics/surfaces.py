@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import EngineError
 
 
 class Surface(Protocol):
@@ -29,6 +30,21 @@ class NoSurface:
         return dr.full(mi.Mask, False, dr.width(direction))
 
 
+def own_variant(scene: Any) -> None:
+    """Ask whether a Mitsuba scene is of the variant that is set.
+
+    Raises
+    ------
+    EngineError
+        If it was loaded under another: its numbers are of other types.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise EngineError(
+            f"the scene was loaded under another Mitsuba variant than {mi.variant()!r}, which is"
+            " set now: set its own again (mitsuba.set_variant), or load it again"
+        )
+
+
 @dataclass(frozen=True)
 class SceneSurface:
     """All shapes of a Mitsuba scene.  Its intersections are float32: keep the pieces short."""
@@ -43,6 +59,7 @@ class SceneSurface:
 
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """See `Surface`."""
+        own_variant(self.scene)
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
         ray.maxt = mi.Float(limit)
         met = self.scene.ray_intersect_preliminary(ray, active=active)
@@ -50,6 +67,7 @@ class SceneSurface:
 
     def starts_inside(self, origin: Any, direction: Any) -> Any:
         """True where the first face met is seen from behind, by a ray from among the shapes."""
+        own_variant(self.scene)
         box = self.scene.bbox()
         among = dr.all((origin >= box.min) & (origin <= box.max))
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))

@@ -244,9 +244,7 @@ def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
 def line_rows(scene: Scene, lit: LitPixels, spp: int) -> Array:
     """Row of the line's centre in each column of a frame of lit pixels; NaN where there is none."""
     sensor = scene.mitsuba.sensors()[0]
-    own = sensor.sampler().sample_count()
     image = np.array(scene.integrator.render(scene.mitsuba, sensor, spp=spp, lit=lit))
-    sensor.sampler().set_sample_count(own)
     return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0]).row
 
 
