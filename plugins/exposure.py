@@ -67,8 +67,8 @@ class Exposure:
             return
         spp = self.sampler.sample_count()
         # Each pixel's samples are summed in their order: added to the film one by one, as other
-        # filters and spectra need it, the last bits would depend on which thread comes first.
-        own_pixel = self.film.rfilter().is_box_filter() and not mi.is_spectral
+        # filters need it, the last bits would depend on which thread comes first.
+        own_pixel = self.film.rfilter().is_box_filter()
         numbers = in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
         for first in range(0, pixels.size, chunk):

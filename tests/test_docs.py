@@ -4,10 +4,14 @@ import re
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from artificial import line_image
 
+import virtual_sensor as vs
+from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.metrology.centres import Status
 
+SCENES = Path(__file__).parents[1] / "docs" / "scenes.md"
 DETECTORS = Path(__file__).parents[1] / "docs" / "detectors.md"
 
 
@@ -24,3 +28,14 @@ def test_the_python_of_the_page_on_detectors_runs_from_its_top_to_its_end():
     assert known["grey"].dtype == np.uint16
     assert np.sum(line.status == Status.OK) > 800
     assert np.all(line.sigma[np.isfinite(line.sigma)] > 0.05)
+
+
+def test_the_shape_of_the_page_on_scenes_loads(tmp_path):
+    """A bracket of 2 x 1 x 0.5 inches, by trimesh."""
+    shape = re.search(r"```xml\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)[1]
+    trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "bracket.stl")
+    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    path = tmp_path / "scene.xml"
+    path.write_text(re.sub("<shape.*</shape>", shape, cold, flags=re.DOTALL), encoding="utf-8")
+    (part,) = vs.load_scene(path).mitsuba.shapes()
+    np.testing.assert_allclose(part.bbox().max, [25.4, 12.7, 6.35 - 3.0], atol=1e-5)
