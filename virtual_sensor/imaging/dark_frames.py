@@ -1,4 +1,4 @@
-"""Why a frame stays black though its geometry is sound: the cause is looked for and named."""
+"""Why a frame stays black though its geometry is sound: the cause is found and named."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
         )
     if not np.any(np.einsum("ij,ij->i", normal, shading) > 0.0):
         return (
-            f"{part}: its vertex normals are nil or point into it; make them anew, or set"
+            f"{part}: its vertex normals are nil or point into it; compute them again, or set"
             " face_normals"
         )
     return (

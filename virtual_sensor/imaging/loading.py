@@ -156,7 +156,7 @@ def load(
             notes += _prepare_parts(main, state, temporary)
             if mi.ObjectType.Film not in [node.type for node in state.nodes]:
                 notes.append(f"{main}: <sensor> has no <film>; Mitsuba's of 768 x 576 px is taken")
-            for node in state.nodes:  # else what was looked at here would never be out of place
+            for node in state.nodes:  # reading marks as used, and what nothing uses is a fault
                 for name in list(node.props.keys()):
                     node.props.mark_queried(name, False)
             mi.parser.transform_all(config, state)

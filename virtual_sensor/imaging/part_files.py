@@ -9,12 +9,13 @@ import numpy as np
 from trimesh.exchange.stl import load_stl
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.polygons import Array, Polygons, numbers
+from virtual_sensor.imaging.polygons import Array, Indices, Polygons, numbers
 from virtual_sensor.imaging.scene_file import shortened
 
 logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it would show tracebacks
 
 _FREE_FORM = ("surf", "curv", "curv2", "cstype")
+_NONE = 2**40  # in place of an index
 _STL_HEAD, _STL_FACET = 84, 50
 
 
@@ -22,54 +23,67 @@ def read_obj(data: bytes) -> Polygons:
     """Read an OBJ file's bytes."""
     text = re.sub(r"\\\r?\n", " ", data.decode("utf-8", "replace"))
     found: dict[str, list[list[str]]] = {"v": [], "vt": [], "vn": []}
-    corners: list[list[int]] = []
+    corners: list[str] = []
     sizes: list[int] = []
+    before: list[list[int]] = []  # of each face: negative indices count from there
     notes: list[str] = []
-    plain = True
     for line in text.splitlines():
         word, *rest = line.partition("#")[0].split() or [""]
         if word in found:
             found[word].append(rest)
         elif word == "f":
-            before = [len(rows) for rows in found.values()]
-            corners += [_obj_corner(corner, before) for corner in rest]
+            corners += rest
             sizes.append(len(rest))
-            plain &= "-" not in line
+            before.append([len(rows) for rows in found.values()])
         elif word in _FREE_FORM:
             raise InputError(f'it has free forms ("{word}"); export it as a mesh of polygons')
         elif word == "usemtl" and not notes:
             notes = ["its materials are ignored; the scene's <bsdf> holds"]
-    index = np.array(corners, np.int64).reshape(-1, 3)
-    for kind, column in zip(found, index.T, strict=True):
-        if np.any((column < -1) | (column >= len(found[kind]))):
-            number = int(np.argmax((column < -1) | (column >= len(found[kind]))))
-            raise InputError(
-                f'face {np.searchsorted(np.cumsum(sizes), number, "right")} refers to a "{kind}"'
-                f" that is not there, of {len(found[kind])}; mend the file"
-            )
+    index = _obj_corners(corners)
+    face = np.repeat(np.arange(len(sizes)), sizes)
+    backwards = index < 0
+    if backwards.any():
+        index = np.where(backwards, np.array(before)[face] + index, index)
+    lengths = np.array([len(rows) for rows in found.values()])
+    missing = index == _NONE
+    outside = ~missing & ((index < 0) | (index >= lengths))
+    if outside.any():
+        row, column = np.argwhere(outside)[0]
+        kind = list(found)[column]
+        raise InputError(
+            f'face {face[row]} refers to a "{kind}" that is not there, of {lengths[column]}; mend'
+            " the file"
+        )
     places, corner, normals = _obj_table(found["v"], "v"), index[:, 0], None
-    if len(index) and np.all(index[:, 2] >= 0):  # a vertex may have several normals
-        pairs, same = np.unique(index[:, [0, 2]], axis=0, return_inverse=True)
-        normals = _obj_table(found["vn"], "vn")[pairs[:, 1]]
-        places, corner = places[pairs[:, 0]], same.ravel()
-    polygons = np.split(corner, np.cumsum(sizes)[:-1]) if sizes else []
-    lost = ["its texture coordinates are ignored"] if np.any(index[:, 1] >= 0) else []
-    return Polygons(places, polygons, normals, plain, notes, lost)
+    if len(index) and not missing[:, 2].any():  # a vertex may have several normals
+        pairs = corner * lengths[2] + index[:, 2]
+        pairs, corner = np.unique(pairs, return_inverse=True)
+        normals = _obj_table(found["vn"], "vn")[pairs % lengths[2]]
+        places = places[pairs // lengths[2]]
+    lost = ["its texture coordinates are ignored"] if not missing[:, 1].all() else []
+    return Polygons(places, corner, sizes, normals, not backwards.any(), notes, lost)
 
 
-def _obj_corner(word: str, before: list[int]) -> list[int]:
-    """Indices from 0 of a corner's vertex, texture coordinates and normal; -1 for none."""
-    texts = word.split("/")
+def _obj_corners(words: list[str]) -> Indices:
+    """Indices (N, 3) of corners' vertices, texture coordinates and normals; `_NONE` for none.
+
+    From 0, or from -1 backwards.
+    """
+    texts = [word.split("/") for word in words]
     try:
-        numbers = [int(text) if text else None for text in texts]
-    except ValueError:
-        numbers = []
-    if not 1 <= len(numbers) <= 3 or numbers[0] is None or 0 in numbers:
-        raise InputError(f'it has a face with the corner "{shortened(word)}"; mend the file')
-    return [
-        -1 if number is None else number - 1 if number > 0 else max(there + number, -2)
-        for number, there in zip([*numbers, None, None][:3], before, strict=True)
-    ]
+        columns = [
+            [int(each[k]) if len(each) > k and each[k] else _NONE + 1 for each in texts]
+            for k in range(3)
+        ]
+        index = np.array(columns, np.int64).T
+        wrong = (index == 0).any(axis=1) | (index[:, 0] > _NONE)
+        wrong |= np.array([len(each) > 3 for each in texts], bool)
+    except (ValueError, OverflowError):
+        wrong = np.array([not re.fullmatch(r"-?\d{1,9}(/-?\d{0,9}){0,2}", w) for w in words])
+    if wrong.any():
+        word = shortened(words[int(np.argmax(wrong))])
+        raise InputError(f'it has a face with the corner "{word}"; mend the file')
+    return np.where(index > 0, index - 1, index)
 
 
 def _obj_table(rows: list[list[str]], kind: str) -> Array:
@@ -114,7 +128,8 @@ def read_stl(data: bytes) -> Polygons:
         )
     return Polygons(
         corner,
-        np.arange(len(corner)).reshape(-1, 3),
+        np.arange(len(corner)),
+        np.full(facets, 3),
         notes=_contradicted([solid["face_normals"] for solid in solids], corner),
     )
 

@@ -29,7 +29,7 @@ negative indices              heeded: they count from the end
 materials                     ignored, with a note: the scene's <bsdf> holds
 curves and free surfaces      refused
 **STL**
-ASCII, binary                 heeded, by trimesh; binary is told by its size, not its first word
+ASCII, binary                 heeded, by trimesh; binary is known by its size, not a word
 several solids in a file      heeded: they make one part
 facet normals                 the order of the corners holds, with a note where they contradict it
 attribute bytes               ignored: colours of some programs
@@ -92,9 +92,9 @@ def read_part(path: Path, kind: str) -> Part:
     data = readable(path).read_bytes()
     try:
         read = _READERS[kind](data)
-        vertices = np.asarray(read.vertices, float).reshape(-1, 3)
+        vertices = read.vertices
         _check_vertices(vertices)
-        triangles, notes = triangulated(vertices, read.polygons)
+        triangles, notes = triangulated(read)
         corner = vertices[triangles]
         if not np.any(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])):
             raise InputError("its faces have no area; give a part with a surface")

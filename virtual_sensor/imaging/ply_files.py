@@ -69,7 +69,10 @@ def read_ply(data: bytes) -> Polygons:
     known = {"x", "y", "z", "nx", "ny", "nz"}
     unused = shortened(", ".join(key for key in vertex if key not in known))
     lost = [f"its vertices' {unused} are ignored"] if unused else []
-    return Polygons(places, face.get(name, []), normals, plain, notes, lost)
+    rows = face.get(name, [])
+    uniform = isinstance(rows, np.ndarray)
+    corners = rows.ravel() if uniform else [corner for row in rows for corner in row]
+    return Polygons(places, corners, [len(row) for row in rows], normals, plain, notes, lost)
 
 
 def _ply_header(text: str) -> tuple[str, list[_Element], bool]:

@@ -17,22 +17,21 @@ _FLAT = 1e-9  # of a polygon's area: a fan's triangle that is turned by less is 
 
 @dataclass
 class Polygons:
-    """What a reader found; each polygon is a row of corners."""
+    """What a reader found: vertices (N, 3), and polygons as their corners one after another."""
 
     vertices: Array
-    polygons: Any
+    corners: Any
+    sizes: Any
     normals: Array | None = None
     plain: bool = False  # Mitsuba's reader knows all that the file has, but for polygons
     notes: list[str] = field(default_factory=list)
     only_mitsubas: list[str] = field(default_factory=list)  # notes, unless Mitsuba reads the file
 
 
-def triangulated(vertices: Array, polygons: Any) -> tuple[Indices, list[str]]:
+def triangulated(read: Polygons) -> tuple[Indices, list[str]]:
     """Triangles (M, 3) of polygons, in their order, and notes."""
     notes = []
-    sizes = np.array([len(polygon) for polygon in polygons], int)
-    flat = np.ravel(polygons) if isinstance(polygons, np.ndarray) else np.hstack([[], *polygons])
-    corners = whole(flat)
+    vertices, corners, sizes = read.vertices, whole(read.corners), np.asarray(read.sizes, int)
     outside = (corners < 0) | (corners >= len(vertices))
     if outside.any():
         first = int(np.argmax(outside))

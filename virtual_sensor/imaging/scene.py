@@ -263,7 +263,7 @@ def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
 
 
 def _folders(path: Path) -> dict[Path, None]:
-    """Where files that a scene refers to are looked for."""
+    """Where the files that a scene refers to may be."""
     return {Path(): None, path.parent: None}
 
 

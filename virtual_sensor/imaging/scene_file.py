@@ -1,4 +1,4 @@
-"""The XML of a scene file, looked at before Mitsuba is given it: what would kill it is refused.
+"""The XML of a scene file, checked before Mitsuba is given it: what would kill it is refused.
 
 ===============================  ==================================================================
 Feature of a scene file          What becomes of it
@@ -130,7 +130,7 @@ def included(
 ) -> Iterator[tuple[SceneFile, tuple[Path, ...]]]:
     """Give the files that a scene file includes, and theirs, each with the files it is in.
 
-    `folders`, in which files are looked for, grows by the ``<path>`` elements.
+    `folders`, in which files are searched, grows by the ``<path>`` elements.
 
     Raises
     ------
