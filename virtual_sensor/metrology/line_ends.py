@@ -10,7 +10,7 @@ STEP = 0.02  # relative drop of amplitude that betrays a partly lit column
 _MOST = 2  # columns at each end
 _BEYOND = _MOST + 1  # columns off the image that the look inward may touch
 _FEW = 8  # centres in a row that are OK, between troubles: fewer are cut as those near them are
-_NEAR = 2 * _FEW  # columns
+_NEAR, _FAR = 2 * _FEW, 6 * _FEW  # columns
 _THIN = 0.6  # times the usual width
 _SAME_LINE = (3.0, 2.0)  # px, and widths: so near lie peaks of one line in adjoining columns
 
@@ -101,10 +101,10 @@ def among_cuts(status: NDArray[np.integer], width: Array) -> NDArray[np.bool_]:
         ok = line == Status.OK
         thin = _THIN * np.median(widths[ok]) if ok.any() else 0.0
         for first, last in _runs(ok):
-            near = here[max(first - _NEAR, 0) : last + _NEAR].sum() > 1
-            here[first:last] = near and (
-                last - first <= _FEW or np.median(widths[first:last]) < thin
-            )
+            narrow = np.median(widths[first:last]) < thin
+            reach = _FAR if narrow else _NEAR
+            near = here[max(first - reach, 0) : last + reach].sum() > 1
+            here[first:last] = near and (narrow or last - first <= _FEW)
     return cut
 
 

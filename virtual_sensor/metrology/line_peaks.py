@@ -185,7 +185,8 @@ def _columnwise(
     max_sigma: float,
 ) -> LineCentres:
     peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma, count)
-    peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))  # neighbours beside each other
+    if count > 1:  # neighbours of one line beside each other
+        peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
     status[:, ~seen] = Status.BAD_PIXELS
     status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, uniform_filter1d
 
 from virtual_sensor.metrology.line_profiles import (
     QUARTILE,
@@ -141,19 +141,25 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
             values[:, chosen] = part
         spread[:, chosen] = near.design("spread").T
         found[:, chosen] = _stepped(near, gaussian, here, max_sigma)
-    scatter = _scatter(tests)
     sharp = (abrupt[0] > _ABRUPT) & (at.sigma > _SHARP_FROM_PX)
     # Neighbours are not abrupt in two rows each by chance: only the other rows tell the noise.
-    shared = sharp & (median_filter(abrupt[0], _NEXT, mode="nearest") > _ABRUPT)
+    shared = sharp & _most_near(abrupt[0] > _ABRUPT)
     shared &= np.abs(tests[0]) > 0.25 * MAX_SKEW  # without any there is no misfit worth a name
     noisy = np.where(shared, np.sqrt(1.0 - abrupt[0]), 1.0)
     if not noise.known:
         errors *= noisy
-    (skew, flat, step), (skew_error, flat_error, step_error) = (
-        tests,
-        SIGNIFICANCE * np.fmax(_shared(tests, errors, at.sigma), scatter),
-    )
-    leans = (np.abs(skew) > MAX_SKEW + skew_error) | (np.abs(step) > MAX_STEP + step_error)
+    for values, error in zip(tests[:2], errors[:2], strict=True):
+        error[:] = _shared(values, error, at.sigma)
+    limits = np.array([MAX_SKEW, MAX_FLAT, MAX_STEP])[:, None]
+    # Only what seems to be wrong may be so by chance; the speckle comes from the skewness.
+    doubtful = np.abs(tests) > limits + SIGNIFICANCE * errors
+    scatter = np.zeros_like(tests)
+    for number, each in enumerate(doubtful):
+        if number == 0 or each.any():
+            scatter[number] = _scatter(tests[number])
+    skew, flat, step = tests
+    skew_limit, flat_limit, step_limit = limits + SIGNIFICANCE * np.fmax(errors, scatter)
+    leans = (np.abs(skew) > skew_limit) | (np.abs(step) > step_limit)
     # As much noise in each pixel would scatter the shapes so.
     speckle = np.nan_to_num(scatter[0] * at.amplitude / np.sqrt(spread[0]))
     local = _local(residual[0], at.sigma)
@@ -166,39 +172,45 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
         residual=residual[0], noise=local, excess=excess**2, speckle=speckle
     )
     stepped = np.abs(step) > np.abs(skew)  # twice it, where a step of the level makes both
-    return Shapes(at, leans, flat > MAX_FLAT + flat_error, stepped, sharp & ~stepped, noisy)
+    return Shapes(at, leans, flat > flat_limit, stepped, sharp & ~stepped, noisy)
 
 
-def _scatter(tests: Array) -> Array:
-    """How much the shapes (3, L) of neighbours differ, where they differ by chance: by speckle.
+def _scatter(shape: Array) -> Array:
+    """How much the shapes (L,) of neighbours differ, where they differ by chance: by speckle.
 
     Their median absolute deviation from the local median, as a standard deviation; none where that
     median is larger: a trouble of many columns.
     """
-    scatter = np.nan_to_num(tests)
-    for values in scatter:  # row by row: in one dimension the filter is much faster
-        middle = median_filter(values, _NEIGHBOURS, mode="nearest")
-        away = median_filter(np.abs(values - middle), _NEIGHBOURS, mode="nearest") / QUARTILE
-        values[:] = np.where(np.abs(middle) < away, away, 0.0)
-    return scatter
+    shape = np.nan_to_num(shape)
+    middle = median_filter(shape, _NEIGHBOURS, mode="nearest")
+    away = median_filter(np.abs(shape - middle), _NEIGHBOURS, mode="nearest") / QUARTILE
+    return np.where(np.abs(middle) < away, away, 0.0)
 
 
-def _shared(tests: Array, errors: Array, sigma: Array) -> Array:
-    """The noise of the shapes (3, L), less where neighbours share a shape: there it is none.
+def _shared(shape: Array, error: Array, sigma: Array) -> Array:
+    """The noise of a shape (L,), less where neighbours share it: there it is none.
 
     An edge across the line seems to be noise in each profile of its own; and the pixels deform
     every narrow one.
     """
-    tests = np.nan_to_num(tests)
-    change = np.abs(np.diff(tests, axis=1, append=tests[:, -1:]))
-    least = np.empty_like(errors)
-    for number, values in enumerate(tests):
-        alike = median_filter(change[number], _NEIGHBOURS, mode="nearest")
-        alike *= _ALIKE / (QUARTILE * np.sqrt(2.0))
-        shared = np.abs(median_filter(values, _NEXT, mode="nearest")) > alike
-        shared &= sigma > _SHARP_FROM_PX
-        least[number] = np.where(shared, np.fmin(errors[number], alike), errors[number])
-    return least
+    shape = np.nan_to_num(shape)
+    alike = _block_medians(np.abs(np.diff(shape, append=shape[-1:])))
+    alike *= _ALIKE / (QUARTILE * np.sqrt(2.0))
+    shared = (_most_near(shape > alike) | _most_near(shape < -alike)) & (sigma > _SHARP_FROM_PX)
+    return np.where(shared, np.fmin(error, alike), error)
+
+
+def _block_medians(values: Array) -> Array:
+    """The median of each block of neighbours, in place of them: a running one takes longer."""
+    blocks = -(-values.size // _NEIGHBOURS)
+    padded = np.pad(values, (0, blocks * _NEIGHBOURS - values.size), mode="symmetric")
+    medians = np.median(padded.reshape(blocks, _NEIGHBOURS), axis=1)
+    return np.repeat(medians, _NEIGHBOURS)[: values.size]
+
+
+def _most_near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where most of the nearest neighbours (L,) are so."""
+    return uniform_filter1d(mask.astype(np.float32), _NEXT, mode="nearest") > 0.5
 
 
 def _moved(at: Peaks, found: Array) -> Peaks:
@@ -232,6 +244,8 @@ def _judged(
     misfit = near.values - np.einsum("il,lin->ln", gaussian, basis)
     left = np.einsum("ln,ln->l", taper * misfit, misfit)
     weight = taper.sum(axis=1)
+    pair = np.minimum(taper[:, 1:], taper[:, :-1])
+    change = pair * (misfit[:, 1:] - misfit[:, :-1]) ** 2
     if noise.known:
         variance = noise.variance((at.amplitude[:, None] * basis[:, 1]).T, at.column).T.astype(
             np.float32
@@ -241,14 +255,13 @@ def _judged(
     else:
         hermite = (beyond[:2] ** 2 / near.design("left").T).sum(axis=0)
         whole = np.maximum(left - hermite, 0.0) / np.maximum(weight - 6.0, 1.0)
-        measured = _noise_variance(misfit, taper, near.sigma, whole)
+        measured = _noise_variance(change, pair, near.sigma, whole)
         errors = near.design("spread").T * np.maximum(measured, noise.dark[at.column] ** 2)
         expected = np.full(at.row.size, np.inf)
     height = np.where(gaussian[1] > 0.0, gaussian[1], np.nan)
     told = beyond / height * [[1.0], [-1.0], [1.0]]
     residual = np.sqrt(left / np.maximum(weight - 4.0, 1.0))
-    pair = np.minimum(taper[:, 1:], taper[:, :-1])
-    change = (pair * (misfit[:, 1:] - misfit[:, :-1])) ** 2
+    change *= pair  # less of the window's ends, where there are but few of these
     most = (change[:, 1:] + change[:, :-1]).max(axis=1)
     abrupt = most / np.maximum(change.sum(axis=1), np.finfo(np.float32).tiny)
     return residual, told, np.sqrt(errors) / height, expected, abrupt
@@ -341,13 +354,11 @@ def _local(residual: Array, sigma: Array) -> Array:
     return np.sqrt(median_filter(residual**2, _NEIGHBOURS, mode="nearest") / below_mean)
 
 
-def _noise_variance(misfit: NDArray, taper: Single, sigma: Array, whole: Array) -> Array:
+def _noise_variance(change: Array, pair: Single, sigma: Array, whole: Array) -> Array:
     """Of the noise alone: of rows next to each other, in which a wrong shape hardly shows.
 
-    Narrow lines have too few rows for that; there the `whole` of the misfit counts.
+    `change` (L, n - 1) are its squares there, with the weights `pair`.  Narrow lines have too few
+    rows for that; there the `whole` of the misfit counts.
     """
-    pair = np.minimum(taper[:, 1:], taper[:, :-1])
-    change = misfit[:, 1:] - misfit[:, :-1]
-    rough = np.einsum("ln,ln->l", pair * change, change)
-    rough /= np.maximum(2.0 * pair.sum(axis=1) - 6.0, 1.0)
+    rough = change.sum(axis=1) / np.maximum(2.0 * pair.sum(axis=1) - 6.0, 1.0)
     return np.where(sigma < _ROUGH_FROM_PX, np.maximum(rough, whole), rough)
