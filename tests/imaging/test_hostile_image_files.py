@@ -124,3 +124,11 @@ def test_a_tiff_whose_next_page_is_cut_off_is_refused(tmp_path):
         path.write_bytes(data[:cut])
         with pytest.raises(InputError, match=r"a\.tif"):
             read_image(path)
+
+
+def test_tags_of_another_kind_than_theirs_are_refused(tmp_path):
+    """An orientation of two numbers, a largest value in letters."""
+    for tags in ((274, "H", 2, (1, 3), True), (281, "s", 0, "bright", True)):
+        path = tiff(tmp_path / "a.tif", GREY8, extratags=[tags])
+        with pytest.raises(InputError, match=r"a\.tif: can't be read as TIFF"):
+            read_image(path)

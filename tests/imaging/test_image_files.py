@@ -253,6 +253,12 @@ def test_missing_pixels_of_a_tiff_are_missing(tmp_path):
     expected = values.copy()
     expected[:5] = np.nan
     same(path, expected)
+    brightest = GREY8.max()
+    whole = np.where(brightest == GREY8, np.nan, GREY8)
+    mark = (42113, "s", 0, str(brightest), True)
+    same(tiff(tmp_path / "c.tif", GREY8, extratags=[mark]), whole, largest=255)
+    white = tiff(tmp_path / "d.tif", ~GREY8, photometric="miniswhite", extratags=[mark])
+    same(white, GREY8, "white is zero", "mark for missing")
     path = tiff(tmp_path / "b.tif", GREY8, extratags=[(281, "H", 1, 100, True)])
     same(path, GREY8, "says its largest value is 100", largest=255)
 

@@ -166,7 +166,7 @@ def _plain(path: Path, stored: StoredImage) -> StoredImage:
     if kind == "f" and size <= 8:
         unfit = np.isnan(values)  # a NaN that signals would warn wherever it is converted
         values = np.where(unfit, values.dtype.type(np.nan), values)
-        return replace(stored, bits=None, values=values.astype(np.float32) if size == 2 else values)
+        return replace(stored, values=values.astype(np.float32) if size == 2 else values)
     if kind in "iu" and size <= 4:
         largest_bits = 8 * size - (kind == "i")
         return replace(stored, values=values.astype(np.float64), bits=largest_bits)

@@ -130,8 +130,8 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
                 remarks.append("is a JPEG: its loss may move centres, and it may not be linear")
                 if header.mode not in ("L", "RGB"):
                     raise InputError(f"{path}: is {header.mode}; save it as grey or RGB")
-                image = np.asarray(header)[..., ::-1]
-                image = image[..., ::-1] if header.mode == "L" else image
+                image = np.asarray(header)
+                image = image[..., ::-1] if image.ndim > 2 else image  # OpenCV's order
             else:
                 if {"gamma", "srgb", "icc_profile"} & header.info.keys():
                     remarks.append("names a gamma or colour profile, which is not applied")
@@ -194,7 +194,7 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         _check_size(path, page.imagewidth, page.imagelength, samples)
         segments = list(zip(page.dataoffsets, page.databytecounts, strict=True))
         end = file.filehandle.size
-        claimed = math.prod(page.chunked)  # tifffile fills absent strips with nought
+        claimed = math.prod(page.chunked)  # tifffile fills absent strips with 0
         present = all(size and at + size <= end for at, size in segments)
         broken = InputError(f"{path}: is not a whole TIFF file; copy it again")
         file.filehandle.seek(pages.next_page_offset or 0)
@@ -222,29 +222,33 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         if photometric == "PALETTE":
             values = np.moveaxis(page.colormap, 0, -1)[values[:, :, 0]]
             bits = 16
-        extra = [int(kind) for kind in page.extrasamples]
+        names = list(COLOURS) if photometric in ("RGB", "PALETTE") or jpeg else [_GREY]
+        for number, kind in enumerate(page.extrasamples, len(names) + 1):
+            names.append(_ALPHA if int(kind) else f"{number}")
+        if len(names) != values.shape[2] or len(set(names)) < len(names):
+            names = [f"{n}" for n in range(1, values.shape[2] + 1)]
+        channels = {name: values[:, :, n] for n, name in enumerate(names)}
+        chosen = _channel(path, channels, channel, remarks)
         tags = {tag.name: tag.value for tag in page.tags.values()}
+        most = float(np.max(tags.get("MaxSampleValue", 0)))
+        orientation = int(tags.get("Orientation", 1))
+        if chosen.dtype.kind != "u":
+            bits = 0
+        elif 0 < most < 2**bits - 1:
+            remarks.append(
+                f"says its largest value is {most:g}, which is not taken as clipped; give --bits"
+            )
+        if "GDAL_NODATA" in tags and photometric in ("MINISBLACK", "RGB"):
+            chosen = _without(chosen, str(tags["GDAL_NODATA"]))
+        elif "GDAL_NODATA" in tags:
+            remarks.append("its mark for missing pixels is not used")
     if page.compression in _LOSSY:
         remarks.append("its compression may lose something: centres may move")
     if tags.get("SubIFDs"):
         remarks.append("has images within its page, which are left out")
     if count > 1:
         remarks.append(f"has {count} pages; one is read, the others are left out")
-    names = list(COLOURS) if photometric in ("RGB", "PALETTE") or jpeg else [_GREY]
-    names += [_ALPHA if kind else f"{len(names) + n}" for n, kind in enumerate(extra, 1)]
-    if len(names) != values.shape[2] or len(set(names)) < len(names):
-        names = [f"{n}" for n in range(1, values.shape[2] + 1)]
-    channels = {name: values[:, :, n] for n, name in enumerate(names)}
-    chosen = _channel(path, channels, channel, remarks)
-    if "GDAL_NODATA" in tags:
-        chosen = _without(chosen, str(tags["GDAL_NODATA"]))
-    most = np.max(tags.get("MaxSampleValue", 0))
-    if 0 < most < 2**bits - 1 and values.dtype.kind == "u":
-        remarks.append(
-            f"says its largest value is {most}, which is not taken as clipped; give --bits"
-        )
-    orientation = int(tags.get("Orientation", 1))
-    return StoredImage(chosen, bits, orientation=orientation, remarks=remarks)
+    return StoredImage(chosen, bits or None, orientation=orientation, remarks=remarks)
 
 
 def _without(values: NDArray, mark: str) -> NDArray:
