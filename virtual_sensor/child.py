@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import ctypes
 import importlib
 import os
 import pickle
@@ -29,9 +28,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError
 
-PR_SET_PDEATHSIG = 1
 ANSWERED = 77  # exit status of a child that has sent its last message
 PATIENCE_S = 10.0  # with a nursery that is to end its child and itself
 REMEDY = "it is damaged, or claims more than it holds; write or copy it again"
@@ -224,9 +223,7 @@ def main(parent: int) -> None:
 
 def _tie_to(parent: int) -> None:
     """Have the kernel end this process when its parent dies."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:  # it has died before
-        os._exit(1)
+    interrupts.tie_to_parent(parent)
 
 
 def _answer(nursery: int, target: str, content: bytes) -> None:

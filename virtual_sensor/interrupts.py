@@ -6,6 +6,7 @@ the handler itself runs what has been registered by `on_stop`, ends child proces
 128 + the signal's number, 130 for Ctrl-C and 143 for SIGTERM. A second signal exits at once.
 """
 
+import ctypes
 import os
 import re
 import signal
@@ -15,6 +16,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl.h
 
 _Action = Callable[[], str | None]
 _actions: list[_Action] = []
@@ -72,6 +75,23 @@ def raising() -> Iterator[None]:
         _raising -= 1
 
 
+@contextmanager
+def deaf_children() -> Iterator[None]:
+    """Start processes that do not hear a terminal's Ctrl-C: the handler here ends them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def tie_to_parent(parent: int) -> None:
+    """Have this process killed when its parent dies, by kill -9 too; the caller is a child."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it has died before
+        os._exit(1)
+
+
 def exit_status(error: BaseException) -> int | None:
     """Exit status where a signal is behind an exception; None where there was no signal.
 
@@ -103,7 +123,8 @@ def line(status: int, more: str = "") -> str:
 def _end() -> None:
     """Clean up, say so and exit."""
     status = 128 + _received[0]
-    _kill_children()
+    with suppress(BaseException):
+        _kill_children()
     told = []
     for action in reversed(_actions):
         with suppress(BaseException):
@@ -115,11 +136,19 @@ def _end() -> None:
 
 
 def _kill_children() -> None:
-    """Kill this process's children, those aside that lead a session of their own."""
+    """Kill this process's children, those aside that lead a session of their own.
+
+    What workers shared with this process, named in the system, is removed.
+    """
+    tracker = None
+    if "multiprocessing.resource_tracker" in sys.modules:
+        tracker = sys.modules["multiprocessing.resource_tracker"]._resource_tracker._pid
     with suppress(OSError):  # Linux lists them
         for thread in os.listdir("/proc/self/task"):  # noqa: PTH208
             with open(f"/proc/self/task/{thread}/children") as file:  # noqa: PTH123
                 for child in map(int, file.read().split()):
                     with suppress(OSError):
-                        if os.getsid(child) != child:
+                        if child != tracker and os.getsid(child) != child:
                             os.kill(child, signal.SIGKILL)
+    if tracker is not None:
+        sys.modules["multiprocessing.util"]._run_finalizers(0)  # which the tracker is told

@@ -7,6 +7,7 @@ import typer
 from rich.table import Table
 
 from virtual_sensor.cli.shared import (
+    FINISHED_STAYS,
     Definitions,
     Scheduler,
     console,
@@ -41,7 +42,7 @@ def reproduce(
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
     from virtual_sensor.studies.tables import in_words
 
-    with reporting("reading what is kept") as report:
+    with reporting("reading what is kept", FINISHED_STAYS) as report:
         result = run(
             output,
             definitions(define),

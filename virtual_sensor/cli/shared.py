@@ -1,5 +1,6 @@
 """What the commands share: the console, a progress bar, options."""
 
+import os
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -39,6 +40,7 @@ Scheduler = Annotated[
         "installed and share the disk of the results. By default this process does the work.",
     ),
 ]
+FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 
 
@@ -54,10 +56,10 @@ def definitions(define: list[str] | None) -> dict[str, str]:
 
 
 @contextmanager
-def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
+def reporting(first: str, if_stopped: str = "") -> Iterator[Callable[[str, float], None]]:
     """Give a function that a bar is told by: what is being done, and the fraction done.
 
-    There is no bar where the output is no terminal.
+    There is no bar where the output is no terminal. A signal's line ends with `if_stopped`.
     """
     columns = (
         TextColumn("{task.description:<36}", markup=False),
@@ -71,7 +73,12 @@ def reporting(first: str) -> Iterator[Callable[[str, float], None]]:
         def report(stage: str, fraction: float) -> None:
             bar.update(task, description=printable(stage), completed=fraction)
 
-        with interrupts.on_stop(bar.stop):  # which shows the cursor again
+        def leave() -> str:
+            if console.is_terminal:  # below the bar, with the cursor that it hides
+                os.write(console.file.fileno(), b"\n\x1b[?25h")
+            return if_stopped
+
+        with interrupts.on_stop(leave):
             yield report
 
 

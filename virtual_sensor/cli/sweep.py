@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from virtual_sensor.cli.shared import (
+    FINISHED_STAYS,
     SceneArgument,
     Scheduler,
     console,
@@ -51,7 +52,7 @@ def sweep(
     choices = {name: _values(text) for name, text in definitions(define).items()}
     if len(choices) < len(define or []):
         raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
-    with reporting("planning the cases") as report:
+    with reporting("planning the cases", FINISHED_STAYS) as report:
         cases = plan(scene, choices)
         finished = run(
             cases, output, scheduler, lambda stage, fraction: report(stage, 0.98 * fraction)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
@@ -130,14 +131,15 @@ def trial(
     scores: dict[int, Score] = {}
     phases: dict[tuple[str, float], Array] = {}
     with _pool(workers) as pool:
-        work = {}
-        for number, condition in enumerate(drawn):
-            arguments = (names, condition, columns, (seed, number))
-            work[pool.submit(score_drawn, *arguments)] = number
-        for number, (condition, image) in enumerate(rendered, len(drawn)):
-            work[pool.submit(score_all, names, condition, image)] = number
-        pairs = [(name, width) for name in names for width in widths]
-        later = {pool.submit(phase_bias, *pair): pair for pair in pairs}
+        with interrupts.deaf_children():
+            work = {}
+            for number, condition in enumerate(drawn):
+                arguments = (names, condition, columns, (seed, number))
+                work[pool.submit(score_drawn, *arguments)] = number
+            for number, (condition, image) in enumerate(rendered, len(drawn)):
+                work[pool.submit(score_all, names, condition, image)] = number
+            pairs = [(name, width) for name in names for width in widths]
+            later = {pool.submit(phase_bias, *pair): pair for pair in pairs}
         waited: list[Future] = [*work, *later]
         for done, future in enumerate(as_completed(waited)):
             if future in later:
@@ -171,11 +173,12 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
 def _pool(workers: int | None) -> ProcessPoolExecutor:
     # Started anew: a fork would take the engine's threads along, which do not survive it.
     return ProcessPoolExecutor(
-        workers or len(os.sched_getaffinity(0)), get_context("spawn"), initializer=_alone
+        workers or len(os.sched_getaffinity(0)), get_context("spawn"), _alone, (os.getpid(),)
     )
 
 
-def _alone() -> None:
-    """One thread for each process: times are of one core."""
+def _alone(parent: int) -> None:
+    """One thread for each process, as times are of one core; none outlives this one."""
+    interrupts.tie_to_parent(parent)
     cv2.setNumThreads(1)
     threadpool_limits(1)
