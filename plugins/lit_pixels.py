@@ -55,6 +55,8 @@ class Account:
         Of the tables.
     error_px : float
         The tables' own estimate of their error; NaN without tables.
+    march_px : float
+        What half the march's step changes at some lit pixels, at most; NaN where none were asked.
     samples, exact : int
         Samples that looked for the laser's light, and those of them that the tables couldn't tell
         of and that were marched.
@@ -67,6 +69,7 @@ class Account:
     camera: Fineness | None = None
     laser: Fineness | None = None
     error_px: float = float("nan")
+    march_px: float = float("nan")
     samples: int = 0
     exact: int = 0
     folded: int = 0

@@ -250,7 +250,7 @@ class Refractive(mi.SamplingIntegrator):
                     account,
                 )
             except NoMapError as why:
-                account = Account("exact", str(why))
+                account = Account("exact", str(why), march_px=account.march_px)
             else:
                 if found:
                     return found

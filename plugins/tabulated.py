@@ -115,6 +115,7 @@ def lit_pixels_and_tables(
             return None
         places = _places(sensor, index, distance[index], pose, emitter)
         moves = _probe(scene, field, pose, emitter, march, places)
+        account.march_px = moves.march_px
         if np.all(moves.light_mm <= margin):
             break
         margin = 2.0 * moves.light_mm
@@ -185,6 +186,7 @@ class _Moves:
     laser_mm: Array
     light_mm: Array
     sight_px: float
+    march_px: float
 
 
 def _straight_candidates(
@@ -234,9 +236,17 @@ def _probe(
     """How far a few bent rays are moved."""
     spare_mm = 2.0 * places.pixel_mm
     if field is None:
-        return _Moves(np.zeros(2), np.full(2, spare_mm), 0.0)
+        return _Moves(np.zeros(2), np.full(2, spare_mm), 0.0, 0.0)
     some = np.linspace(0, len(places.camera) - 1, _PROBES).astype(int)
-    sideways = sight_moved(field, march, pose, *places.camera[some].T)[:, :2]
+    (sideways, laser), finer = (
+        (
+            sight_moved(field, steps, pose, *places.camera[some].T)[:, :2],
+            laser_moved(field, steps, emitter.line, *places.laser[some].T)[:, :2],
+        )
+        for steps in (march, replace(march, step_mm=march.step_mm / 2.0))
+    )
+    apart = (np.abs(one - two).max() for one, two in zip((sideways, laser), finer, strict=True))
+    march_px = float(sum(apart)) / places.pixel_mm
     seen = sideways @ pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
     ray = rows(places.ray, some)
@@ -246,10 +256,9 @@ def _probe(
     lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
     seen = seen - heading * (np.einsum("ij,ij->i", normal, seen) / lean)[:, None]
     seen_mm = np.abs(seen @ emitter.line.pose.rotation[:, :2]).max(axis=0)
-    laser = laser_moved(field, march, emitter.line, *places.laser[some].T)[:, :2]
     laser_mm = _SPARE * np.abs(laser).max(axis=0) + spare_mm
     sight_px = float(np.abs(sideways).max()) / places.pixel_mm
-    return _Moves(laser_mm, laser_mm + _SPARE * seen_mm, _SPARE * sight_px)
+    return _Moves(laser_mm, laser_mm + _SPARE * seen_mm, _SPARE * sight_px, march_px)
 
 
 def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:

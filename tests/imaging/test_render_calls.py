@@ -9,6 +9,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.studies.notes import frame_notes
 
 SMALL = {"width": 96, "height": 96, "line_radius": 0.6}
 NAN, INF = float("nan"), float("inf")
@@ -66,6 +67,23 @@ def test_a_step_that_gets_through_no_field_is_refused(value):
     """
     with pytest.raises(vs.InputError, match="step"):
         vs.load_scene("hot_cylinder", **SMALL, step=value)
+
+
+def test_a_step_too_long_is_measured_and_noted():
+    """Rationale: the note of a frame of 10 px rms said that all was well but for its tables."""
+    errors_px, size = {}, {"width": 256, "height": 256, "line_radius": 0.5, "spp": 1}
+    exact = render_frame(vs.load_scene("hot_cylinder", **size, step=0.5))
+    for step in (2, 16, 48):
+        frame = render_frame(vs.load_scene("hot_cylinder", **size, step=step))
+        both = frame.lit & exact.lit
+        apart_mm = np.abs(frame.laser_mm - exact.laser_mm)[both].max(axis=-1)
+        true_px = np.quantile(apart_mm, 0.99) / (45.056 / 256)
+        errors_px[step] = frame.account.march_px
+        assert 0.3 * true_px < frame.account.march_px < 5.0 * true_px + 2e-3
+        dark = vs.line_centres(np.zeros((64, 64), np.float32))
+        notes = " ".join(frame_notes(frame.account, dark, None, None))
+        assert ("steps of the march are too long" in notes) == (step > 2)
+    assert errors_px[48] > errors_px[16] > 0.05 > 0.005 > errors_px[2]
 
 
 @pytest.mark.parametrize("name", ["tolerance", "wavelength"])

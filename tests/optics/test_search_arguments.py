@@ -6,6 +6,7 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.sensitivity import line_sensitivity
 
 NAN, INF = float("nan"), float("inf")
 
@@ -24,6 +25,17 @@ def test_a_search_of_no_rays_finds_none(scene, method):
     assert found.pixel.shape == (0, 2)
     for values in (found.distance_um, found.iterations, found.status):
         assert values.shape == (0,)
+
+
+def test_no_rays_have_no_sensitivity(scene):
+    """Rationale: it was a RuntimeError of Dr.Jit; and no ray is OK without a number."""
+    none = line_sensitivity(scene, [], ["camera_x"])
+    assert none.pixel.shape == none.of_pixel["camera_x"].shape == (0, 2)
+    assert none.status.shape == (0,)
+    some = line_sensitivity(scene, [NAN, 0.0, 40.0], ["camera_x"])
+    finite = np.isfinite(some.of_pixel["camera_x"]).all(axis=1)
+    np.testing.assert_array_equal(some.status == SearchStatus.FOUND, finite)
+    np.testing.assert_array_equal(finite, [False, True, False])
 
 
 @pytest.mark.parametrize(

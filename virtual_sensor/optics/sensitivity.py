@@ -119,6 +119,9 @@ def line_sensitivity(
         air["field_scale"] = scene.field
 
     found = ray_search(scene, b, "newton", march=march)
+    if not b.size:  # Dr.Jit knows no empty array
+        none, nil = np.zeros((0, 3)), np.zeros((0, 2))
+        return Sensitivity(b, none, nil, nil, dict.fromkeys(asked, nil), found.status)
     camera, laser = scene.sensor.camera, scene.sensor.laser
     lit = _carry(scene, "laser", Starts.of_laser(laser, b), air, march)
     seen = _carry(scene, "camera", Starts.of_pixels(camera, found.pixel), air, march)
@@ -126,6 +129,7 @@ def line_sensitivity(
     columns = np.stack([*seen.by_coordinate(), seen.tangent], axis=-1)  # of u, v and t
     inverse = np.full_like(columns, np.nan)
     good = (found.status == SearchStatus.FOUND) & seen.hit & lit.hit
+    lost = (found.status == SearchStatus.FOUND) & ~good
     inverse[good] = np.linalg.inv(columns[good])
 
     def pixels(of_light: Array, of_sight: Array | float) -> Array:
@@ -142,7 +146,7 @@ def line_sensitivity(
         found.pixel,
         pixels(by_b, 0.0),
         {name: pixels(lit.by(name, known), seen.by(name, known)) for name in asked},
-        found.status,
+        np.where(lost, SearchStatus.LASER_MISSED, found.status),
     )
 
 

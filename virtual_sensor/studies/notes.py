@@ -76,6 +76,11 @@ def frame_notes(
             f"the frame was made the {account.way} way: {account.reason}; {account.folded} pixels"
             " of folded light are black"
         )
+    if account.march_px > FINE_PX:
+        notes.append(
+            f"steps of the march are too long: half as long, they move the light by up to"
+            f" {account.march_px:.2g} px; give shorter ones (step)"
+        )
     if isinstance(compared, DotAgreement):
         dots = len(compared.searched)
         return notes + [f"{compared.count} of {dots} dots were found"] * (compared.count < dots)
