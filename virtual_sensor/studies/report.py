@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _COLOURS = {"cold": "#1f5fa8", "hot": "#c8321e"}
 _MARGIN_PX = 12
-_TEXT_LETTERS, _TEXT_LINES = 76, 24
+_TEXT_LETTERS, _TEXT_LINES = 68, 24
 
 
 def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> None:
