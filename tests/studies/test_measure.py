@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
@@ -189,3 +189,17 @@ def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
     said = float(re.search(r"air.nc: .*loses about ([\d.]+) px", note)[1])
     assert 0.2 < said / np.linalg.norm(lost, axis=1).max() < 5.0
     assert coarse_grid(fine) == []
+
+
+def test_a_line_that_stands_upright_is_noted(tmp_path):
+    """Rationale: "none none 2" leaves a user puzzled; only the camera is turned."""
+    text = find_scene("cold_cylinder").read_text(encoding="utf-8")
+    turned = text.replace("<lookat", '<rotate z="1" angle="90"/><lookat', 1)
+    (tmp_path / "turned.xml").write_text(turned, encoding="utf-8")
+    film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5}
+    upright, flat = (
+        [note for note in measure(load_scene(scene, **film)).notes if "upright" in note]
+        for scene in (tmp_path / "turned.xml", "cold_cylinder")
+    )
+    assert "turn the camera by 90 degrees" in upright[0]
+    assert flat == []

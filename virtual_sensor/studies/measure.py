@@ -39,6 +39,7 @@ from virtual_sensor.studies.notes import (
     counts_of,
     frame_notes,
     unlit_rays,
+    upright_line,
 )
 
 NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
@@ -165,7 +166,8 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
         )
     states = {"cold": cold} | ({"hot": hot} if hot else {})
     for name, state in states.items():
-        words = frame_notes(state.frame.account, state.line, state.compared, state.sound)
+        words = [] if state.dots else upright_line(state.dense)
+        words += frame_notes(state.frame.account, state.line, state.compared, state.sound)
         notes += [f"{name}: {each}" for each in words]
     return Measurement(cold, hot, dense_y, tuple(notes), time.perf_counter() - started)
 

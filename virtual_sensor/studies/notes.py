@@ -9,7 +9,7 @@ from virtual_sensor_plugins.lit_pixels import Account
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status
-from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.sensor_model import LaserLine
 from virtual_sensor.studies.agreement import (
     FINE_PX,
@@ -63,6 +63,18 @@ def coarse_grid(scene: Scene) -> list[str]:
     return [
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
         f" {loss.present:.2g} px of the line's place; virtual-sensor field info tells more"
+    ]
+
+
+def upright_line(found: FoundPixels) -> list[str]:
+    """Note of a searched line that stands upright in the image."""
+    steps = np.abs(np.diff(found.pixel, axis=0))
+    steps = steps[np.isfinite(steps[:, 0])]
+    if not len(steps) or np.median(steps[:, 1]) <= np.median(steps[:, 0]):
+        return []
+    return [
+        "<sensor>: the laser line stands upright in the image, where its centres are searched for"
+        " column by column; turn the camera by 90 degrees about its axis (to_world)"
     ]
 
 
