@@ -61,6 +61,7 @@ def test_a_simulated_sensor_goes_through_a_file(tmp_path, ending):
     pixel = np.random.default_rng(1).uniform(900.0, 1100.0, (30, 2))
     read = read_calibration(path)
     np.testing.assert_allclose(triangulate(read, pixel), triangulate(sensor, pixel), atol=1e-9)
+    assert read.notes == ()
 
 
 def test_what_may_be_left_out_has_its_natural_value(tmp_path):
@@ -72,8 +73,12 @@ def test_what_may_be_left_out_has_its_natural_value(tmp_path):
         distortion_coefficients=None,
         laser_plane=np.array([0.6, 0.0, 0.8, 240.0]),
     )
-    point = triangulate(read_calibration(path), [[1023.5, 767.5]])
+    calibration = read_calibration(path)
+    point = triangulate(calibration, [[1023.5, 767.5]])
     np.testing.assert_allclose(point, [[0.0, 0.0, 300.0]], atol=1e-9)
+    lens, pose = calibration.notes
+    assert lens == f"{path}: has no 'distortion_coefficients': the lens is taken as ideal."
+    assert pose == f"{path}: has no 'rotation' and 'translation': the world is the camera's."
 
 
 @pytest.mark.parametrize(

@@ -83,3 +83,19 @@ def test_what_says_two_things_or_no_number_is_refused(tmp_path, text, says):
     with pytest.raises(InputError, match=says) as told:
         read_calibration(path)
     assert "\n" not in str(told.value)
+
+
+def test_a_file_that_ends_within_a_line_is_noted(tmp_path):
+    """A number that is cut in two is a number still."""
+    text = (
+        "image_width: 640\nimage_height: 480\ncamera_matrix: [900, 0, 320, 0, 900, 240, 0, 0, 1]\n"
+        "distortion_coefficients: [0, 0, 0, 0]\nrotation: [0, 0, 0]\ntranslation: [0, 0, 0]\n"
+        "laser_plane:\n- 0.6\n- 0\n- 0.8\n- 240\n"
+    )
+    path = tmp_path / "c.yaml"
+    for cut, notes in (
+        (0, ()),
+        (1, (f"{path}: ends within a line, as a file that is not whole does.",)),
+    ):
+        path.write_text(text[: len(text) - cut])
+        assert read_calibration(path).notes == notes

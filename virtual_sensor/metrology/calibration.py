@@ -5,13 +5,14 @@ image_width, _height     px
 camera_matrix            K, 3 x 3, integer at pixel centres; also cameraMatrix, K, mtx.  One f < 0
                          where the image is mirrored (noted); skew is refused
 distortion_coefficients  4, 5, 8, 12 or 14 of OpenCV's (of rational, thin-prism and tilted models
-                         too), 4 of a fisheye; also dist_coeffs, distCoeffs, D ...; left out: none
+                         too), 4 of a fisheye; also dist_coeffs, distCoeffs, D ...; left out
+                         (noted): none
 distortion_model         ROS's plumb_bob, rational_polynomial, equidistant, Kalibr's radtan; others
                          are refused
 fisheye_model            OpenCV's: 1 of a fisheye, 0
 rotation, translation    from the world to the camera, x_c = R x_w + t, mm; R as 3 x 3 or as
                          Rodrigues' vector; also R, rvec, T, tvec ...; one without the other is
-                         refused; both left out: the world is the camera's
+                         refused; both left out (noted): the world is the camera's
 laser_plane              n_x, n_y, n_z, d with n . x = d in the world, mm
 =======================  ===========================================================================
 
@@ -152,8 +153,8 @@ def calibration_text(calibration: Calibration, file_name: str) -> str:
     storage.write("image_width", camera.size[0])
     storage.write("image_height", camera.size[1])
     storage.write("camera_matrix", matrix)
-    if camera.distortion.size:
-        storage.write("distortion_coefficients", camera.distortion.reshape(1, -1))
+    distortion = camera.distortion if camera.distortion.size else np.zeros(5)
+    storage.write("distortion_coefficients", distortion.reshape(1, -1))
     if camera.fisheye:
         storage.write("fisheye_model", 1)
     storage.write("rotation", np.ascontiguousarray(to_camera))
@@ -171,7 +172,8 @@ def read_calibration(path: Path) -> Calibration:
     InputError
         Naming the file, the element and what it should be.
     """
-    file = _File(path, _elements(path))
+    notes: list[str] = []
+    file = _File(path, _elements(path, notes), notes=notes)
     size = (_pixels(file, "image_width"), _pixels(file, "image_height"))
     matrix = file.numbers("camera_matrix", (9,)).reshape(3, 3)
     f = matrix[[0, 1], [0, 1]]
@@ -186,6 +188,10 @@ def read_calibration(path: Path) -> Calibration:
     fisheye = _is_fisheye(file)
     counts = (4,) if fisheye else _COEFFICIENTS
     distortion = file.numbers("distortion_coefficients", counts, None if fisheye else np.zeros(0))
+    if "distortion_coefficients" not in file.found:
+        file.notes.append("has no 'distortion_coefficients': the lens is taken as ideal")
+    if not (fisheye or distortion.any()):
+        distortion = np.zeros(0)
     camera = Camera(matrix, _pose(file), size, distortion, fisheye)
     *normal, offset = file.numbers("laser_plane", (4,))
     length = float(np.linalg.norm(normal))
@@ -200,7 +206,7 @@ def read_calibration(path: Path) -> Calibration:
     return calibration
 
 
-def _elements(path: Path) -> dict[str, Any]:
+def _elements(path: Path, notes: list[str]) -> dict[str, Any]:
     """The elements of a file by their names: numbers and words as text, lists, dictionaries."""
     try:
         if readable(path).stat().st_size > _LARGEST_BYTES:
@@ -219,6 +225,8 @@ def _elements(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path}: is not OpenCV's YAML, XML or JSON; write it with cv2.FileStorage"
         )
+    if text[-1] not in "\n]}>":
+        notes.append("ends within a line, as a file that is not whole does")
     return elements
 
 
@@ -275,6 +283,7 @@ class _File:
     path: Path
     elements: dict[str, Any]
     used: set[str] = field(default_factory=set)
+    found: set[str] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
 
     def find(self, name: str) -> Any:
@@ -289,6 +298,7 @@ class _File:
         if there != [name]:
             self.notes.append(f"'{there[0]}' is taken as '{name}'")
         self.used.add(there[0])
+        self.found.add(name)
         return self.elements[there[0]]
 
     def numbers(self, name: str, counts: tuple[int, ...], default: Array | None = None) -> Array:
@@ -357,6 +367,8 @@ def _pose(file: _File) -> Pose:
             f"{file.path}: has '{has}' but no '{lacks}'; give both, or none where the world is the"
             " camera's"
         )
+    if not any(given):
+        file.notes.append("has no 'rotation' and 'translation': the world is the camera's")
     rotation = file.numbers("rotation", (3, 9), np.eye(3).ravel())
     to_camera = cv2.Rodrigues(rotation)[0] if rotation.size == 3 else rotation.reshape(3, 3)
     if not np.allclose(to_camera @ to_camera.T, np.eye(3), atol=_ORTHOGONAL):
