@@ -174,6 +174,10 @@ def import_(
     time: Annotated[
         float | None, typer.Option(help="Flow time, s, of a file with many; by default the last.")
     ] = None,
+    region: Annotated[
+        str | None,
+        typer.Option(help="Of an OpenFOAM case of several; by default the only fluid."),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Import another solver's field, onto a regular grid and into the world's frame.
@@ -201,6 +205,7 @@ def import_(
         ambient,
         pressure,
         time,
+        region,
     )
     with reporting("reading") as report:
         made = import_field(source, choices, command_line(), report)

@@ -16,7 +16,7 @@ from virtual_sensor.medium.imports.sources import Cloud, Grid, Source, Variable,
 
 # Coordinates by the names that COMSOL, ParaView, Fluent and STAR-CCM+ give them.
 COORDINATE = re.compile(r"([xyz])(?:[-_ ]?coord(?:inate)?)?|(?:points|centers?)[:_]([012])", re.I)
-TIME = re.compile(r"(?:\d+:\s*)?t\s*=\s*(\S+?)\s*(ms|s|min|h)?")
+TIME = re.compile(r"(?:\d+:\s*)?t\s*=\s*(\S*?)\s*(ms|s|min|h)?")
 SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, None: 1.0}
 SAME_TIME = 1e-6  # of the time itself
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-nan", "-nan(ind)", "1.#qnan"}
@@ -168,6 +168,7 @@ def from_columns(labels: Sequence[str], table: np.ndarray, reader: str) -> Sourc
         raise InputError(
             f"the header names {len(labels)} columns ({', '.join(labels)}), the rows have "
             f"{table.shape[1]}; name each column once"
+            + (", and use no comma as decimal mark" if table.shape[1] > len(labels) else "")
         )
     axes = [axis_of(name) for name in labels]
     places = {axis: i for i, axis in enumerate(axes) if axis is not None}

@@ -37,6 +37,10 @@ from virtual_sensor.medium.imports.vtk_claims import check_legacy, check_mesh, c
 
 SERIAL = (".vti", ".vtk", ".vtp", ".vtr", ".vts", ".vtu")
 PARALLEL = (".pvti", ".pvtr", ".pvts", ".pvtu")
+COLLATED = (
+    "is decomposed in OpenFOAM's collated form (processorsN), which VTK doesn't read; run"
+    " `reconstructPar` (of several regions `reconstructPar -allRegions`)"
+)
 
 
 def pyvista() -> Any:
@@ -73,7 +77,7 @@ def read_vtk(path: Path) -> Source:
     blanked points and cells         heeded: no data (vtkGhostType), noted
     vtkValidPointMask                heeded: no data where it is 0 (ParaView's resampling), noted
     NaN                              heeded: no data
-    polyhedra, quadratic cells       heeded
+    polyhedra                        heeded
     points without cells             heeded: joined to tetrahedra
     integers                         heeded
     vectors, tensors, texts          ignored, and noted
@@ -162,13 +166,8 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
         }
     collated = next(case.glob("processors[0-9]*"), None)
     everything = [t for each in times.values() for t in each]
-    if not everything and collated:
-        raise InputError(
-            f"is decomposed in OpenFOAM's collated form ({collated.name}), which VTK doesn't read;"
-            " run `reconstructPar` (of several regions `reconstructPar -allRegions`)"
-        )
     if not everything:
-        raise InputError("has no time folders; run the case first")
+        raise InputError(COLLATED if collated else "has no time folders; run the case first")
     wanted = pick_time(everything, time_s)
     kind = next(kind for kind, each in times.items() if wanted in each)
     with told_by_vtk():
@@ -184,6 +183,8 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
         mesh, chosen = _mesh_of(blocks[region]), f", region {region}"
     told = f"{_version(pv)}, OpenFOAM case, {kind}{chosen}, t = {wanted:g} s"
     source = _source(mesh, "m", told)
+    if collated and not source.variables:
+        raise InputError(COLLATED)
     if collated:
         note = f"{collated.name}: OpenFOAM's collated form is not read, only reconstructed times"
         source = replace(source, notes=(*source.notes, note))
