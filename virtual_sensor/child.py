@@ -70,7 +70,7 @@ def run_in_child(
     Exception
         Others that the function raises, with the child's traceback as a note.
     """
-    memory = memory_bytes or os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = memory_bytes or physical_memory()
     content = pickle.dumps((arguments, memory, report is not None, str(Path.cwd()), sys.path))
     nursery = _take()
     expired = threading.Event()
@@ -106,6 +106,11 @@ def run_in_child(
     status = nursery.process.returncode
     how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
     raise InputError(f"{subject}: what reads it crashed ({how}); {REMEDY}")
+
+
+def physical_memory() -> int:
+    """Bytes of memory that this machine has."""
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
 class _Nursery:

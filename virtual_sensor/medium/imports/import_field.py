@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from virtual_sensor.child import run_in_child
+from virtual_sensor.child import physical_memory, run_in_child
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import ZERO_CELSIUS_K
 from virtual_sensor.medium.netcdf import GriddedQuantity
 
 NEEDS_PYVISTA = "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
+
+LEAST_MEMORY, MEMORY_PER_BYTE = 6 * 10**9, 2000  # so that a small file can't claim all there is
 
 Report = Callable[[str, float], None]
 
@@ -133,9 +135,17 @@ def import_field(
         choices,
         history,
         subject=f"{path}",
+        memory_bytes=_memory(Path(path)),
         report=report,
     )
     return made
+
+
+def _memory(path: Path) -> int | None:
+    """Memory that an import may need; None if its size isn't that of one file."""
+    if not path.is_file() or path.suffix.lower().startswith((".p", ".foam")):
+        return None
+    return min(LEAST_MEMORY + MEMORY_PER_BYTE * path.stat().st_size, physical_memory())
 
 
 def summary(imported: Imported) -> list[str]:

@@ -17,14 +17,21 @@ from virtual_sensor.errors import InputError
 BYTES = {
     **dict.fromkeys(("char", "unsigned_char", "signed_char"), 1),
     **dict.fromkeys(("short", "unsigned_short"), 2),
-    **dict.fromkeys(("int", "unsigned_int", "float"), 4),
-    **dict.fromkeys(("long", "unsigned_long", "double", "vtkidtype"), 8),
+    **dict.fromkeys(("int", "unsigned_int", "float", "vtkidtype"), 4),  # ids are written as int
+    **dict.fromkeys(("long", "unsigned_long", "double"), 8),
     **dict.fromkeys(("long_long", "unsigned_long_long"), 8),
 }
 COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 CELLS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 MOST_PACKED = 2000  # a value takes this part of a byte at least, compressed
 HEADER = 100_000  # bytes of an XML file's beginning, where its claims are looked for
+# Corners of cells: vertex, line, triangle, pixel, quad, tetrahedron, voxel, hexahedron, wedge,
+# pyramid, pentagonal and hexagonal prism, then the quadratic ones.
+CORNERS = {
+    **{1: 1, 3: 2, 5: 3, 8: 4, 9: 4, 10: 4, 11: 8, 12: 8, 13: 6, 14: 5, 15: 10, 16: 12},
+    **{21: 3, 22: 6, 23: 8, 24: 10, 25: 20, 26: 15, 27: 13, 28: 9, 29: 27, 30: 6, 31: 12},
+    **{32: 18, 33: 24, 34: 7, 35: 4},
+}
 NUMBER = rb"[-+]?(?:(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?\d++)?+|(?i:nan|inf(?:inity)?+))(?=\s|\Z)"
 TYPE = re.compile(r"vtktype(?:u?int|float)(8|16|32|64)")
 
@@ -93,11 +100,11 @@ def check_legacy(path: Path) -> None:
     for _ in range(2):  # version and title, which may be empty
         file.at = file.content.find(b"\n", file.at) + 1 or len(file.content)
     file.kind = " ".join(file.line()).upper()
-    last = file.content[-4000:].split()
+    last = file.content[-4000:].split()[-33:]
     if (
         file.kind == "ASCII"
         and not file.content[-1:].isspace()
-        and (len(last) < 9 or len(last[-1]) < min(map(len, last[2:-1])))
+        and (len(last) < 9 or len(last[-1]) < min(map(len, last[:-1])))
     ):
         raise InputError(
             f"ends with '{last[-1].decode('latin-1')[-40:]}' and without a line end: truncated?"
@@ -288,9 +295,25 @@ def check_mesh(cells: object) -> None:
                 f"is damaged: cell {where} refers to point {corners[wrong][0]}, and there are"
                 f" {len(points)} points; write it again"
             )
+        if name == "GetCells":
+            _check_corners(np.asarray(cells.celltypes), np.diff(starts))  # type: ignore[attr-defined]
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         raise InputError(
             f"the coordinates of {bad.sum()} points are not finite, of point"
             f" {np.flatnonzero(bad)[0]} for one; remove them"
+        )
+
+
+def _check_corners(kinds: np.ndarray, counts: np.ndarray) -> None:
+    """Refuse cells that have another number of corners than their type, or no type."""
+    wanted = np.zeros(256, dtype=np.int64)
+    wanted[list(CORNERS)] = list(CORNERS.values())
+    fixed = wanted[kinds]
+    wrong = (fixed > 0) & (fixed != counts) | (kinds == 0) | (counts == 0)
+    if wrong.any():
+        where = int(np.flatnonzero(wrong)[0])
+        raise InputError(
+            f"is damaged: cell {where}, of VTK's type {kinds[where]}, has {counts[where]} corners;"
+            " write it again"
         )
