@@ -208,3 +208,15 @@ def test_ctrl_c_in_a_scenes_load_stays_ctrl_c_in_python(monkeypatch):
         monkeypatch.setattr(index_field, "fill_solid", interrupted)
         with pytest.raises(raised):
             vs.load_scene("hot_cylinder")
+
+
+@pytest.mark.slow
+def test_a_sweep_on_a_cluster_ends_in_one_line_while_it_waits(stopped):
+    """Rationale: the client waits in threads of its own, and its workers are not its children."""
+    distributed = pytest.importorskip("distributed", reason="needs virtual-sensor[cluster]")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=None, processes=True
+    ) as cluster:
+        words = f"{SWEEP} --scheduler {cluster.scheduler_address}"
+        [left] = stopped(signal.SIGINT, [("distributed.client:wait_for_workers", words)])
+    assert left == ["swept", "swept/SWEEP.txt"]

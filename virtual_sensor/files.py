@@ -267,7 +267,8 @@ def _close(workshop: Path, final: Path) -> bool:
         old.replace(final)
     with suppress(OSError):  # so that other threads write into it no more
         doomed = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", workshop.parent))
-        workshop = workshop.replace(doomed)
+        workshop.replace(doomed)
+        workshop = doomed
     shutil.rmtree(workshop, ignore_errors=True)
     return restored
 
