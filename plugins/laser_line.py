@@ -166,7 +166,7 @@ def _positive(props: mi.Properties, name: str, default: float | None = None) -> 
     if default is None and name not in props:
         raise InputError(f"laser_line: the property '{name}' is missing; give it in mm")
     value = float(props.get(name, default))
-    if not (np.isfinite(value) and value > 0.0):
+    if not 1e-30 < value < 1e30:  # of float32
         raise InputError(f"laser_line: '{name}' must be a positive number, not {value:g}")
     if name != "power" and value > _FARTHEST_MM:
         raise InputError(f"laser_line: '{name}' is {value:g} mm; give at most {_FARTHEST_MM:g} mm")

@@ -25,6 +25,7 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
     ("refractive", "tolerance"),
 }
+_LARGEST = 1e30  # float32 ends at 3e38
 _PIXEL_BYTES = 64  # of a frame with its truth, at least
 
 # What Mitsuba says of faults that are easily made, and what we say instead.
@@ -125,7 +126,7 @@ def _listening() -> Iterator[list[str]]:
             logger.add_appender(appender)
 
 
-def _warnings(main: Path, heard: list[str]) -> list[str]:
+def warnings_of(main: Path, heard: list[str]) -> list[str]:
     """Notes of Mitsuba's warnings; refuse a shape that is not what the scene says."""
     notes = []
     for line in dict.fromkeys(re.sub(r"^.*? WARN +", "", text) for text in heard):
@@ -161,7 +162,7 @@ def load(
                     node.props.mark_queried(name, False)
             mi.parser.transform_all(config, state)
             loaded = mi.parser.instantiate(config, state)
-            return loaded, notes + _warnings(main, heard)
+            return loaded, notes + warnings_of(main, heard)
         except InputError:
             raise
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
@@ -218,7 +219,7 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
             numbers = np.array(props[name], float)
         else:
             continue
-        if not np.isfinite(numbers).all():
+        if not np.all(np.abs(numbers) < _LARGEST):
             raise InputError(f"{where}: {name} is not a finite number{_culprit(values)}; give one")
         if name == "to_world" and (node.type == mi.ObjectType.Sensor or kind == "laser_line"):
             notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4))
@@ -236,11 +237,11 @@ def _numeric() -> tuple[Any, ...]:
 
 
 def _culprit(values: dict[str, str]) -> str:
-    """The parameters that are not finite, if any."""
+    """The parameters that are not finite, or as good as that."""
     found = []
     for name, text in values.items():
         with suppress(ValueError):
-            if not np.isfinite(float(text)):
+            if not abs(float(text)) < _LARGEST:
                 found.append(shortened(f"{name}={text}"))
     return f" ({', '.join(found)})" if found else ""
 
