@@ -393,19 +393,3 @@ def test_only_a_closed_cylinder_along_x_is_the_analytic_one(tmp_path):
     for end in ('<translate x="85" z="-13.5"/>', '<scale value="13.5"/>'):
         path.write_text(text.replace(end, '<translate x="80" z="-13.5"/>'), encoding="utf-8")
         assert isinstance(vs.load_scene(path).surface, SceneSurface)
-
-
-@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_mono_polarized"])
-def test_other_variants_make_the_same_frame(variant, tmp_path):
-    """Rationale: what is grey in one is grey in all; the spectral ones are refused."""
-    film = {"width": 64, "height": 64, "line_radius": 1}
-    file = tmp_path / "frame.npy"
-    program = (
-        "import numpy as np, virtual_sensor as vs\nfrom virtual_sensor.engine import activate\n"
-        f"activate({variant!r})\n"
-        f"np.save({str(file)!r}, vs.render(vs.load_scene('cold_cylinder', **{film})))"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
-    ours = vs.render(vs.load_scene("cold_cylinder", **film))
-    assert ours.max() > 0.0
-    np.testing.assert_allclose(np.load(file), ours, rtol=1e-5)

@@ -221,8 +221,9 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
             continue
         if not np.all(np.abs(numbers) < _LARGEST):
             raise InputError(f"{where}: {name} is not a finite number{_culprit(values)}; give one")
-        if name == "to_world" and (node.type == mi.ObjectType.Sensor or kind == "laser_line"):
-            notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4))
+        camera = node.type == mi.ObjectType.Sensor
+        if name == "to_world" and (camera or kind == "laser_line"):
+            notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4), camera)
     if node.type == mi.ObjectType.Film:
         _check_film(where, int(props.get("width", 768)), int(props.get("height", 576)))
     if node.type == mi.ObjectType.Medium:
@@ -246,10 +247,10 @@ def _culprit(values: dict[str, str]) -> str:
     return f" ({', '.join(found)})" if found else ""
 
 
-def _check_pose(where: str, matrix: NDArray[np.float64]) -> list[str]:
-    """Refuse a pose that scales, shears or stands beyond reason; note one that mirrors."""
+def _check_pose(where: str, matrix: NDArray[np.float64], camera: bool) -> list[str]:
+    """Refuse a pose beyond reason, or a camera's that scales or shears; note one that mirrors."""
     turn, place = matrix[:3, :3], matrix[:3, 3]
-    if not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):
+    if camera and not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):  # a laser says so itself
         raise InputError(f"{where}: to_world scales or shears; turn and move, and no more")
     if np.max(np.abs(place)) > _FAR_MM:
         raise InputError(
