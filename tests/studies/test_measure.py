@@ -19,6 +19,7 @@ from virtual_sensor.studies.measure import (
 )
 from virtual_sensor.studies.notes import coarse_grid
 from virtual_sensor.studies.results import save
+from virtual_sensor.studies.search import search
 
 FIELD_OF_VIEW_MM = 45.056
 
@@ -203,3 +204,18 @@ def test_a_line_that_stands_upright_is_noted(tmp_path):
     )
     assert "turn the camera by 90 degrees" in upright[0]
     assert flat == []
+
+
+def test_the_summary_says_what_was_really_used():
+    """Rationale: of 7 samples asked for 9 were taken, and the summary kept the 7."""
+    film = {"width": 128, "height": 128, "line_radius": 1, "spp": 9, "step": 4}
+    made = summary(measure(load_scene("hot_cylinder", **film)))["made_with"]
+    assert (made["samples per pixel"], made["step, mm"]) == (9, 4.0)
+
+
+def test_a_search_of_no_ray_is_empty():
+    """Rationale: a script's empty list is an answer of its kind, not a fault of the engine."""
+    result = search(load_scene("hot_cylinder"), "newton", [])
+    assert result.found == 0
+    assert {len(values) for values in result.columns.values()} == {0}
+    assert result.columns["status"].dtype.kind == "U"
