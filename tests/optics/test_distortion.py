@@ -64,6 +64,9 @@ def test_what_can_not_be_undone_is_nan():
     lines = seeing.lines_of_sight([[1023.5, 1023.5], [60.0, 60.0], [np.nan, 3.0]])
     assert np.isfinite(lines[0]).all()
     assert np.isnan(lines[1:]).all()
+    assert np.isnan(
+        camera([-0.1, 0.0, 0.0, 1e308]).lines_of_sight([[60.0, 60.0], [9.0, 3.0]])
+    ).all()
 
 
 @pytest.mark.parametrize(

@@ -116,6 +116,7 @@ class Camera:
         """The pixels (..., 2) at which the camera sees what an ideal pinhole sees at `pixel`."""
         return self._distorted(self._homogeneous(np.asarray(pixel, float)))
 
+    @np.errstate(over="ignore", invalid="ignore")  # beyond a fold polynomials may overflow
     def undistorted(self, pixel: ArrayLike) -> Array:
         """The pixels (..., 2) at which an ideal pinhole would see what pixels (..., 2) see.
 
