@@ -17,6 +17,28 @@ and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (k
   node about which the field is even. The fields shipped first say "mirror at x=0" in their title
   instead.
 
+What is done of the format's other features, as the CF conventions say:
+
+================================  ==================================================
+Feature                           What is done
+================================  ==================================================
+scale_factor, add_offset          heeded, of coordinates too
+_Unsigned                         heeded: bytes, shorts and ints are unsigned
+_FillValue, missing_value         heeded: no data; missing_value may be several
+default fill value                heeded: of float, double and int without _FillValue
+valid_range, valid_min, valid_max heeded: what is outside is no data
+NaN                               heeded: no data
+units in other spellings          heeded: Kelvin, celsius, kg m-3, metre, hours
+64-bit offsets, record dimension  heeded
+text where numbers belong         refused
+attributes of several numbers     refused, where one belongs
+descending or uneven axes         refused
+dimensions in another order       refused
+impossible values or extents      refused, of the surrounding air too
+NetCDF-4, CDF-5                   refused: `nccopy -3`
+other variables and attributes    ignored
+================================  ==================================================
+
 Written are mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
 ``add_offset`` span the range of the values in the air, with a ``_FillValue`` in the solid; the
 variable then says ``fill_value_means = "solid"`` and there is no mask.
