@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from folders import contents, earlier_results
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import (
@@ -26,16 +27,7 @@ from virtual_sensor.files import (
 @pytest.fixture
 def results(tmp_path):
     """A folder of earlier results."""
-    folder = tmp_path / "measured"
-    folder.mkdir()
-    (folder / RESULTS_SIGN).write_text("earlier")
-    return folder
-
-
-def contents(folder):
-    """Files below a folder, hidden ones too, with what is in them."""
-    files = (p for p in folder.rglob("*") if p.is_file())
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+    return earlier_results(tmp_path)
 
 
 @contextmanager

@@ -1,0 +1,17 @@
+"""Folders of results, and what is in them."""
+
+from virtual_sensor.files import RESULTS_SIGN
+
+
+def earlier_results(tmp_path):
+    """A folder of earlier results."""
+    folder = tmp_path / "measured"
+    folder.mkdir()
+    (folder / RESULTS_SIGN).write_text("earlier")
+    return folder
+
+
+def contents(folder):
+    """Files below a folder, hidden ones too, with what is in them."""
+    files = (p for p in folder.rglob("*") if p.is_file())
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
