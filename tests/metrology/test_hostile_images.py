@@ -52,6 +52,7 @@ def image(rng):
                 made = (made * rng.choice([1.0, 200.0])).astype(DTYPES[rng.integers(len(DTYPES))])
     if rng.random() < 0.1 and made.ndim == 2:
         made = made[:, ::-1].T  # not contiguous
+    made.flags.writeable = False
     return made
 
 
@@ -65,6 +66,8 @@ def check(number):
         "saturation": rng.choice([None, 0.5, 200.0]),
         "noise": rng.choice([None, 0.0, 1.0]),
         "gain": float(rng.choice([0.0, 1.0])),
+        "max_sigma": float(rng.choice([0.51, 3.0, 32.0, 1e4])),
+        "min_amplitude": float(rng.choice([0.0, 0.01, 0.999])),
     }
     try:
         found = line_centres(picture, method, **options)

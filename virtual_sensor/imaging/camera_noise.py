@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import c, h
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import (
+    LARGEST,
+    SMALLEST,
+    InputError,
+    number_within,
+    numbers_of,
+    whole_number,
+)
 from virtual_sensor.metrology.line_profiles import unmasked
 
 Array = NDArray[np.float64]
@@ -65,16 +72,15 @@ class CameraNoise:
     def __post_init__(self) -> None:
         positive = ("quantum_efficiency", "gain", "full_well_e")
         for name in (*positive, "dark_noise_e", "black_level", "dsnu_e", "prnu"):
-            value = getattr(self, name)
-            if not (0.0 <= value < np.inf and (value > 0.0 or name not in positive)):
-                kind = "positive" if name in positive else "not negative"
-                raise InputError(f"camera: {name} is {value}; give a number that is {kind}")
+            least, kind = (SMALLEST, "positive") if name in positive else (0.0, "not negative")
+            advice = f"a number that is {kind}"
+            number_within(f"camera: {name}", getattr(self, name), least, LARGEST, advice)
         if self.quantum_efficiency > 1.0:
             raise InputError(
                 f"camera: quantum_efficiency is {self.quantum_efficiency}; give it up to 1"
             )
-        if not 1 <= self.bit_depth <= 16:
-            raise InputError(f"camera: bit_depth is {self.bit_depth}; give it 1 to 16")
+        whole_number("camera: bit_depth", self.bit_depth, 1, 16)
+        whole_number("camera: pattern_seed", self.pattern_seed, 0, 2**63 - 1)
 
     @property
     def white(self) -> int:
@@ -123,8 +129,9 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
     InputError
         Where the image is dark.
     """
-    image = np.asarray(unmasked(image), float)
-    brightest = float(np.nanmax(image, initial=0.0))
+    image = numbers_of("exposed: the image", unmasked(image))
+    number_within("exposed: peak_e", peak_e, SMALLEST, LARGEST, "electrons, more than 0")
+    brightest = float(np.nanmax(image, initial=0.0)) if image.size else 0.0
     if not 0.0 < brightest < np.inf:
         raise InputError("exposed: the image is dark, or not finite; no exposure makes it bright")
     return image * (peak_e / camera.quantum_efficiency / brightest)
@@ -153,7 +160,7 @@ def record(
     InputError
         Where `photons` has another shape, or holds what is negative or no number.
     """
-    light = np.asarray(photons, float)
+    light = numbers_of("record: photons", photons)
     if light.ndim != 2:
         raise InputError(f"record: photons has shape {light.shape}; give it (height, width)")
     if not (np.isfinite(light).all() and light.min(initial=0.0) >= 0.0):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, number_within, numbers_of
 from virtual_sensor.metrology.line_profiles import unmasked
 from virtual_sensor.optics.sensor_model import Camera
 
@@ -104,9 +104,10 @@ def _reached(lit: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
 
 
 def _checked(image: ArrayLike, number: float, name: str) -> tuple[Array, float]:
-    image = np.asarray(unmasked(image), float)
-    if image.ndim != 2 or not np.isfinite(image).all():
+    image = numbers_of("lens: the image", unmasked(image))
+    if image.ndim != 2 or not image.size or not np.isfinite(image).all():
         raise InputError(f"lens: the image of shape {image.shape} must be (height, width), finite")
-    if not 0.0 <= number < min(image.shape, default=0) / 2 + 1:
-        raise InputError(f"lens: {name} is {number}; give it from 0 up to half the image")
-    return image, float(number)
+    most = min(image.shape) / 2.0 + 1.0
+    return image, number_within(
+        f"lens: {name}", number, 0.0, most, "it from 0 up to half the image"
+    )

@@ -22,7 +22,13 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 from scipy.special import j1, struve
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import (
+    LARGEST,
+    SMALLEST,
+    InputError,
+    number_within,
+    numbers_of,
+)
 from virtual_sensor.metrology.line_profiles import unmasked
 
 Array = NDArray[np.float64]
@@ -58,10 +64,11 @@ class Aperture:
 
     def __post_init__(self) -> None:
         for name in ("f_number", "wavelength_nm", "pixel_um"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise InputError(f"aperture: {name} is {getattr(self, name)}; give it above 0")
-        if not (0.0 <= self.magnification < np.inf and self.polarisations in (1, 2)):
-            raise InputError("aperture: give a magnification from 0 on, and 1 or 2 polarisations")
+            number_within(f"aperture: {name}", getattr(self, name), SMALLEST, LARGEST, "it above 0")
+        number_within("aperture: magnification", self.magnification, 0.0, LARGEST, "it from 0 on")
+        number_within("aperture: polarisations", self.polarisations, 1, 2, "1 or 2 polarisations")
+        if self.polarisations not in (1, 2):
+            raise InputError("aperture: give 1 or 2 polarisations")
 
     @property
     def resolution_px(self) -> float:
@@ -128,7 +135,7 @@ def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generat
         Where the image has another shape, or holds what is negative or no number; where the grains
         are finer than a 16th of a pixel.
     """
-    image = np.asarray(unmasked(image), float)
+    image = numbers_of("speckled: the image", unmasked(image))
     if image.ndim != 2 or not (np.isfinite(image).all() and image.min(initial=0.0) >= 0.0):
         raise InputError("speckled: give an image (height, width) of finite numbers from 0 on")
     fine = max(3, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity

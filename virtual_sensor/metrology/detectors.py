@@ -76,6 +76,8 @@ def find_detector(name: str) -> Foreign:
     InputError
         If there is none of that name, or it can't be loaded.
     """
+    if not isinstance(name, str):
+        raise InputError(f"line_centres: method is {name!r}; give a detector's name, or a function")
     known = {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
     if name not in known and ":" not in name:
         raise InputError(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import LARGEST, SMALLEST, number_within
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]
@@ -94,8 +94,9 @@ def round_pixel(pixel: ArrayLike, step: float = 0.25) -> Array:
     InputError
         Where `step` is not positive.
     """
-    if not step > 0.0:
-        raise InputError(f"round_pixel: step is {step}; give a positive one, 0.25 px in the paper")
+    number_within(
+        "round_pixel: step", step, SMALLEST, LARGEST, "a positive one, 0.25 px in the paper"
+    )
     return np.round(np.asarray(pixel, float) / step) * step
 
 

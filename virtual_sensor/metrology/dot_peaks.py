@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import SMALLEST, number_within, whole_number
 from virtual_sensor.metrology.line_profiles import checked_image, saturation_level
 
 Array = NDArray[np.float64]
@@ -27,6 +27,8 @@ class DotStatus(IntEnum):
     OVERLAPPING = 3
     SATURATED = 4
     BAD_PIXELS = 5
+    NO_CENTRE = 6
+    """Its surroundings are as bright as it is: there is no light whose centroid it would be."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,9 @@ def dot_centres(
     """
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
-    if not 0.0 < threshold < 1.0:
-        raise InputError(f"dot_centres: threshold is {threshold}; give it 0 < threshold < 1")
+    below_1 = np.nextafter(1.0, 0.0)
+    number_within("dot_centres: threshold", threshold, SMALLEST, below_1, "it 0 < threshold < 1")
+    whole_number("dot_centres: min_area", min_area, 1, 2**31 - 1)
     finite = np.isfinite(image)
     filled = np.where(finite, image, image[finite].min(initial=0)).astype(float)
     smooth = cv2.GaussianBlur(filled, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
@@ -113,9 +116,14 @@ def dot_centres(
         elif others.any() or _comes_apart(contrast[window]):
             status[dot] = DotStatus.OVERLAPPING
         else:
-            (u, v), flux[dot] = _centroid(image[window].astype(float))
+            grey = image[window].astype(float)
+            (u, v), light = _centroid(grey)
+            inside = 0.0 <= u <= grey.shape[1] - 1 and 0.0 <= v <= grey.shape[0] - 1
+            if not (light > 0.0 and inside):
+                status[dot] = DotStatus.NO_CENTRE
+                continue
             middle[dot] = window[1].start + u
-            pixel[dot] = middle[dot], window[0].start + v
+            pixel[dot], flux[dot] = (middle[dot], window[0].start + v), light
 
     order = np.argsort(middle, kind="stable")
     return DotCentres(pixel[order], flux[order], status[order])
@@ -139,7 +147,8 @@ def _centroid(window: Array) -> tuple[Array, float]:
     signal = window - np.median(rim)
     flux = signal.sum()
     v, u = np.indices(window.shape)
-    return np.array([(u * signal).sum(), (v * signal).sum()]) / flux, flux
+    moments = np.array([(u * signal).sum(), (v * signal).sum()])
+    return moments / (flux or np.nan), flux
 
 
 def _comes_apart(contrast: Array) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import LARGEST, InputError, number_within, whole_number
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
@@ -43,6 +43,7 @@ from virtual_sensor.metrology.ridges import ridges
 ALONG = ("columns", "rows")
 
 MOST_PEAKS = 100  # of a column
+MOST_SIGMA_PX = 1e4
 EXTREME = 1e12  # grey values beyond it, or below its inverse, are brought to about 1 first
 IN_VIEW = 2.5  # a line counts as seen when so many sigma either side lie in the image
 MAX_RESIDUAL = 0.15  # rms misfit, relative to the amplitude, that is still a line
@@ -81,8 +82,8 @@ def line_centres(
     along : {"columns", "rows"}
         Whether the line crosses each column (it lies flat in the image), or each row.
     peaks : int
-        So many are looked for in each column, the highest first: reflections, undercuts.  With
-        more than one the arrays have shape (peaks, W).
+        So many are looked for in each column, the highest first: reflections, undercuts; up to
+        100.  With more than one the arrays have shape (peaks, W).
     min_amplitude : float
         Smallest height of a line, relative to the highest in the image.  What stands out by less
         than six sigma of the smoothed noise is no line either.
@@ -110,25 +111,30 @@ def line_centres(
     """
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
-    if along not in ALONG:
+    if not isinstance(along, str) or along not in ALONG:
         raise InputError(f"line_centres: along is {along!r}; take {' or '.join(ALONG)}")
-    if not (isinstance(peaks, int | np.integer) and 1 <= peaks <= MOST_PEAKS):
-        raise InputError(
-            f"line_centres: peaks is {peaks!r}; give a whole number, 1 to {MOST_PEAKS}"
-        )
-    if not 0.0 <= min_amplitude < 1.0:
-        raise InputError(f"line_centres: min_amplitude is {min_amplitude}; give it 0 <= ... < 1")
-    if not (MIN_SIGMA_PX < max_sigma < np.inf):
-        raise InputError(f"line_centres: max_sigma is {max_sigma}; give it > {MIN_SIGMA_PX} px")
-    if not (0.0 <= gain < np.inf and (noise is None or 0.0 <= noise < np.inf)):
-        raise InputError(f"line_centres: noise is {noise}, gain {gain}; give them >= 0")
+    peaks = whole_number("line_centres: peaks", peaks, 1, MOST_PEAKS)
+    below_1, beyond_least = np.nextafter([1.0, MIN_SIGMA_PX], [0.0, 1.0])
+    min_amplitude = number_within(
+        "line_centres: min_amplitude", min_amplitude, 0.0, below_1, "it 0 <= ... < 1"
+    )
+    max_sigma = number_within(
+        "line_centres: max_sigma",
+        max_sigma,
+        beyond_least,
+        MOST_SIGMA_PX,
+        f"it above {MIN_SIGMA_PX} px, and up to {MOST_SIGMA_PX:g}",
+    )
+    gain = number_within("line_centres: gain", gain, 0.0, LARGEST, "grey values per electron >= 0")
+    if noise is not None:
+        noise = number_within("line_centres: noise", noise, 0.0, LARGEST, "grey values >= 0")
     if along == "rows":
         image = np.ascontiguousarray(image.T)
 
     if isinstance(method, str) and method in NAMES:
         line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
     else:
-        line = by_foreign(image, find_detector(method) if isinstance(method, str) else method)
+        line = by_foreign(image, method if callable(method) else find_detector(method))
     return line.transposed if along == "rows" else line
 
 

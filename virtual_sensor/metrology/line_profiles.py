@@ -10,7 +10,7 @@ from scipy import signal
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import LARGEST, InputError, number_within
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -122,9 +122,7 @@ def unmasked(values: ArrayLike) -> NDArray:
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:
     """Grey value from which on the pixels of `image` are clipped; infinity where there is none."""
     if saturation is not None:
-        if np.isnan(saturation):
-            raise InputError("image: saturation is nan; give the grey value at which it clips")
-        return float(saturation)
+        return number_within("image: saturation", saturation, -LARGEST, np.inf, "a grey value")
     dtype = np.asanyarray(image).dtype  # of a masked image too, whose pixels become floats
     return float(np.iinfo(dtype).max) if dtype.kind == "u" else np.inf
 

@@ -148,8 +148,10 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
     noisy = np.where(shared, np.sqrt(1.0 - abrupt[0]), 1.0)
     if not noise.known:
         errors *= noisy
-    for values, error in zip(tests[:2], errors[:2], strict=True):
-        error[:] = _shared(values, error, at.sigma)
+    errors[0] = _shared(tests[0], errors[0], at.sigma)
+    # What is flat and not skewed may be out of focus: symmetric, and no trouble.
+    leaning = np.abs(tests[0]) > MAX_SKEW
+    errors[1] = np.where(leaning, _shared(tests[1], errors[1], at.sigma), errors[1])
     limits = np.array([MAX_SKEW, MAX_FLAT, MAX_STEP])[:, None]
     # Only what seems to be wrong may be so by chance; the speckle comes from the skewness.
     doubtful = np.abs(tests) > limits + SIGNIFICANCE * errors

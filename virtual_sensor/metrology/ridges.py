@@ -35,9 +35,8 @@ from virtual_sensor.metrology.line_profiles import (
     Array,
     Index,
     Noise,
-    Peaks,
 )
-from virtual_sensor.metrology.line_shapes import shapes
+from virtual_sensor.metrology.ridge_profiles import across, along_lines
 
 FIRST_SCALE_PX = 1.5  # at which lines are looked for, and their widths
 LEAST_SCALE_PX, MOST_SCALE_PX = 1.0, 8.0
@@ -47,8 +46,6 @@ _BESIDE = 3.0  # smoothed widths from the centre at which the level beside a lin
 _SEEN = 4.0  # times the noise of the levels beside a line: from there on they differ
 _TAIL = float(np.exp(-(_BESIDE**2) / 2.0))  # what is left of the line there
 _OWN_PIXEL = 0.6  # px from a pixel's centre within which it owns a point, before the steps
-_SEEN_ACROSS = 5.0  # widths either side in which the profile across a line is judged
-_WIDEST = 30_000
 _STEPS = 4
 _CONVERGED_PX = 0.02
 _MAX_NOISE = 0.25  # of the second derivative, relative: beyond it there is no line
@@ -125,59 +122,12 @@ def ridges(
     status = _judged(pixel, found, scale, max_sigma, finite, clipped, ends)
     good = np.flatnonzero(status == Status.OK)
     if good.size:
-        good = good[_along_lines(pixel[good], image.shape)]
-        status[good] = _across(grey, pixel[good], found[:, good], dark, max_sigma)
+        good = good[along_lines(pixel[good], image.shape)]
+        status[good] = across(grey, pixel[good], found[:, good], dark, max_sigma)
         status[good[among_cuts(status[None, good], found[None, 2, good])[0]]] = Status.CUT
     found[3:5] *= unit
     found[4] += offset
     return _points(pixel, found, status)
-
-
-def _across(
-    grey: NDArray[np.float32], pixel: Array, found: Array, noise: Noise, max_sigma: float
-) -> Index:
-    """Status of points (N,) by their profiles across the line, as of columns of an image.
-
-    A step of the background is no trouble.
-    """
-    _, _, width, amplitude, background, angle = found
-    half = int(np.ceil(_SEEN_ACROSS * width.max(initial=1.0)))
-    away = np.arange(-half, half + 1)[:, None]
-    normal = np.radians(angle)
-    places = [
-        (middle + away * step).astype(np.float32)
-        for middle, step in zip(pixel.T, (np.cos(normal), np.sin(normal)), strict=True)
-    ]
-    parts = [  # OpenCV's images may be no wider
-        cv2.remap(grey, u, v, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        for u, v in zip(
-            *(np.array_split(p, len(pixel) // _WIDEST + 1, 1) for p in places), strict=True
-        )
-    ]
-    blank = np.full((4, len(pixel)), np.nan)
-    number, middle = np.arange(len(pixel)), np.full(len(pixel), half)
-    looks = (width, amplitude, background, background, np.zeros(len(pixel)), *blank)
-    peaks = Peaks(number, np.zeros_like(number), middle, middle.astype(float), *looks)
-    column = np.clip(np.rint(pixel[:, 0]).astype(int), 0, noise.dark.size - 1)
-    own = Noise(noise.dark[column], noise.gain, known=True)
-    shape = shapes(np.ascontiguousarray(np.concatenate(parts, axis=1)), peaks, own, max_sigma)
-    wrong = (shape.skewed | shape.flat) & ~shape.stepped
-    reasons = {Status.CUT: wrong & shape.sharp, Status.SKEWED: wrong}
-    return np.select(list(reasons.values()), list(reasons), Status.OK)
-
-
-def _along_lines(pixel: Array, shape: tuple[int, ...]) -> Index:
-    """An order of points (N,) in which those of one line follow each other."""
-    u, v = np.rint(pixel).astype(int).T
-    mask = np.zeros(shape, np.uint8)
-    mask[v, u] = 1
-    label = cv2.connectedComponents(mask)[1][v, u]
-    slant = np.zeros(len(pixel))
-    for line in np.unique(label):
-        own = label == line
-        extent = np.ptp(pixel[own], axis=0)
-        slant[own] = pixel[own, int(extent[1] > extent[0])]
-    return np.lexsort((slant, label))
 
 
 def _points(pixel: Array, found: Array, status: Index) -> LineCentres:

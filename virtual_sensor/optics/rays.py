@@ -1,27 +1,15 @@
 """Rays and how to march them: the straight ray, the bent one beside it, and what bends it."""
 
-import operator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, whole_number
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
 
 _MOST_STEPS = 2**31 - 1
-
-
-def whole_number(name: str, value: Any, least: int, most: int) -> int:
-    """The value as int; raises InputError, naming it, if it is none within the bounds."""
-    try:
-        whole = operator.index(value)
-    except TypeError:
-        whole = least - 1
-    if not least <= whole <= most:
-        raise InputError(f"{name} must be a whole number from {least} to {most}, not {value!r}")
-    return whole
 
 
 class Lookup(Protocol):
