@@ -145,14 +145,6 @@ def test_the_oracles_know_nothing_of_the_project():
     assert not any(name.startswith("virtual_sensor") for name in imports(ROOT / "tests/oracles.py"))
 
 
-def test_no_module_is_longer_than_400_lines():
-    """Rationale: what is longer has two subjects."""
-    lengths = {
-        f: len(f.read_text(encoding="utf-8").splitlines()) for f in [*MODULES.values(), *TOOLS]
-    }
-    assert {file.name: length for file, length in lengths.items() if length > 400} == {}
-
-
 def test_importing_the_package_starts_no_engine():
     """Rationale: those who only look for lines in images must not pay for a renderer."""
     code = (
