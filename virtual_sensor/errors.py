@@ -64,7 +64,7 @@ def whole_number(name: str, value: Any, least: int, most: int) -> int:
         whole = least - 1
     if not least <= whole <= most:
         raise InputError(
-            f"{name} must be a whole number from {least} to {most}, not {_short(value)}"
+            f"{name} must be a whole number from {least} to {most}, not {short(value)}"
         )
     return whole
 
@@ -81,7 +81,7 @@ def number_within(name: str, value: Any, least: float, most: float, advice: str)
     except (TypeError, ValueError, OverflowError):
         number = None
     if number is None or not least <= number <= most:
-        raise InputError(f"{name} is {_short(value)}; give {advice}")
+        raise InputError(f"{name} is {short(value)}; give {advice}")
     return number
 
 
@@ -98,7 +98,8 @@ SMALLEST = math.ulp(0.0)
 """Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
 
 
-def _short(value: Any) -> str:
+def short(value: Any) -> str:
+    """How a value is written in a message, however long it is."""
     try:
         text = repr(value)
     except ValueError:  # of an integer with too many digits

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
-from virtual_sensor.errors import LARGEST, InputError, number_within, whole_number
+from virtual_sensor.errors import LARGEST, InputError, number_within, short
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
@@ -113,7 +113,10 @@ def line_centres(
     image = checked_image(image)
     if not isinstance(along, str) or along not in ALONG:
         raise InputError(f"line_centres: along is {along!r}; take {' or '.join(ALONG)}")
-    peaks = whole_number("line_centres: peaks", peaks, 1, MOST_PEAKS)
+    if not (isinstance(peaks, int | np.integer) and 1 <= peaks <= MOST_PEAKS):
+        raise InputError(
+            f"line_centres: peaks is {short(peaks)}; give a whole number, 1 to {MOST_PEAKS}"
+        )
     below_1, beyond_least = np.nextafter([1.0, MIN_SIGMA_PX], [0.0, 1.0])
     min_amplitude = number_within(
         "line_centres: min_amplitude", min_amplitude, 0.0, below_1, "it 0 <= ... < 1"
@@ -132,7 +135,7 @@ def line_centres(
         image = np.ascontiguousarray(image.T)
 
     if isinstance(method, str) and method in NAMES:
-        line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
+        line = _ours(image, method, int(peaks), min_amplitude, clipped, max_sigma, noise, gain)
     else:
         line = by_foreign(image, method if callable(method) else find_detector(method))
     return line.transposed if along == "rows" else line
