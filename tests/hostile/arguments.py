@@ -39,7 +39,7 @@ def arrays(draw, *shapes: tuple[int, ...]):
         if draw(st.integers(0, 4)) == 0
         else st.sampled_from(shapes)
     )
-    made = np.array(np.linspace(-9.0, 9.5, int(np.prod(shape))).reshape(shape))
+    made = np.array(np.linspace(0.5, 9.5, int(np.prod(shape))).reshape(shape))
     if made.size and draw(st.integers(0, 3)) == 0:
         made.flat[draw(st.integers(0, made.size - 1))] = draw(st.sampled_from(NUMBERS))
     kind = draw(st.sampled_from(("f8", "f8", "f8", "f4", "i4", "?")))

@@ -257,7 +257,7 @@ def contradictory(draw):
 def judged(written: Written, wrong: int = 0):
     """Whether the air's values are the formula's, but for so many."""
     air = written.air
-    quantum = {"f4": 1e-6, "f8": 1e-9}.get(air.packing, 2e-5)
+    quantum = {"f4": 1e-6, "f8": 1e-7}.get(air.packing, 2e-5)
 
     def judge(result: Result) -> str:
         if failed := possible(result):

@@ -35,8 +35,8 @@ class Written:
     ascii : bool
     sealed : tuple of pair of int
         Bytes that a checksum guards.
-    may_end_early : bool
-        Whether a file without its end is still one: a table.
+    ends_in_a_number : bool
+        Whether the file ends in a number, which may lose its last digits.
     plain : bool
         Whether it must be read.
     """
@@ -48,7 +48,7 @@ class Written:
     near: float = NEAR_K
     ascii: bool = False
     sealed: tuple[tuple[int, int], ...] = ()
-    may_end_early: bool = False
+    ends_in_a_number: bool = False
     plain: bool = True
 
     @property
@@ -124,8 +124,9 @@ def vtk(shape: str, mode: str, at: str) -> Written:
     if shape.startswith("vtk"):
         made = _saved(data, "air.vtk", binary=mode != "ascii")
         plain = shape != "vtk points"
+        text = mode == "ascii"
         return Written(
-            {"air.vtk": made}, "air.vtk", KELVIN_MM, label, near, mode == "ascii", plain=plain
+            {"air.vtk": made}, "air.vtk", KELVIN_MM, label, near, text, (), text, plain=plain
         )
     writers = {
         "vti": "vtkXMLImageDataWriter",
@@ -159,7 +160,7 @@ def table(header: str, mark: str, degrees: bool, ordered: bool) -> Written:
     text = header.replace("K", units).replace(",", mark) + "\n" + _rows(points, values, mark)
     options = {} if "[mm]" in header else {"units": units, "length_units": "mm"}
     return Written(
-        {"air.csv": text.encode()}, "air.csv", options, "csv", ascii=True, may_end_early=True
+        {"air.csv": text.encode()}, "air.csv", options, "csv", ascii=True, ends_in_a_number=True
     )
 
 
@@ -189,7 +190,7 @@ def comsol(form: str) -> Written:
         text = marks + head + "T (K) @ t=0.5\n" + _rows(points, values, "   ")
     name = "air.csv" if form == "csv" else "air.txt"
     plain = form not in ("csv", "sweep")
-    return Written({name: text.encode()}, name, {}, f"comsol {form}", ascii=True, plain=plain)
+    return Written({name: text.encode()}, name, {}, f"comsol {form}", NEAR_K, True, (), True, plain)
 
 
 def numpy_file(form: str) -> Written:

@@ -121,7 +121,7 @@ def spoilt(draw, written: Written):
     data, options, judge = written.data, dict(written.options), judged(written)
     if how == "cut":
         data = draw(cut(data))
-        if written.may_end_early:
+        if written.ends_in_a_number:
             # The end of the last number may be lost too: a row whose last cell is short.
             judge = judged(written, wrong=1)
     elif how == "claims":

@@ -142,6 +142,10 @@ def forked(
         message = b""
         try:
             os.close(reading)
+            faulthandler.disable()
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for stream in (1, 2):
+                os.dup2(nowhere, stream)
             told = {"report": lambda *_: None} if report else {}
             message = pickle.dumps((True, function(*arguments, **told)))
         except BaseException as error:
@@ -154,7 +158,6 @@ def forked(
     with os.fdopen(reading, "rb") as pipe:
         message = pipe.read()
     os.waitpid(child, 0)
-    log.truncate(0)  # the child prints to nowhere
     if not message:
         raise InputError(f"{subject}: what reads it crashed; write or copy it again")
     fine, content = pickle.loads(message)

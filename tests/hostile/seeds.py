@@ -163,7 +163,7 @@ def field_seeds() -> Iterator[Case]:
         yield _file("field", f"fields/{name}", _plume_field)
     for path in sorted((INPUTS / "fields").glob("*.nc")):
         if path.name not in ("unsigned.nc", "valid_range.nc"):
-            sensible = path.name in ("terminal_escape.nc",)
+            sensible = path.name in ("terminal_escape.nc", "missing_array.nc")  # several fit CF
             case = _file("field", f"fields/{path.name}")
             yield case if sensible else refused(case)
 
@@ -309,6 +309,33 @@ def scene_seeds() -> Iterator[Case]:
     yield refused(case("laser 1e20 mm away", moved))
 
 
+def call_seeds() -> Iterator[Case]:
+    """Calls of functions."""
+
+    def case(label: str, judge: Judge, **options: Any) -> Case:
+        return Case("call", f"seed/{label}", {}, "", judge, options)
+
+    def nothing(result: Result) -> str:
+        return "" if len(result["value"]) == 0 else "pixels of no rays"
+
+    yield case("no rays", nothing, function="ray_search", laser_y_mm=np.zeros(0))
+    many = {"function": "ray_search", "laser_y_mm": np.zeros((2, 2))}
+    yield refused(case("rays in two dimensions", _anything, **many))
+    for spp in (-1, 0, 2**70):
+        yield refused(case(f"{spp:g} samples", _anything, function="render", spp=spp, seed=0))
+    rows = np.arange(200)[:, None] + np.zeros(300)
+    lines = 200 * np.exp(-(((rows - 60) / 2) ** 2) / 2) + 120 * np.exp(
+        -(((rows - 130) / 2) ** 2) / 2
+    )
+    image = np.ma.masked_array(lines, abs(rows - 65) <= 15)
+
+    def other_line(result: Result) -> str:
+        away = np.abs(result["row"] - 130.0)
+        return "" if np.nanmax(away) < 0.01 else f"rows are up to {np.nanmax(away):g} px off"
+
+    yield case("a masked line", other_line, function="line_centres", image=image)
+
+
 @functools.cache
 def every() -> tuple[Case, ...]:
     """All of them."""
@@ -319,6 +346,7 @@ def every() -> tuple[Case, ...]:
         calibration_seeds,
         image_seeds,
         scene_seeds,
+        call_seeds,
         special_seeds,
     )
     return tuple(case for maker in makers for case in maker())
