@@ -5,10 +5,8 @@ Run by `runner.py`, with the file that takes what appears on the terminal as its
 
 from __future__ import annotations
 
-import ctypes
 import faulthandler
 import functools
-import importlib
 import json
 import os
 import pickle
@@ -22,10 +20,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hostile.filled import fill_memory
+
+from virtual_sensor import child
 
 LIMIT_BYTES = 12 << 30  # of address space, as with `ulimit -v`
-_M_PERTURB, _M_MMAP_THRESHOLD = -6, -3  # glibc's mallopt
 _FILL = (0x5A, 0xA5)
+_run_in_child = child.run_in_child
 
 
 def image(path: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -124,48 +125,10 @@ def _small_scene() -> Any:
     return vs.load_scene("cold_cylinder", width=32, height=32, spp=1, line_radius=1)
 
 
-def forked(
-    target: str,
-    *arguments: Any,
-    subject: str,
-    report: Callable[..., None] | None = None,
-    **_: Any,
-) -> Any:
-    """In place of `run_in_child`, whose fresh child spends a second on imports: a forked one."""
-    from virtual_sensor.errors import InputError
-
-    module, _, name = target.partition(":")
-    function = getattr(importlib.import_module(module), name)
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        message = b""
-        try:
-            os.close(reading)
-            faulthandler.disable()
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            for stream in (1, 2):
-                os.dup2(nowhere, stream)
-            told = {"report": lambda *_: None} if report else {}
-            message = pickle.dumps((True, function(*arguments, **told)))
-        except BaseException as error:
-            message = pickle.dumps((False, error))
-        finally:
-            with os.fdopen(writing, "wb") as pipe:
-                pipe.write(message)
-            os._exit(0)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        message = pipe.read()
-    os.waitpid(child, 0)
-    if not message:
-        raise InputError(f"{subject}: what reads it crashed; write or copy it again")
-    fine, content = pickle.loads(message)
-    if isinstance(content, MemoryError):
-        raise InputError(f"{subject}: asks for too much memory; write or copy it again")
-    if not fine:
-        raise content
-    return content
+def in_child(target: str, *arguments: Any, **more: Any) -> Any:
+    """In place of `run_in_child`: the same, with fresh memory filled in the child too."""
+    fill = int(os.environ["MALLOC_PERTURB_"])
+    return _run_in_child("hostile.filled:filled", fill, target, *arguments, **more)
 
 
 def command(path: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -230,7 +193,7 @@ def _once(kind: str, path: Path, options: dict[str, Any], fill: int) -> dict[str
     """One reading: outcome, text and result."""
     from virtual_sensor.errors import EngineError, InputError
 
-    libc.mallopt(_M_PERTURB, fill)
+    fill_memory(fill)
     os.environ["MALLOC_PERTURB_"] = str(fill)  # of a child that a reader starts
     try:
         result = READERS[kind](path, options)
@@ -256,16 +219,14 @@ def differing(first: Any, second: Any) -> bool:
 
 def main() -> None:
     """Answer until the parent closes the pipe."""
-    from virtual_sensor import child
-
-    child.run_in_child = forked
+    child.run_in_child = in_child
+    log = Path(sys.argv[1]).open("w+b", buffering=0)  # noqa: SIM115, until the end
     questions, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     for stream in (1, 2):
         os.dup2(log.fileno(), stream)
     faulthandler.enable(log)
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    libc.mallopt(_M_MMAP_THRESHOLD, 1 << 29)  # fresh pages of the kernel are all nought
     while size := questions.read(8):
         kind, folder, name, options = pickle.loads(questions.read(int.from_bytes(size, "little")))
         log.seek(0)
@@ -284,9 +245,6 @@ def main() -> None:
         answers.write(len(message).to_bytes(8, "little") + message)
         answers.flush()
 
-
-libc = ctypes.CDLL(None)
-log = Path(sys.argv[1]).open("w+b", buffering=0)  # noqa: SIM115, until the end
 
 if __name__ == "__main__":
     main()

@@ -313,3 +313,15 @@ def test_numbers_are_told_with_commas(arguments, match, tmp_path, monkeypatch):
     assert status == 2
     assert match in err
     assert not (tmp_path / "o.nc").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"origin_mm": ()}, {"spacing_mm": ()}, {"box_mm": (0.0,) * 5}, {"extrude_mm": (1.0,)}],
+)
+def test_options_of_too_few_numbers_are_refused(tmp_path, options):
+    """A script may give them; of the commands each counts its own."""
+    path = tmp_path / "n.npy"
+    np.save(path, np.full((4, 4, 4), 2.7e-4))
+    with pytest.raises(InputError, match=r"n\.npy: --\w+ \(.*\): give \d finite numbers"):
+        import_field(path, Choices(**options))

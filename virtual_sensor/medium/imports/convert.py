@@ -107,16 +107,17 @@ def _check(choices: Choices) -> None:
     for name in choices.mirror:
         if name not in ("x", "y", "z"):
             raise InputError(f"--mirror {name}: name axes, such as x,y")
-    for option, given in (
-        ("--origin", choices.origin_mm),
-        ("--box", choices.box_mm),
-        ("--spacing", choices.spacing_mm),
-        ("--extrude", choices.extrude_mm),
-        ("--ambient", choices.ambient),
-        ("--time", choices.time_s),
+    for option, given, shape in (
+        ("--origin", choices.origin_mm, (3,)),
+        ("--box", choices.box_mm, (6,)),
+        ("--spacing", choices.spacing_mm, (3,)),
+        ("--extrude", choices.extrude_mm, (2,)),
+        ("--ambient", choices.ambient, ()),
+        ("--time", choices.time_s, ()),
     ):
-        if given is not None and not np.isfinite(given).all():
-            raise InputError(f"{option} {given}: give finite numbers")
+        if given is not None and not (np.shape(given) == shape and np.isfinite(given).all()):
+            count = f"{shape[0]} finite numbers" if shape else "a finite number"
+            raise InputError(f"{option} {given}: give {count}")
     if choices.spacing_mm is not None and not min(choices.spacing_mm) > 0.0:
         raise InputError(f"--spacing {choices.spacing_mm}: give positive lengths")
     if choices.extrude_mm is not None and not choices.extrude_mm[0] < choices.extrude_mm[1]:

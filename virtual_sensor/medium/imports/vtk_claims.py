@@ -111,7 +111,8 @@ def check_legacy(path: Path) -> None:
             " Write or copy it again; if it is whole, end its last line"
         )
     if file.kind not in ("ASCII", "BINARY"):
-        raise InputError(f"is damaged: its third line is neither ASCII nor BINARY ('{file.kind}')")
+        said = f"'{file.kind[:40]}'"
+        raise InputError(f"is damaged: its third line is neither ASCII nor BINARY ({said})")
     try:
         tuples = 0
         while words := file.line():
