@@ -1,4 +1,4 @@
-"""What a child process of a reader does: fill fresh memory with other bytes, then what it should."""
+"""In a child process of a reader: fresh memory is filled, then it does what it should."""
 
 import ctypes
 import importlib

@@ -325,3 +325,20 @@ def test_options_of_too_few_numbers_are_refused(tmp_path, options):
     np.save(path, np.full((4, 4, 4), 2.7e-4))
     with pytest.raises(InputError, match=r"n\.npy: --\w+ \(.*\): give \d finite numbers"):
         import_field(path, Choices(**options))
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_a_legacy_file_whose_size_is_not_that_of_its_data_is_refused(tmp_path, binary):
+    """VTK would ask for the memory of a billion nodes before it finds out."""
+    pv = pytest.importorskip("pyvista")
+    image = pv.ImageData(dimensions=(5, 6, 7), spacing=(6.0, 6.0, 4.0))
+    image.point_data["T"] = np.linspace(300.0, 400.0, 210)
+    path = tmp_path / "a.vtk"
+    image.save(str(path), binary=binary)
+    data = path.read_bytes()
+    for dimensions in (b"1000000005 6 7", b"5 6 8"):
+        path.write_bytes(data.replace(b"DIMENSIONS 5 6 7", b"DIMENSIONS " + dimensions))
+        with pytest.raises(
+            InputError, match=r"a\.vtk: is damaged: its size makes \d+ of POINT_DATA"
+        ):
+            import_field(path, Choices(**K))

@@ -6,6 +6,7 @@ readers of XML files make room for whatever is claimed.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +42,7 @@ class _Legacy:
 
     def __init__(self, content: bytes) -> None:
         self.content, self.at = content, 0
+        self.claimed: dict[str, int] = {}  # numbers of points and cells
         self.kind = ""
 
     def line(self) -> list[str]:
@@ -134,9 +136,14 @@ def _section(file: _Legacy, words: list[str], tuples: int) -> int:
         values = [float(word) for word in words[1:]]
         if len(values) < (6 if key == "EXTENT" else 3) or not np.isfinite(values).all():
             raise InputError(f"is truncated or damaged at '{' '.join(words)}'")
-        if key == "DIMENSIONS" and min(values) < 1:
-            raise InputError(f"has no nodes: its dimensions are {' '.join(words[1:])}")
+        if key == "DIMENSIONS":
+            if min(values) < 1:
+                raise InputError(f"has no nodes: its dimensions are {' '.join(words[1:])}")
+            counts = [int(value) for value in values[:3]]
+            file.claimed["POINT_DATA"] = math.prod(counts)
+            file.claimed["CELL_DATA"] = math.prod(max(count - 1, 1) for count in counts)
     elif key == "POINTS":
+        file.claimed["POINT_DATA"] = int(words[1])
         step("POINTS", 3 * int(words[1]), words[2].lower())
     elif key in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
         step(key, int(words[1]), words[2].lower())
@@ -145,7 +152,13 @@ def _section(file: _Legacy, words: list[str], tuples: int) -> int:
     elif key == "CELL_TYPES":
         step(key, int(words[1]), "int")
     elif key in ("POINT_DATA", "CELL_DATA"):
-        return int(words[1])
+        count, claimed = int(words[1]), file.claimed.get(key, 0)
+        if 0 <= count < claimed:  # VTK would ask for their memory first
+            raise InputError(
+                f"is damaged: its size makes {claimed} of {key}, which says {count}; write or copy"
+                " it again"
+            )
+        return count
     elif key == "SCALARS":
         components = int(words[3]) if len(words) > 3 else 1
         place, following = file.at, file.line()
