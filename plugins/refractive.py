@@ -116,9 +116,10 @@ class Refractive(mi.SamplingIntegrator):
     def _air(self, file: Path, time_s: float | None) -> IndexField:
         air = IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
         try:
-            return blurred(widened(air, self.widen), self.blur_mm).simplified(**self.model)
+            broad = blurred(widened(air, self.widen), self.blur_mm).simplified(**self.model)
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
+        return replace(broad, notes=air.notes)
 
     def at(self, time_s: float) -> "Refractive":
         """The same integrator in the air of another instant of its field's file, as broad."""

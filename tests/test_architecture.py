@@ -31,6 +31,7 @@ PACKAGES = {
 STAIRS = (  # from the ground up
     (
         "virtual_sensor.errors",
+        "virtual_sensor.arrays",
         "virtual_sensor.interrupts",
         "virtual_sensor.files",
         "virtual_sensor.child",
@@ -46,6 +47,7 @@ STAIRS = (  # from the ground up
 )
 # Metrology serves images of real cameras too: it knows no renderer.
 METROLOGY_KNOWS = (
+    "virtual_sensor.arrays",
     "virtual_sensor.errors",
     "virtual_sensor.files",
     "virtual_sensor.metrology",

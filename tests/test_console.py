@@ -11,7 +11,8 @@ from command_line import command
 from rich.table import Table
 
 from virtual_sensor.cli import commands
-from virtual_sensor.cli.console import Console, one_line, printable
+from virtual_sensor.cli.console import Console, one_line
+from virtual_sensor.errors import printable
 
 COMMANDS = [
     *("measure", "search", "burst", "sweep", "reproduce", "chart", "detect", "trial", "doctor"),

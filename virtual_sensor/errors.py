@@ -1,26 +1,18 @@
 """The errors that a user is meant to read: each names the file, the element and the remedy."""
 
-import math
-import operator
-import sys
 import unicodedata
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 
 def printable(text: str) -> str:
-    """Escape what a terminal would obey in text from a file; ends of lines and tabs stay."""
-    return "".join(
-        c if c in "\n\t" or (unicodedata.category(c) not in ("Cc", "Zl", "Zp") and c not in TURNS)
-        else c.encode("unicode_escape").decode()
-        for c in text
-    )  # fmt: skip
+    r"""A text whose control characters are escapes, such as ``\x1b``; line ends and tabs stay."""
+    if text.isprintable():
+        return text
+    return "".join(c if _is_harmless(c) else c.encode("unicode_escape").decode() for c in text)
 
 
-TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # of the writing direction
+def _is_harmless(character: str) -> bool:
+    return character.isprintable() or character in "\n\t" or unicodedata.category(character) == "Zs"
 
 
 class InputError(ValueError):
@@ -54,54 +46,3 @@ class Interrupted(SystemExit):
 
     def __str__(self) -> str:
         return f"stopped at {self.time_s:.8g} s of flow; the same command goes on ({self.folder})"
-
-
-def whole_number(name: str, value: Any, least: int, most: int) -> int:
-    """The value as int; raises InputError, naming it, if it is none within the bounds."""
-    try:
-        whole = operator.index(value)
-    except TypeError:
-        whole = least - 1
-    if not least <= whole <= most:
-        raise InputError(
-            f"{name} must be a whole number from {least} to {most}, not {short(value)}"
-        )
-    return whole
-
-
-def number_within(name: str, value: Any, least: float, most: float, advice: str) -> float:
-    """The value as float; raises InputError, naming it, if it is no number within the bounds."""
-    try:
-        # Texts, and arrays of one number, would pass for it.
-        number = (
-            float(value)
-            if hasattr(value, "__float__") and not getattr(value, "shape", ())
-            else None
-        )
-    except (TypeError, ValueError, OverflowError):
-        number = None
-    if number is None or not least <= number <= most:
-        raise InputError(f"{name} is {short(value)}; give {advice}")
-    return number
-
-
-def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
-    """The values as an array of float; raises InputError, naming them, if they are no numbers."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "bufi":
-        raise InputError(f"{name} is of type {array.dtype}; give an array of real numbers")
-    return array.astype(float)
-
-
-LARGEST = sys.float_info.max
-SMALLEST = math.ulp(0.0)
-"""Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
-
-
-def short(value: Any) -> str:
-    """How a value is written in a message, however long it is."""
-    try:
-        text = repr(value)
-    except ValueError:  # of an integer with too many digits
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= 40 else f"{text[:37]}..."

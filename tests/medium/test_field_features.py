@@ -6,6 +6,7 @@ from command_line import command
 from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import load_scene, shipped_scenes
 from virtual_sensor.medium import netcdf
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file
@@ -166,6 +167,22 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path):
     with pytest.raises(InputError) as caught:
         IndexField.read(bad)
     assert "\x1b" not in f"{caught.value}"
+
+
+def test_variables_that_are_ignored_are_noted_by_the_field_and_by_its_scene(tmp_path):
+    """Rationale: such as the velocity of the air beside its temperature."""
+    shipped = shipped_scenes() / "fields/hot_cylinder_900C_quarter.nc"
+    path = tmp_path / "air.nc"
+    path.write_bytes(shipped.read_bytes())
+    assert IndexField.read(path).notes == ()
+    with netcdf_file(path, "a") as nc:
+        for name in ("v", "u"):
+            nc.createVariable(name, "f4", ("x", "y", "z"))[:] = 0.0
+    (note,) = IndexField.read(path).notes
+    assert note == f"{path}: ignored: u, v"
+    scene = load_scene("hot_cylinder", field=path, blur=2)
+    assert scene.field.notes == (note,)
+    assert note in scene.notes
 
 
 def test_the_docstring_tells_each_feature():

@@ -261,9 +261,9 @@ def test_a_field_that_suits_no_scene_is_told_of_all_the_same(stored, tmp_path):
     field = air((9, 17, 9), warm_sheet, low=LOW + aside, high=HIGH + aside)
     info = field_info(stored(field))
     assert (info.scene, info.effect_px) == (None, None)
-    assert "does not suit a scene (" in info.left_out[0]
-    assert "does not cover the light path" in info.left_out[0]
-    assert "neither the file nor a scene tells the solid" in info.left_out[1]
+    assert "does not suit a scene (" in info.notes[0]
+    assert "does not cover the light path" in info.notes[0]
+    assert "neither the file nor a scene tells the solid" in info.notes[1]
     assert verdicts(info) == ["Grid: how much its loss is in px can't be told without light."]
     assert {row[2:] for row in border_table(info)[1]} == {("", "")}
     draw_field(info, tmp_path / "air.png")

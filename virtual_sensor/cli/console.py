@@ -10,7 +10,6 @@ import io
 import logging
 import os
 import sys
-import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,6 +19,8 @@ from rich.console import Console as RichConsole
 from rich.table import Table
 from rich.text import Text
 
+from virtual_sensor.errors import printable
+
 _LONGEST_NUMBER = 24
 """Cells up to this length, in characters, are not wrapped."""
 
@@ -27,20 +28,9 @@ _IN_ASCII = {"µ": "u", "μ": "u", "°": "deg", "±": "+-", "×": "x", "·": "*"
 _IN_ASCII |= {"σ": "sigma", "≤": "<=", "≥": ">=", "…": "...", "→": "->", "•": "*", "−": "-"}
 
 
-def printable(text: str) -> str:
-    r"""A text whose control characters are escapes, such as ``\x1b``; line ends and tabs stay."""
-    if text.isprintable():
-        return text
-    return "".join(c if _is_harmless(c) else c.encode("unicode_escape").decode() for c in text)
-
-
 def one_line(text: str) -> str:
     """A text whose line ends are escapes too."""
     return printable(text.strip()).replace("\n", "\\n")
-
-
-def _is_harmless(character: str) -> bool:
-    return character.isprintable() or character in "\n\t" or unicodedata.category(character) == "Zs"
 
 
 class Console(RichConsole):

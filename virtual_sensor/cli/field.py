@@ -14,6 +14,7 @@ from virtual_sensor.cli.shared import (
     console,
     definitions,
     numbers,
+    print_notes,
     reporting,
 )
 from virtual_sensor.files import check_output
@@ -85,8 +86,7 @@ def info(
         console.print(table)
     for text in field_words.verdicts(told):
         console.print(text, soft_wrap=True)
-    for text in told.left_out:
-        console.print(f"Left out: {text}", style="yellow", soft_wrap=True)
+    print_notes(told.notes)
     if output:
         console.print(f"picture in {output}", soft_wrap=True)
 

@@ -12,8 +12,8 @@ import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from virtual_sensor import interrupts
-from virtual_sensor.cli.console import console, printable
-from virtual_sensor.errors import InputError
+from virtual_sensor.cli.console import console
+from virtual_sensor.errors import InputError, printable
 
 SceneArgument = Annotated[
     str,

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.constants import c, h
 
-from virtual_sensor.errors import (
+from virtual_sensor.arrays import (
     LARGEST,
     SMALLEST,
-    InputError,
     number_within,
     numbers_of,
+    unmasked,
     whole_number,
 )
-from virtual_sensor.metrology.line_profiles import unmasked
+from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
-from virtual_sensor.errors import InputError, number_within, numbers_of
-from virtual_sensor.metrology.line_profiles import unmasked
+from virtual_sensor.arrays import number_within, numbers_of, unmasked
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]

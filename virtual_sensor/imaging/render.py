@@ -13,10 +13,10 @@ from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Account
 from virtual_sensor_plugins.refractive import laser_of
 
+from virtual_sensor.arrays import whole_number
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.optics.rays import whole_number
 from virtual_sensor.optics.sight import check_scene_given
 
 Image = NDArray[np.float32]

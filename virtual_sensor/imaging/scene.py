@@ -161,6 +161,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     _check_samples(files, values, loaded)
     notes = [*(note for file in files for note in file.notes), *notes]
     notes += _places(path, loaded, sensor)
+    notes += integrator.field.notes if integrator.field else ()
     return Scene(path, values, loaded, integrator, sensor, _surface(loaded), tuple(notes))
 
 

@@ -22,14 +22,8 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 from scipy.special import j1, struve
 
-from virtual_sensor.errors import (
-    LARGEST,
-    SMALLEST,
-    InputError,
-    number_within,
-    numbers_of,
-)
-from virtual_sensor.metrology.line_profiles import unmasked
+from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, numbers_of, unmasked
+from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
 

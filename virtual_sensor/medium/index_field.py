@@ -46,6 +46,8 @@ class IndexField:
         "cubic" or "linear", between the nodes.
     dimensions : int
         3, or 2 for a field that does not vary along x.
+    notes : tuple of str
+        What of its file is ignored.
     """
 
     nodes: np.ndarray
@@ -56,6 +58,7 @@ class IndexField:
     source: str = ""
     interpolation: str = "cubic"
     dimensions: int = 3
+    notes: tuple[str, ...] = ()
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -151,7 +154,7 @@ class IndexField:
         """
         f = read_field_file(path, wavelength_nm, mirror, time_s)
         with naming(path):
-            return cls.from_arrays(
+            made = cls.from_arrays(
                 f.refractivity,
                 f.origin_mm,
                 f.spacing_mm,
@@ -160,6 +163,7 @@ class IndexField:
                 solid=f.solid,
                 source=f.source,
             )
+        return replace(made, notes=f.notes)
 
     def write(self, path: str | Path) -> None:
         """Write the field as a NetCDF-3 file that `read` takes back, all of it or nothing.

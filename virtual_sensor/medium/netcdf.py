@@ -36,7 +36,8 @@ descending or uneven axes         refused
 dimensions in another order       refused
 impossible values or extents      refused, of the surrounding air too
 NetCDF-4, CDF-5                   refused: `nccopy -3`
-other variables and attributes    ignored
+other variables                   ignored, with a note
+other attributes                  ignored
 ================================  ==================================================
 
 Written are mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
@@ -55,7 +56,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import netcdf_file
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, printable
 from virtual_sensor.files import written_whole
 from virtual_sensor.medium.air import (
     ATMOSPHERE_PA,
@@ -143,6 +144,8 @@ class FieldFile:
         True inside the solid.
     source : str
         Where the field comes from, in words; empty if the file does not say.
+    notes : tuple of str
+        What of the file is ignored.
     """
 
     refractivity: np.ndarray
@@ -152,6 +155,7 @@ class FieldFile:
     mirror: tuple[bool, ...]
     solid: np.ndarray | None = None
     source: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def read_field_file(
@@ -191,7 +195,9 @@ def read_field_file(
         if mirror is None:
             mirror = read_mirror(nc, origin, spacing, scale)
         source = text(nc, "source")
-    return FieldFile(refractivity, origin, spacing, ambient, tuple(mirror), solid, source)
+        further = sorted(nc.variables.keys() - {*AXES, "time", "solid", _kind(nc)})
+    notes = (f"{path}: ignored: {printable(', '.join(further))}",) if further else ()
+    return FieldFile(refractivity, origin, spacing, ambient, tuple(mirror), solid, source, notes)
 
 
 def field_times(path: str | Path) -> np.ndarray | None:

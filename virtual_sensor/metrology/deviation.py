@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import LARGEST, SMALLEST, number_within
+from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]

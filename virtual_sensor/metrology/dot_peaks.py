@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import SMALLEST, number_within, whole_number
+from virtual_sensor.arrays import SMALLEST, number_within, whole_number
 from virtual_sensor.metrology.line_profiles import checked_image, saturation_level
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Where columns of an image have their peaks: what every columnwise detector starts from."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -10,7 +10,8 @@ from scipy import signal
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
-from virtual_sensor.errors import LARGEST, InputError, number_within
+from virtual_sensor.arrays import LARGEST, number_within, unmasked
+from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -108,15 +109,6 @@ def checked_image(image: ArrayLike) -> NDArray:
         problem = f"image: type {image.dtype} is not uint8, uint16, float32 or float64"
         raise InputError(f"{problem}; convert it with image.astype('float32')")
     return np.ascontiguousarray(image, native)
-
-
-def unmasked(values: ArrayLike) -> NDArray:
-    """An array without a mask: NaN where a NumPy mask hides values."""
-    if not np.ma.is_masked(values):
-        return np.asarray(values)
-    masked: Any = np.ma.asarray(values)
-    kind = np.float32 if masked.dtype in (np.uint8, np.uint16, np.float32) else np.float64
-    return masked.astype(kind).filled(np.nan)
 
 
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:

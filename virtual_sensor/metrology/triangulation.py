@@ -5,8 +5,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import unmasked
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.line_profiles import unmasked
 from virtual_sensor.optics.sensor_model import Camera
 
 Array = NDArray[np.float64]

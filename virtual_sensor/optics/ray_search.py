@@ -11,9 +11,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import whole_number
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.newton_search import newton, newton_along_line
-from virtual_sensor.optics.rays import March, whole_number
+from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sensor_model import Camera
 from virtual_sensor.optics.sight import (
     REFERENCE,

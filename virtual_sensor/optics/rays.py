@@ -5,8 +5,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from virtual_sensor.arrays import whole_number
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError, whole_number
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
 
 _MOST_STEPS = 2**31 - 1

@@ -100,8 +100,8 @@ class FieldInfo:
         Where the scene's laser lights its part.
     effect_px : ndarray of shape (9, 2) or None
         By how much the field moves the pixels of the paper's nine rays; NaN for those not found.
-    left_out : list of str
-        What is not told, and why.
+    notes : tuple of str
+        What of the file is ignored; what is not in here, and why.
     """
 
     path: Path
@@ -116,7 +116,7 @@ class FieldInfo:
     scene: Scene | None
     line: LitLine | None
     effect_px: Array | None
-    left_out: list[str]
+    notes: tuple[str, ...]
 
     @property
     def refractivity_range(self) -> tuple[float, float]:
@@ -176,26 +176,26 @@ def field_info(
 
     report("following the light", 0.1)
     in_it = loaded.with_field(field)
-    line, effect, pixels, left_out = None, None, None, []
+    line, effect, pixels, notes = None, None, None, [*field.notes]
     try:
         line = lit_line(in_it)
     except InputError as error:
         if scene or parameters:
             raise InputError(f"{path}: does not suit the scene: {error}") from None
-        left_out.append(f"what it does to light, because it does not suit a scene ({error})")
+        notes.append(f"left out: what it does to light; it does not suit a scene ({error})")
     if line:
         pixels = partial(nine_pixels, in_it)
         effect = pixels(field) - pixels(None)
         if np.isnan(effect).all():
             effect, pixels = None, None
-            left_out.append("the effect in px, because none of the nine rays is in the picture")
+            notes.append("left out: the effect in px; none of the nine rays is in the picture")
 
     solid = read_field_file(path, wavelength_nm, time_s=time_s).solid
     refilled = solid is not None
     if line and not refilled:
         solid = inside_part(in_it, _node_places(field)).reshape(field.shape)
     if solid is None:
-        left_out.append("what is at the wall, because neither the file nor a scene tells the solid")
+        notes.append("left out: what is at the wall; neither the file nor a scene tells the solid")
 
     def thinning(fraction: float) -> None:
         report("thinning out the grid", 0.2 + 0.6 * fraction)
@@ -216,7 +216,7 @@ def field_info(
         in_it if line else None,
         line,
         effect,
-        left_out,
+        tuple(notes),
     )
 
 

@@ -214,7 +214,7 @@ def _write(axes: Axes, info: FieldInfo) -> None:
     told = facts(info)
     names = ("source", "grid", "extent", "n - 1", "implied temperature", "effect")
     paragraphs = [f"{name}: {told[name]}" for name in names if name in told] + verdicts(info)
-    paragraphs += [f"Left out: {text}." for text in info.left_out]
+    paragraphs += [f"Note: {text}." for text in info.notes]
     lines = "\n\n".join(textwrap.fill(paragraph, 46) for paragraph in paragraphs)
     text = axes.text(0.0, 1.0, lines, va="top", fontsize=8.5, parse_math=False)
     text.set_in_layout(False)

@@ -229,7 +229,7 @@ def figures(info: FieldInfo) -> dict[str, Any]:
         if info.effect_px is None
         else [[_known(px) for px in row] for row in info.effect_px],
         "verdicts": verdicts(info),
-        "left out": info.left_out,
+        "notes": info.notes,
     }
 
 
