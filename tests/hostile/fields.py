@@ -66,6 +66,22 @@ class Written:
     plain: bool = True
 
 
+def _started(buffer: io.BytesIO, version: int = 2) -> netcdf_file:
+    """A NetCDF file that is not written when it is collected, if its making is broken off."""
+    nc = netcdf_file(buffer, "w", version=version)
+    nc.__dict__["mode"] = "r"
+    return nc
+
+
+def _finish(nc: netcdf_file) -> None:
+    nc.__dict__["mode"] = "w"
+    try:
+        with np.errstate(all="ignore"):
+            nc.flush()
+    finally:
+        nc.__dict__["mode"] = "r"
+
+
 @st.composite
 def airs(draw):
     axes = []
@@ -132,7 +148,7 @@ def written(draw, air: Air):
         plain = False
     unit = draw(st.sampled_from(("mm", "m")))
     buffer = io.BytesIO()
-    nc = netcdf_file(buffer, "w", version=draw(st.sampled_from((1, 2))))
+    nc = _started(buffer, draw(st.sampled_from((1, 2))))
     names = ("x", "y", "z")
     instants = draw(st.sampled_from((0, 1, 3, 3)))
     for name, axis in zip(names, air.axes, strict=True):
@@ -165,7 +181,7 @@ def written(draw, air: Air):
     if planes:
         first = air.axes[0][0] / (1000.0 if unit == "m" else 1.0)
         nc.mirror_planes = planes if planes == "none" else f"x={float(first)!r}"
-    nc.flush()
+    _finish(nc)
     data = buffer.getvalue()
     raw = typed.astype(typed.dtype.newbyteorder(">")).tobytes()
     first = data.rfind(raw)
@@ -175,7 +191,7 @@ def written(draw, air: Air):
 def plain_file(axes: tuple[np.ndarray, ...]) -> bytes:
     """A file of the formula's temperature in K."""
     buffer = io.BytesIO()
-    nc = netcdf_file(buffer, "w", version=2)
+    nc = _started(buffer)
     for name, axis in zip("xyz", axes, strict=True):
         nc.createDimension(name, len(axis))
         variable = nc.createVariable(name, "f8", (name,))
@@ -184,7 +200,7 @@ def plain_file(axes: tuple[np.ndarray, ...]) -> bytes:
     variable = nc.createVariable("temperature", "f8", tuple("xyz"))
     variable[:] = kelvin(*np.meshgrid(*axes, indexing="ij"))
     variable.units = "K"
-    nc.flush()
+    _finish(nc)
     return buffer.getvalue()
 
 
@@ -198,7 +214,7 @@ ATTRIBUTES = (
     "_FillValue", "missing_value", "scale_factor", "add_offset", "units", "fill_value_means",
     "ambient_temperature", "ambient_pressure", "ambient_relative_humidity", "ambient_density",
     "ambient_refractivity", "valid_range", "valid_min", "valid_max", "_Unsigned", "mirror_planes",
-    "title", "source",
+    "title", "source", "mode", "fp", "variables", "dimensions", "data", "_attributes", "isrec",
 )  # fmt: skip
 
 
@@ -215,7 +231,7 @@ def contradictory(draw):
     units, middle = kinds[kind]
     type_ = draw(_often(("f4", "f8"), ("i1", "i2", "i4", "c")))
     buffer = io.BytesIO()
-    nc = netcdf_file(buffer, "w")
+    nc = _started(buffer)
     for name in "xyz":
         count = draw(_often((4, 5), (1, 2)))
         nc.createDimension(name, count)
@@ -243,14 +259,12 @@ def contradictory(draw):
         variable.units = units
     for _ in range(draw(st.integers(0, 2))):
         owner = draw(st.sampled_from((variable, nc)))
-        setattr(owner, draw(st.sampled_from(ATTRIBUTES)), draw(st.sampled_from(HOSTILE_VALUES)))
+        value = draw(st.sampled_from(HOSTILE_VALUES))
+        owner._attributes[draw(st.sampled_from(ATTRIBUTES))] = value
     try:
-        with np.errstate(all="ignore"):
-            nc.flush()
+        _finish(nc)
     except (ValueError, TypeError):  # SciPy can't write it
         reject()
-    finally:
-        nc.mode = "r"  # or it is written again, when it is collected
     return buffer.getvalue()
 
 

@@ -272,6 +272,7 @@ def tiffs(draw, picture):
         return made(_tifffile(grey, byteorder=order), (grey,))
     if kind == "lib":
         options = draw(st.sampled_from(_BY_TIFFFILE))
+        made = partial(made, label=f"tiff {' '.join(options)}")
         data = _tifffile(grey, byteorder=order, **options)
         if "photometric" in options:
             return made(data, (top - grey,), excused=(grey,), upright=False)

@@ -38,7 +38,9 @@ def spoilt(draw, written: Written, picture: Picture):
     if how == "cut":
         data = draw(cut(data))
     elif how == "claims":
-        data = claiming_more(written, draw(st.integers(1, 5) | st.sampled_from((2**15, 2**30))))
+        rows = draw(st.integers(1, 5) | st.sampled_from((2**15, 2**30)))
+        rows += 16 * ("tile" in written.label)  # a tile's rows beyond the image are there
+        data = claiming_more(written, rows)
     elif how == "garbage":
         data = draw(GARBAGE)
         judge = possible(len(data))
@@ -64,23 +66,24 @@ def spoilt(draw, written: Written, picture: Picture):
 def claiming_more(written: Written, rows: int) -> bytes:
     """The file with a header that says so many more rows, if we know where."""
     data, name = written.data, written.name.lower()
-    height = written.truths[0].shape[0] if written.truths else written.excused[0].shape[0]
+
+    def more(at: int, code: str) -> bytes:
+        """A number of the header, made larger."""
+        (said,) = struct.unpack(code, data[at : at + 4])
+        return data[:at] + struct.pack(code, min(said + rows, 2**31 - 1)) + data[at + 4 :]
+
     if name.endswith(".bmp") and data[:2] == b"BM":
-        return data[:22] + struct.pack("<i", height + rows) + data[26:]
+        return more(22, "<i")
     if name.endswith(".png") and data[:4] == b"\x89PNG":
-        head = b"IHDR" + data[16:20] + struct.pack(">I", height + rows) + data[24:29]
-        return data[:12] + head + struct.pack(">I", zlib.crc32(head)) + data[33:]
+        data = more(20, ">I")
+        return data[:29] + struct.pack(">I", zlib.crc32(data[12:29])) + data[33:]
     if name.endswith(".exr"):
         mark = b"dataWindow\0box2i\0" + struct.pack("<I", 16)
-        at = data.find(mark) + len(mark) + 12
-        (last,) = struct.unpack("<i", data[at : at + 4])
-        return data[:at] + struct.pack("<i", min(last + rows, 2**31 - 1)) + data[at + 4 :]
-    for order, letters in ((b"II*\0", "<"), (b"MM\0*", ">")):
-        if data[:4] == order:
-            entry = struct.pack(f"{letters}HHI", 257, 4, 1)
-            at = data.find(entry) + len(entry)
-            if at >= len(entry):
-                return data[:at] + struct.pack(f"{letters}I", height + rows) + data[at + 4 :]
+        return more(data.find(mark) + len(mark) + 12, "<i")
+    for start, order in ((b"II*\0", "<"), (b"MM\0*", ">")):
+        entry = struct.pack(f"{order}HHI", 257, 4, 1)
+        if data[:4] == start and entry in data:
+            return more(data.find(entry) + len(entry), f"{order}I")
     return data
 
 

@@ -1,5 +1,6 @@
 """Field files: the shipped one, what can be in one, and every way in which it can be wrong."""
 
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -293,3 +294,19 @@ def test_a_missing_file_is_answered_with_those_there(tmp_path):
         IndexField.read(tmp_path / "two.nc")
     with pytest.raises(InputError, match=r"no \.nc file is there"):
         IndexField.read(tmp_path / "nowhere" / "two.nc")
+
+
+def test_attributes_may_have_the_names_of_what_reads_them(path, capfd):
+    """SciPy makes them attributes of its own objects, "mode", "fp" and "variables" too."""
+    names = ("mode", "fp", "variables", "dimensions", "_attributes", "version_byte")
+    content = write_nc(path, file_attributes={n.upper(): "w" for n in names}).read_bytes()
+    for name in names:
+        content = content.replace(name.upper().encode(), name.encode())
+    path.write_bytes(content)
+    assert IndexField.read(path).shape == SHAPE
+    gc.collect()
+    assert capfd.readouterr() == ("", "")
+    content = write_nc(path, variable_attributes={"units": "K", "DATA": "x"}).read_bytes()
+    path.write_bytes(content.replace(b"DATA", b"data"))
+    with pytest.raises(InputError, match=r"'temperature' has an attribute 'data'; rename it"):
+        IndexField.read(path)

@@ -86,6 +86,7 @@ def test_what_may_be_left_out_has_its_natural_value(tmp_path):
     [
         ({"camera_matrix": None}, "lacks 'camera_matrix'"),
         ({"camera_matrix": np.eye(2)}, "'camera_matrix' must hold 9 finite numbers"),
+        ({"rotation": np.diag([1e308, 1.0, 1.0])}, "'rotation' must hold 3 or 9 finite .* 1e\\+12"),
         ({"camera_matrix": np.full((3, 3), np.nan)}, "'camera_matrix' must hold 9 finite"),
         ({"camera_matrix": np.zeros((3, 3))}, "positive f"),
         ({"distortion_coefficients": np.zeros((1, 3))}, "0 or 4 or 5 or 8 or 12 or 14"),

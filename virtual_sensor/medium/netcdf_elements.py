@@ -24,6 +24,25 @@ FARTHEST_MM = 1e8
 DEFAULT_FILLS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i4": -2147483647}
 
 
+class _File(netcdf_file):
+    """SciPy's; but what attributes of the file are called, such as "mode", is the file's matter."""
+
+    def _read_gatt_array(self) -> None:
+        self._attributes.update(self._read_att_array())
+
+
+_OF_VARIABLES = {
+    "data",
+    "dimensions",
+    "maskandscale",
+    "_attributes",
+    "_shape",
+    "_size",
+    "_typecode",
+}
+"""What SciPy would take of a variable's attributes for its own."""
+
+
 def open_netcdf(path: Path) -> netcdf_file:
     """Read and parse the whole file."""
     if not path.is_file():
@@ -41,10 +60,18 @@ def open_netcdf(path: Path) -> netcdf_file:
     if not content.startswith((b"CDF\x01", b"CDF\x02")):
         raise InputError("is not a NetCDF-3 file (it does not begin with 'CDF')")
     try:
-        return netcdf_file(io.BytesIO(content), "r", mmap=False)
+        nc = _File(io.BytesIO(content), "r", mmap=False)
     except Exception as error:  # of struct, NumPy and others, as the damage will have it
-        told = f"{error}".partition("\n")[0] or type(error).__name__
+        told = f"{error}".partition("\n")[0][:200] or type(error).__name__
         raise InputError(f"is truncated or damaged ({told}); copy it again") from error
+    for name, variable in nc.variables.items():
+        attributes = getattr(variable, "_attributes", None)
+        taken = _OF_VARIABLES & set(attributes if isinstance(attributes, dict) else _OF_VARIABLES)
+        if taken:
+            raise InputError(
+                f"variable '{printable(name)}' has an attribute '{min(taken)}'; rename it"
+            )
+    return nc
 
 
 def text(owner: Any, name: str) -> str:

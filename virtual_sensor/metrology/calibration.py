@@ -70,6 +70,7 @@ _MODELS = {
 _ORTHOGONAL = 1e-4
 _ZERO = 1e-9  # px
 _LARGEST_PX = 2**20
+_LARGEST = 1e12  # products of a few such numbers are finite
 _LARGEST_BYTES = 2**22
 _DEEPEST = 100
 _MOST_NUMBERS = 100
@@ -301,7 +302,13 @@ class _File:
         self.found.add(name)
         return self.elements[there[0]]
 
-    def numbers(self, name: str, counts: tuple[int, ...], default: Array | None = None) -> Array:
+    def numbers(
+        self,
+        name: str,
+        counts: tuple[int, ...],
+        default: Array | None = None,
+        below: float = _LARGEST,
+    ) -> Array:
         """The numbers of an element, as many as it may have."""
         found = self.find(name)
         if found is None:
@@ -314,9 +321,11 @@ class _File:
             values = np.array(_numbers(found))
         except (ValueError, TypeError, OverflowError, RecursionError):
             values = np.array([np.nan])
-        if values.size not in counts or not np.isfinite(values).all():
+        if values.size not in counts or not (np.abs(values) < below).all():
             wanted = " or ".join(map(str, counts))
-            raise InputError(f"{self.path}: '{name}' must hold {wanted} finite numbers")
+            raise InputError(
+                f"{self.path}: '{name}' must hold {wanted} finite numbers, below {below:g}"
+            )
         return values
 
     def word(self, name: str) -> str:
@@ -335,7 +344,7 @@ class _File:
 
 
 def _pixels(file: _File, name: str) -> int:
-    (value,) = file.numbers(name, (1,))
+    (value,) = file.numbers(name, (1,), below=np.inf)
     if not (1.0 <= value <= _LARGEST_PX and value == int(value)):
         raise InputError(f"{file.path}: '{name}' is {value:g}; give a whole number of px, from 1")
     return int(value)

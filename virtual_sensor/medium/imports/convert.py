@@ -53,6 +53,7 @@ COLDEST_C = -50.0
 WALL_MM = 1e-4  # a node so near to the part is the part's
 KELVIN_OF_ROOMS = (230.0, 340.0)  # as a coldest value in degC it is rather K
 LEAST_DENSITY, MOST_DENSITY = 0.02, 50.0  # kg/m3, for the densest air in the field
+LARGEST_NUMBER = 1e12  # of an option: products of a few of them are finite
 MOST_REFRACTIVITY = 0.01  # no gas near atmospheric pressure has more
 
 
@@ -115,9 +116,11 @@ def _check(choices: Choices) -> None:
         ("--ambient", choices.ambient, ()),
         ("--time", choices.time_s, ()),
     ):
-        if given is not None and not (np.shape(given) == shape and np.isfinite(given).all()):
+        if given is not None and not (
+            np.shape(given) == shape and (np.abs(given) < LARGEST_NUMBER).all()
+        ):
             count = f"{shape[0]} finite numbers" if shape else "a finite number"
-            raise InputError(f"{option} {given}: give {count}")
+            raise InputError(f"{option} {given}: give {count} below {LARGEST_NUMBER:g}")
     if choices.spacing_mm is not None and not min(choices.spacing_mm) > 0.0:
         raise InputError(f"--spacing {choices.spacing_mm}: give positive lengths")
     if choices.extrude_mm is not None and not choices.extrude_mm[0] < choices.extrude_mm[1]:
@@ -281,7 +284,8 @@ def _solid(
         return solid_of(missing, axes, open_faces, most)
     solid = np.zeros(missing.shape, dtype=bool)
     if told != "none":
-        match = re.fullmatch(r"cylinder:([\d.]+)(?:,([\d.]+))?", told)
+        number = r"(\d+\.?\d*|\.\d+)"
+        match = re.fullmatch(rf"cylinder:{number}(?:,{number})?", told)
         if not match:
             raise InputError(
                 f"--solid {told}: say auto, enclosed, none or cylinder:RADIUS[,LENGTH] in mm"

@@ -17,6 +17,7 @@ from virtual_sensor.medium.spline import MIN_NODES
 
 Geometry = Grid | Cloud | Mesh
 SMALLEST_MM, LARGEST_MM = 2.0, 20e3  # of a field that light is bent in
+LARGEST_SCALE = 1e9
 REFLECTED = 4  # layers of data beyond a mirror plane
 MOST_NODES = 50_000_000  # 400 MB
 
@@ -59,8 +60,11 @@ class Frame:
                 f"--axes {axes}: name each axis of the source once, in the order of the world's x, "
                 "y, z, such as y,z,x or x,-y,z"
             )
-        if not 0.0 < scale < np.inf:
-            raise InputError(f"--scale {scale:g}: give a positive factor")
+        if not 1.0 / LARGEST_SCALE <= scale <= LARGEST_SCALE:
+            raise InputError(
+                f"--scale {scale:g}: give a positive factor, {1.0 / LARGEST_SCALE:g} to"
+                f" {LARGEST_SCALE:g}"
+            )
         return cls(
             tuple("xyz".index(a) for _, a in entries),
             tuple(-1 if s == "-" else 1 for s, _ in entries),

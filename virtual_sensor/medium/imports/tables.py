@@ -166,7 +166,7 @@ def _loaded(path: Path) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
     except (
         Exception
     ) as error:  # of tokenize, ast, zipfile, zlib, struct, as the damage will have it
-        told = f"{error}".partition("\n")[0] or type(error).__name__
+        told = f"{error}".partition("\n")[0][:200] or type(error).__name__
         raise InputError(
             f"is truncated, damaged or no NumPy file of numbers ({told}); write or copy it again"
         ) from error
