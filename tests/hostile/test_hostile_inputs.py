@@ -1,0 +1,55 @@
+"""No hostile input makes a reader crash, hang, show a traceback or make a number up.
+
+What that means, and how a made-up number is recognised, stands in `cases.py`. More cases with fresh
+seeds: `campaign.py`.
+"""
+
+from __future__ import annotations
+
+import pytest
+from hostile import seeds, strategies
+from hostile.cases import verdict
+from hostile.runner import Runner
+from hypothesis import HealthCheck, Phase, given, settings
+
+COUNTS = {
+    "image": 1200,
+    "field": 800,
+    "table": 300,
+    "mesh": 80,
+    "calibration": 800,
+    "scene": 300,
+    "call": 500,
+    "command": 60,
+}
+
+
+@pytest.fixture(scope="module")
+def runner():
+    with Runner() as started:
+        yield started
+
+
+def test_every_fault_that_was_found_has_its_right_outcome(runner):
+    """The files of bug reports, and those that hostile inputs found in version 0.4."""
+    failed = {case.label: verdict(case, runner.run(case)) for case in seeds.every()}
+    assert {label: said for label, said in failed.items() if said} == {}
+
+
+@pytest.mark.parametrize("kind", strategies.BY_KIND)
+def test_no_hostile_input_does_harm(runner, kind):
+    """Thousands of cases, the same in every run."""
+
+    @settings(
+        max_examples=COUNTS[kind],
+        deadline=None,
+        derandomize=True,
+        database=None,
+        phases=[Phase.generate, Phase.shrink],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(strategies.BY_KIND[kind]())
+    def harmless(case):
+        assert not verdict(case, runner.run(case))
+
+    harmless()
