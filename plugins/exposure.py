@@ -23,7 +23,12 @@ def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
     """A sampler like the sensor's, of as many samples a pixel; 0: as many as it has."""
     sampler = sensor.sampler().fork()
     if spp:
-        sampler.set_sample_count(spp)
+        level = mi.logger().log_level()
+        mi.logger().set_log_level(mi.LogLevel.Error)  # what it takes in place of it is told below
+        try:
+            sampler.set_sample_count(spp)
+        finally:
+            mi.logger().set_log_level(level)
     taken = sampler.sample_count()
     if taken != (spp or taken) or not taken:
         raise InputError(

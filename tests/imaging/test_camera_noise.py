@@ -177,6 +177,7 @@ def test_exposure_puts_the_brightest_pixel_where_it_is_asked():
     [
         ({"quantum_efficiency": 1.2}, "up to 1"),
         ({"gain": 0.0}, "gain is 0.0; give a number that is positive"),
+        ({"gain": 1e300}, "gain is 1e\\+300; give a number that is positive"),
         ({"prnu": -0.1}, "prnu"),
         ({"dark_noise_e": np.nan}, "dark_noise_e"),
         ({"bit_depth": 17}, "1 to 16"),

@@ -359,3 +359,13 @@ def test_unfit_rays_are_refused(changes, message):
     fit = {"origins_mm": STARTS, "directions": DIRECTIONS, "length_mm": 10.0}
     with pytest.raises(InputError, match=message):
         trace(uniform(), **(fit | changes))
+
+
+def test_directions_may_have_any_length():
+    """The square of 1e300 is infinite, that of 1e-300 nought: the ray is the same."""
+    air = IndexField.from_arrays(np.full((4, 4, 4), 1e-4), [-3.0] * 3, [2.0] * 3)
+    ends = [
+        trace(air, [[0.0, 0.0, -9.0]], [[0.3 * long, 0.0, 0.4 * long]], 10.0).position
+        for long in (1.0, 1e300, 1e-300)
+    ]
+    np.testing.assert_allclose(ends, [[[6.0, 0.0, -1.0]]] * 3, atol=1e-9)

@@ -29,6 +29,7 @@ from virtual_sensor.errors import InputError
 Array = NDArray[np.float64]
 
 _SURELY_FULL = 10.0  # full wells: more light than that makes no difference
+_LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
 _MOST_E = 1e18  # what NumPy draws a Poisson number of
 
 
@@ -74,7 +75,8 @@ class CameraNoise:
         for name in (*positive, "dark_noise_e", "black_level", "dsnu_e", "prnu"):
             least, kind = (SMALLEST, "positive") if name in positive else (0.0, "not negative")
             advice = f"a number that is {kind}"
-            number_within(f"camera: {name}", getattr(self, name), least, LARGEST, advice)
+            most = _LARGEST_WELL if name == "full_well_e" else _LARGEST
+            number_within(f"camera: {name}", getattr(self, name), least, most, advice)
         if self.quantum_efficiency > 1.0:
             raise InputError(
                 f"camera: quantum_efficiency is {self.quantum_efficiency}; give it up to 1"

@@ -68,7 +68,10 @@ def trace(
         raise InputError(
             f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
         )
-    norm = np.linalg.norm(directions, axis=1)
+    longest = np.abs(directions).max(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scaled = directions / longest[:, None]  # a square of 1e300 is infinite
+    norm = np.linalg.norm(scaled, axis=1)
     lengths = np.asarray(length_mm, float)
     if lengths.shape not in ((), norm.shape):
         raise InputError(f"trace: length_mm {lengths.shape} must be one number or ({len(norm)},)")
@@ -78,7 +81,7 @@ def trace(
         raise InputError("trace: lengths must be finite and not negative")
     lengths = np.broadcast_to(lengths, norm.shape)
     march = March(step_mm, method, precision, tolerance_mm=tolerance_mm)
-    o, d = to_vectors(origins), to_vectors(directions / norm[:, None])
+    o, d = to_vectors(origins), to_vectors(scaled / norm[:, None])
     line = Straight.through(o, d, march)
     ends = after_length(march.scalar(to_scalars(lengths)))
     ray = bend(field, NoSurface(), line, march, remaining=ends)
