@@ -48,6 +48,8 @@ NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
 DENSE_RAYS = 401
 """Rays along the whole line of the search that the rendered line is compared with."""
 
+_BESIDE = 0.1  # of what is seen, on either side: hot air may show more of it
+
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 """Told what is being done, and which fraction of the whole is."""
@@ -148,11 +150,7 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
     laser = scene.sensor.laser
     notes = [*scene.notes, *check_scene(scene), *unlit_rays(laser, NINE_RAYS_MM)]
     notes += coarse_grid(scene)
-    dense_y = (
-        laser.dots_mm
-        if laser.dots_mm.size
-        else np.linspace(-0.5, 0.5, DENSE_RAYS) * laser.length_mm
-    )
+    dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
     cold = _measure_state(
         scene.cold(), dense_y, lambda stage, part: report(f"cold part: {stage}", share * part)
@@ -170,6 +168,22 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
         words += frame_notes(state.frame.account, state.line, state.compared, state.sound)
         notes += [f"{name}: {each}" for each in words]
     return Measurement(cold, hot, dense_y, tuple(notes), time.perf_counter() - started)
+
+
+def dense_rays(scene: Scene) -> Array:
+    """Positions y (N,) of `DENSE_RAYS` rays along what is seen of the line on the cold part, mm.
+
+    Spread over a line that is much longer than the part they would lie too far apart.
+    """
+    ends = np.array([-0.5, 0.5]) * scene.sensor.laser.length_mm
+    while True:
+        y = np.linspace(ends[0], ends[1], DENSE_RAYS)
+        seen = y[ray_search(scene.cold(), y, "newton").status == SearchStatus.FOUND]
+        margin = _BESIDE * np.ptp(seen) if seen.size > 1 else 0.0
+        closer = np.clip([seen.min() - margin, seen.max() + margin], *ends) if margin else ends
+        if np.ptp(closer) > 0.5 * np.ptp(ends):
+            return y
+        ends = closer
 
 
 def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
