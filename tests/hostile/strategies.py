@@ -16,7 +16,7 @@ SHARES = {
     "image": 8.0,
     "field": 4.0,
     "table": 3.0,
-    "mesh": 1.0,
+    "mesh": 0.7,
     "calibration": 4.0,
     "scene": 2.0,
     "call": 2.0,
