@@ -1,6 +1,6 @@
 """Calls of the package's functions with numbers and arrays that nobody should give.
 
-Numbers are NaN, infinite, huge, tiny, negative, nought; arrays are empty, of other shapes and
+Numbers are NaN, infinite, huge, tiny, negative, zero; arrays are empty, of other shapes and
 types, masked. What a type checker refuses (a text for a number) is not among them.
 """
 

@@ -13,7 +13,7 @@ def fill_memory(byte: int) -> None:
     """Let fresh memory hold this byte, and large pieces of it be fresh too."""
     libc = ctypes.CDLL(None)
     libc.mallopt(M_PERTURB, byte)
-    libc.mallopt(M_MMAP_THRESHOLD, 1 << 29)  # else pages of the kernel, which are all nought
+    libc.mallopt(M_MMAP_THRESHOLD, 1 << 29)  # else pages of the kernel, which are all zero
 
 
 def filled(byte: int, target: str, *arguments: Any, **more: Any) -> Any:

@@ -106,7 +106,7 @@ def judged(written: Written, picture: Picture):
 
 
 def _same(found, truth, loss):
-    """Whether pixels are those drawn or NaN; beyond a data window (NaN) they are NaN or nought."""
+    """Whether pixels are those drawn or NaN; beyond a data window (NaN) they are NaN or zero."""
     if found.shape != truth.shape:
         return False
     drawn = np.isfinite(truth)

@@ -63,7 +63,7 @@ def stamped(draw, data: bytes, span: Span | None = None):
 
 @st.composite
 def spliced(draw, data: bytes):
-    """A block lost, doubled, made nought or put at another place."""
+    """A block lost, doubled, made zero or put at another place."""
     a, b, c = sorted(draw(st.tuples(*[st.integers(0, len(data))] * 3)))
     return draw(
         st.sampled_from(

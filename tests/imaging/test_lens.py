@@ -57,7 +57,7 @@ def test_sharp_edges_neither_make_light_nor_go_below_zero(blur, size):
 
 
 def test_no_blur_changes_nothing():
-    """Off by default, and nothing when it is nought."""
+    """Off by default, and nothing when it is zero."""
     image = line_image(np.full(30, 20.3), 1.5, height=40)
     np.testing.assert_allclose(gaussian_blur(image, 0.0), image)
     assert distorted(np.ones(SIZE[::-1]), camera([])) is not None

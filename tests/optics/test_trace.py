@@ -362,7 +362,7 @@ def test_unfit_rays_are_refused(changes, message):
 
 
 def test_directions_may_have_any_length():
-    """The square of 1e300 is infinite, that of 1e-300 nought: the ray is the same."""
+    """The square of 1e300 is infinite, that of 1e-300 zero: the ray is the same."""
     air = IndexField.from_arrays(np.full((4, 4, 4), 1e-4), [-3.0] * 3, [2.0] * 3)
     ends = [
         trace(air, [[0.0, 0.0, -9.0]], [[0.3 * long, 0.0, 0.4 * long]], 10.0).position
