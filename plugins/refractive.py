@@ -34,6 +34,7 @@ from virtual_sensor.optics.tabulate import NoMapError
 WAYS = ("tabulated", "exact", "first_order", "straight")
 """How bent rays are found, by name."""
 
+_LONGEST_NAME = 100  # of a file, in a message that names several places
 _MOST_STEPS = 40_000  # of a march: twice as many as elsewhere, for rays aslant through the field
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
@@ -385,7 +386,8 @@ def _beside_scene(name: str) -> Path:
         return found.absolute()
     mitsubas = Path(mi.__file__).parent
     folders = [folder for each in resolver if (folder := Path(str(each)).absolute()) != mitsubas]
-    places = list(dict.fromkeys(folder / name for folder in folders))
+    shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
+    places = list(dict.fromkeys(folder / shown for folder in folders))
     beside = [place.parent for place in places if exists(place.parent)]
     present = sorted({file.name for folder in beside for file in folder.glob("*.nc")})
     others = "".join(f"; nor is there {place}" for place in places[1:])

@@ -22,7 +22,7 @@ _MEASURING = f"{_PACKAGE}.studies.sweep"
 _IMPORTS = ast.Import | ast.ImportFrom
 _PACKAGES = (
     *("mitsuba", "drjit", "numpy", "scipy", "matplotlib"),
-    *("opencv-contrib-python-headless", "OpenEXR"),
+    *("opencv-contrib-python-headless", "OpenEXR", "trimesh"),
 )
 _DIGITS = 16
 
