@@ -5,9 +5,9 @@ Libraries that read files in C++ abort, crash or allocate without end on damaged
 
     python -P -m virtual_sensor.child PARENT
 
-is a nursery: for each request on standard input it imports the function's module and forks a child,
-which answers on standard output; what the function itself prints goes nowhere. The next child need
-not import that module again. A nursery dies as its child died, and with its parent.
+is a fork server: for each request on standard input it imports the function's module and forks a
+child, which answers on standard output; what the function itself prints goes nowhere. The next
+child need not import that module again. The server dies as its child died, and with its parent.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError
 
 ANSWERED = 77  # exit status of a child that has sent its last message
-PATIENCE_S = 10.0  # with a nursery that is to end its child and itself
+PATIENCE_S = 10.0  # with a server that is to end its child and itself
 REMEDY = "it is damaged, or claims more than it holds; write or copy it again"
 
 
@@ -72,12 +72,12 @@ def run_in_child(
     """
     memory = memory_bytes or physical_memory()
     content = pickle.dumps((arguments, memory, report is not None, str(Path.cwd()), sys.path))
-    nursery = _take()
+    server = _take()
     expired = threading.Event()
 
     def end() -> None:
         expired.set()
-        nursery.end()
+        server.end()
 
     timer = threading.Timer(seconds or 0.0, end)
     timer.daemon = True
@@ -85,13 +85,13 @@ def run_in_child(
     try:
         if seconds is not None:
             timer.start()
-        kind, answer = nursery.ask((target, content), report or (lambda *told: None))
+        kind, answer = server.ask((target, content), report or (lambda *told: None))
     finally:
         timer.cancel()
         if kind in ("result", "error") and not expired.is_set():
-            _idle.append(nursery)
+            _idle.append(server)
         else:
-            nursery.end()
+            server.end()
     if kind == "result":
         return answer
     if kind == "error" and not isinstance(answer, MemoryError):
@@ -103,7 +103,7 @@ def run_in_child(
             f"{subject}: asks for more memory than the {memory / 1e9:.3g} GB that it may have;"
             f" {REMEDY}"
         )
-    status = nursery.process.returncode
+    status = server.process.returncode
     how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
     raise InputError(f"{subject}: what reads it crashed ({how}); {REMEDY}")
 
@@ -113,7 +113,7 @@ def physical_memory() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-class _Nursery:
+class _ForkServer:
     """A process that forks children, one at a time."""
 
     def __init__(self) -> None:
@@ -162,33 +162,33 @@ class _Nursery:
                 stream.close()  # type: ignore[union-attr]
 
 
-_idle: list[_Nursery] = []
+_idle: list[_ForkServer] = []
 
 
-def _take() -> _Nursery:
-    """An idle nursery of this process, or a new one."""
+def _take() -> _ForkServer:
+    """An idle server of this process, or a new one."""
     while _idle:
-        nursery = _idle.pop()
-        if nursery.owner != os.getpid():  # this is a fork of the process that has it
-            nursery.process.returncode = 0
-        elif nursery.process.poll() is None:
-            return nursery
+        server = _idle.pop()
+        if server.owner != os.getpid():  # this is a fork of the process that has it
+            server.process.returncode = 0
+        elif server.process.poll() is None:
+            return server
         else:
-            nursery.end()
-    return _Nursery()
+            server.end()
+    return _ForkServer()
 
 
 @atexit.register
 def _end_all() -> None:
     while _idle:
-        nursery = _idle.pop()
-        if nursery.owner == os.getpid():
-            nursery.end()
+        server = _idle.pop()
+        if server.owner == os.getpid():
+            server.end()
 
 
 def main(parent: int) -> None:
-    """Serve requests, in the nursery."""
-    _tie_to(parent)
+    """Serve requests, in the server."""
+    interrupts.tie_to_parent(parent)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     children: list[int] = []
 
@@ -206,12 +206,12 @@ def main(parent: int) -> None:
         with contextlib.suppress(Exception):  # the child tells of it
             importlib.import_module(target.partition(":")[0])
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
-        nursery, child = os.getpid(), os.fork()
+        server, child = os.getpid(), os.fork()
         if not child:
             try:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                _answer(nursery, target, content)
+                _answer(server, target, content)
             finally:  # libraries need not be shut down, and some would hang or crash then
                 os._exit(1)
         children.append(child)
@@ -221,19 +221,14 @@ def main(parent: int) -> None:
         if status < 0:
             with contextlib.suppress(OSError):  # SIGKILL has no handler
                 signal.signal(-status, signal.SIG_DFL)
-            os.kill(nursery, -status)
+            os.kill(server, -status)
         if status != ANSWERED:
             os._exit(status)
 
 
-def _tie_to(parent: int) -> None:
-    """Have the kernel end this process when its parent dies."""
-    interrupts.tie_to_parent(parent)
-
-
-def _answer(nursery: int, target: str, content: bytes) -> None:
+def _answer(server: int, target: str, content: bytes) -> None:
     """Call the function and send what it returns or raises, in the child."""
-    _tie_to(nursery)
+    interrupts.tie_to_parent(server)
     answers = os.fdopen(os.dup(1), "wb")
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):
