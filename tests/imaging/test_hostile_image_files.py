@@ -90,6 +90,24 @@ def test_damaged_exr_files_are_refused_in_silence(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_piz_exr_that_claims_more_than_its_last_block_holds_is_refused(tmp_path):
+    """Rationale: OpenEXR decodes pixels of a window enlarged within a block that are none."""
+    path = tmp_path / "a.exr"
+    for height, width, kind in ((60, 29, "f2"), (33, 64, "f4"), (1, 40, "u4"), (31, 40, "f2")):
+        for grey in (RNG.random((height, width)) * 99.0, np.zeros((height, width))):
+            grey = np.where(grey < 90.0, 0.0, grey).astype(kind)  # runs, as dark images have
+            exr(path, {"Y": grey}, compression=OpenEXR.PIZ_COMPRESSION)
+            np.testing.assert_array_equal(read_image(path).pixels, grey)
+            data = path.read_bytes()
+            begin = data.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+            for more in ((0, 1), (1, 0), (-1, 0)):
+                right, bottom = width - 1 + more[0], height - 1 + more[1]
+                window = struct.pack("<4i", 0, 0, right, bottom)
+                path.write_bytes(data[:begin] + window + data[begin + 16 :])
+                with pytest.raises(InputError, match=r"claims more pixels|damaged|OpenEXR"):
+                    read_image(path)
+
+
 def test_a_tiff_that_claims_more_rows_than_its_strips_hold_is_refused(tmp_path, capfd):
     """Absent strips are no black rows; nor does a library print what it misses of a PNG."""
     data = packed_tiff(tmp_path / "a.tif", GREY8, 8).read_bytes()

@@ -22,6 +22,7 @@ import tifffile
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.piz import holds_its_claim
 
 COLOURS = ("red", "green", "blue")
 
@@ -280,6 +281,10 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
         # OpenEXR leaves out what it can't read.
         if not heads or [len(p) for p in parts] != [len(h["channels"]) or 1 for h in heads]:
             raise InputError(f"{path}: its pixels are damaged or missing; write it again")
+        if len(heads) == 1 and not _whole_piz(path, heads[0], windows[0][1], parts[0]):
+            raise InputError(
+                f"{path}: its header claims more pixels than its blocks hold; write it again"
+            )
     remarks: list[str] = []
     names = [f"{head.get('name') or number}" for number, head in enumerate(heads, 1)]
     part, values = _exr_channel(path, names, parts, channel, remarks)
@@ -307,6 +312,20 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
     )
     whole[into] = values[out]
     return StoredImage(whole, remarks=remarks)
+
+
+def _whole_piz(
+    path: Path, head: dict[str, Any], size: tuple[int, int], channels: dict[str, NDArray]
+) -> bool:
+    """Whether a part holds its data window, as far as OpenEXR leaves it to others to ask."""
+    plain = head["type"] == OpenEXR.scanlineimage
+    if not plain or head["compression"] != OpenEXR.PIZ_COMPRESSION:
+        return True
+    width, height = size
+    if any(values.shape != (height, width) for values in channels.values()):  # subsampled
+        return True
+    line_bytes = sum(width * values.dtype.itemsize for values in channels.values())
+    return holds_its_claim(path.read_bytes(), height, line_bytes)
 
 
 def _window(box: tuple[NDArray, NDArray]) -> tuple[tuple[int, int], tuple[int, int]]:
