@@ -88,6 +88,7 @@ AMBIENT = {
 AMBIENT_TEMPERATURE_K = 293.15
 AMBIENT_DENSITY = 1.2041  # kg/m^3, dry air at 20 degC and 1 atm as an ideal gas
 PACKED_MAX = 32767  # and its negative; the one integer left, -32768, fills the solid
+LONGEST_MESSAGE = 600  # about a file, in characters
 TIME_DOUBT = 1e-6  # of the time itself: a float32 coordinate's rounding is no other instant
 
 
@@ -288,13 +289,16 @@ def write_quantity(path: str | Path, quantity: GriddedQuantity, packed: bool = T
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Let errors about what is in a file begin with its name."""
+    """Let errors about what is in a file begin with its name, and quote a damaged one in part."""
     try:
         yield
     except InputError as error:
-        if f"{error}".startswith(f"{path}: "):
+        said = f"{error}"
+        if said.startswith(f"{path}: "):
             raise
-        raise InputError(f"{path}: {error}") from error
+        if len(said) > LONGEST_MESSAGE:
+            said = f"{said[: LONGEST_MESSAGE - 100]}...{said[-100:]}"
+        raise InputError(f"{path}: {said}") from error
 
 
 def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:

@@ -8,6 +8,7 @@ from import_checks import NODES, VALUES, error, imported, refused, temperature
 from plume_files import K, hexahedra
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.imports.import_field import Choices, import_field
 from virtual_sensor.medium.imports.vtk_claims import check_legacy
 
 pv = pytest.importorskip("pyvista", reason="the extra virtual-sensor[fields] is absent")
@@ -104,3 +105,13 @@ def test_a_pipe_is_refused_without_waiting(tmp_path):
     """Rationale: to open one blocks until somebody writes to it."""
     os.mkfifo(tmp_path / "a.vtk")
     refused(tmp_path / "a.vtk", "is a pipe or a device")
+
+
+def test_a_damaged_word_is_quoted_in_part(tmp_path):
+    """Rationale: binary data without a line end read as a type of 5,000 characters."""
+    path = tmp_path / "air.vtk"
+    words = "# vtk DataFile Version 3.0\nt\nBINARY\nDATASET UNSTRUCTURED_GRID\nPOINTS 8 "
+    path.write_bytes(words.encode() + b"doub\x1b\0" * 1000 + b"\n")
+    with pytest.raises(InputError, match="holds no numbers") as caught:
+        import_field(path, Choices(units="K", length_units="mm"))
+    assert len(f"{caught.value}") < 700 + len(f"{path}")
