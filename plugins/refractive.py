@@ -35,7 +35,7 @@ WAYS = ("tabulated", "exact", "first_order", "straight")
 """How bent rays are found, by name."""
 
 _LONGEST_NAME = 100  # of a file, in a message that names several places
-_MOST_STEPS = 40_000  # of a march: twice as many as elsewhere, for rays aslant through the field
+_MOST_STEPS = 40_000  # of a march: twice the default, for rays aslant through the field
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "elsewhere": 1 << 22}

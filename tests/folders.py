@@ -2,6 +2,16 @@
 
 from virtual_sensor.files import RESULTS_SIGN
 
+WRITE_AND_WAIT = """
+import signal, sys
+from pathlib import Path
+from virtual_sensor.files import folder_written_whole
+with folder_written_whole(Path(sys.argv[1]), overwrite=True) as folder:
+    (folder / "summary.json").write_text("half")
+    print("writing", flush=True)
+    signal.pause()
+"""
+
 
 def earlier_results(tmp_path):
     """A folder of earlier results."""

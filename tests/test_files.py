@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-from folders import contents, earlier_results
+from folders import WRITE_AND_WAIT, contents, earlier_results
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import (
@@ -239,17 +239,6 @@ def test_a_folder_that_comes_into_being_meanwhile_is_kept(tmp_path):
     with pytest.raises(InputError, match="not empty"):
         write("second", meanwhile=lambda: write("first"))
     assert contents(tmp_path) == {f"measured/{RESULTS_SIGN}": b"first"}
-
-
-WRITE_AND_WAIT = """
-import sys, time
-from pathlib import Path
-from virtual_sensor.files import folder_written_whole
-with folder_written_whole(Path(sys.argv[1]), overwrite=True) as folder:
-    (folder / "summary.json").write_text("half")
-    print("writing", flush=True)
-    time.sleep(60)
-"""
 
 
 def test_a_run_killed_half_way_leaves_the_old_folder_and_does_not_hinder_the_next(results):

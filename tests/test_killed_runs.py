@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from folders import contents, earlier_results
+from folders import WRITE_AND_WAIT, contents, earlier_results
 
 from virtual_sensor import files
 from virtual_sensor.errors import InputError
@@ -17,17 +17,6 @@ from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whol
 def results(tmp_path):
     """A folder of earlier results."""
     return earlier_results(tmp_path)
-
-
-WRITE_AND_WAIT = """
-import sys, time
-from pathlib import Path
-from virtual_sensor.files import folder_written_whole
-with folder_written_whole(Path(sys.argv[1]), overwrite=True) as folder:
-    (folder / "summary.json").write_text("half")
-    print("writing", flush=True)
-    time.sleep(60)
-"""
 
 
 @pytest.fixture

@@ -34,7 +34,9 @@ def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
     unlit = y_mm[~laser.reaches(0.0, y_mm)]
     if not unlit.size:
         return []
-    what = "dots are elsewhere" if laser.dots_mm.size else f"line is {laser.length_mm:g} mm long"
+    what = (
+        "dots are at other places" if laser.dots_mm.size else f"line is {laser.length_mm:g} mm long"
+    )
     places = ", ".join(f"{y:g}" for y in unlit)
     return [
         f"laser_line: {unlit.size} of the paper's nine rays are not lit, at y = {places} mm: the"

@@ -272,29 +272,29 @@ def _solid(
     axes: Sequence[np.ndarray],
     mirror: Sequence[bool],
     flat: bool,
-    told: str,
+    chosen: str,
 ) -> np.ndarray:
-    """Nodes in the solid, as `Choices.solid` tells; holes elsewhere are refused."""
+    """Nodes in the solid, as `Choices.solid` says; other holes are refused."""
     missing = ~np.isfinite(values)
     open_faces = [(not even, True) for even in mirror]
     if flat:
         open_faces[0] = (False, False)
-    if told in ("auto", "enclosed"):
-        most = 1 if told == "auto" else missing.size
+    if chosen in ("auto", "enclosed"):
+        most = 1 if chosen == "auto" else missing.size
         return solid_of(missing, axes, open_faces, most)
     solid = np.zeros(missing.shape, dtype=bool)
-    if told != "none":
+    if chosen != "none":
         number = r"(\d+\.?\d*|\.\d+)"
-        match = re.fullmatch(rf"cylinder:{number}(?:,{number})?", told)
+        match = re.fullmatch(rf"cylinder:{number}(?:,{number})?", chosen)
         if not match:
             raise InputError(
-                f"--solid {told}: say auto, enclosed, none or cylinder:RADIUS[,LENGTH] in mm"
+                f"--solid {chosen}: say auto, enclosed, none or cylinder:RADIUS[,LENGTH] in mm"
             )
         radius, length = float(match[1]), float(match[2] or np.inf)
         x, y, z = np.meshgrid(*axes, indexing="ij", sparse=True)
         solid = (np.hypot(y, z + radius) < radius + WALL_MM) & (abs(x) < 0.5 * length + WALL_MM)
         if not solid.any():
-            raise InputError(f"--solid {told}: no node of the grid is inside; see --origin")
+            raise InputError(f"--solid {chosen}: no node of the grid is inside; see --origin")
     # A mesh's facets leave nodes just outside of a round part without a cell.
     skin = ndimage.binary_dilation(solid, np.ones((3, 3, 3))) & missing
     solid_of(missing & ~solid & ~skin, axes, open_faces, most=0)
