@@ -23,7 +23,7 @@ from virtual_sensor_plugins.tabulated import Elsewhere, lit_pixels_and_tables, m
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists
-from virtual_sensor.medium.broadening import blurred, widened
+from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
 from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
@@ -72,15 +72,18 @@ class Refractive(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         name = str(props.get("field", ""))
-        time_s = _instant(str(props.get("time", "")))
-        self.widen = float(props.get("widen", 1.0))
-        self.blur_mm = float(props.get("blur", 0.0))
-        self.wavelength_nm = float(props.get("wavelength", 532.0))
-        if not 0.0 < self.wavelength_nm < np.inf:
-            raise InputError(
-                f"refractive: 'wavelength' must be a positive number of nm, not"
-                f" {self.wavelength_nm:g}"
+        try:
+            self.air = MediumDescription(
+                _beside_scene(name) if name else None,
+                _instant(str(props.get("time", ""))),
+                widen=float(props.get("widen", 1.0)),
+                blur_mm=float(props.get("blur", 0.0)),
+                wavelength_nm=float(props.get("wavelength", 532.0)),
+                interpolation=str(props.get("interpolation", "cubic")),
+                dimensions=int(props.get("dimensions", 3)),
             )
+        except InputError as error:
+            raise InputError(f"refractive: {error}") from None
         self.way = str(props.get("way", "tabulated"))
         if self.way not in WAYS:
             raise InputError(f"refractive: 'way' must be one of {', '.join(WAYS)}, not {self.way}")
@@ -89,10 +92,6 @@ class Refractive(mi.SamplingIntegrator):
             raise InputError(
                 f"refractive: 'tolerance' must be a positive number of px, not {self.tolerance_px}"
             )
-        self.model: dict[str, Any] = {
-            "interpolation": str(props.get("interpolation", "cubic")),
-            "dimensions": int(props.get("dimensions", 3)),
-        }
         try:
             self.march = March(
                 step_mm=float(props.get("step", 2.0)),
@@ -103,48 +102,37 @@ class Refractive(mi.SamplingIntegrator):
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
-        if time_s is not None and not name:
-            raise InputError("refractive: 'time' is one of a field's; give the 'field', or no time")
-        if not name and (self.widen, self.blur_mm) != (1.0, 0.0):
-            raise InputError(
-                "refractive: 'widen' and 'blur' are of a field; give the 'field', or neither"
-            )
         self.glows = True
-        self.field_file = _beside_scene(name) if name else None
-        self.field = self._air(self.field_file, time_s) if self.field_file else None
-        _ = self._refracting  # a march that can't get through the air is refused on loading
-
-    def _air(self, file: Path, time_s: float | None) -> IndexField:
-        air = IndexField.read(file, wavelength_nm=self.wavelength_nm, time_s=time_s)
         try:
-            broad = blurred(widened(air, self.widen), self.blur_mm).simplified(**self.model)
+            self.field = self.air.read()
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
-        return replace(broad, notes=air.notes)
+        _ = self._refracting  # a march that can't get through the air is refused on loading
 
     def at(self, time_s: float) -> "Refractive":
         """The same integrator in the air of another instant of its field's file, as broad."""
-        if self.field_file is None:
-            raise InputError("refractive: there is no 'field' to have instants; give it one")
-        other = self.with_field(self._air(self.field_file, time_s))
-        other.field_file, other.widen, other.blur_mm = self.field_file, self.widen, self.blur_mm
+        try:
+            air = self.air.at(time_s)
+            other = self.with_field(air.read())
+        except InputError as error:
+            raise InputError(f"refractive: {error}") from None
+        other.air = air
         return other
 
     def with_field(self, field: IndexField | None) -> "Refractive":
         """The same integrator in other air, taken as it is; None: a cold part, straight light."""
         other = self.with_way(self.way, self.march, self.tolerance_px)
-        other.field, other.field_file, other.widen, other.blur_mm = field, None, 1.0, 0.0
+        other.field, other.air = field, self.air.without_file()
         other.glows = self.glows and field is not None
         return other
 
     def with_way(self, way: str, march: March, tolerance_px: float) -> "Refractive":
         """Another way through the same air."""
         choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
-        choices |= {"way": way, "tolerance": tolerance_px, **self.model}
-        other = mi.load_dict({"type": "refractive", "wavelength": self.wavelength_nm, **choices})
-        other.field, other.glows = self.field, self.glows
+        choices |= {"way": way, "tolerance": tolerance_px}
+        other = mi.load_dict({"type": "refractive", **choices})
+        other.field, other.air, other.glows = self.field, self.air, self.glows
         other.march = replace(march, first_order=way == "first_order")
-        other.field_file, other.widen, other.blur_mm = self.field_file, self.widen, self.blur_mm
         return other
 
     @property
@@ -365,7 +353,7 @@ class Refractive(mi.SamplingIntegrator):
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
-        return f"Refractive[{self.march}, field={self.field_file}]"
+        return f"Refractive[{self.march}, field={self.air.path}]"
 
 
 def _instant(text: str) -> float | None:

@@ -70,7 +70,7 @@ def rays(kinds: Sequence[str], asked: argparse.Namespace) -> tuple[list[Any], di
     problem = ours.problem_of(scene, most, judged)
     straight = problem.error_px(problem.targets)
     about = {
-        "field": f"{scene.integrator.field_file.name}, {' x '.join(map(str, scene.field.shape))}"
+        "field": f"{scene.air.path.name}, {' x '.join(map(str, scene.field.shape))}"
         f" nodes of {' x '.join(f'{s:g}' for s in scene.field.spacing)} mm",
         "rays": f"{len(problem)} camera rays towards the laser's line through the plume,"
         f" {problem.lengths.mean():.0f} mm each in the field; straight ones miss by"

@@ -208,11 +208,11 @@ def test_a_field_of_ones_own_is_named_from_where_one_stands(gusty, monkeypatch):
     """-D field=FILE, from the file's folder; without it, temperature chooses among the shipped."""
     monkeypatch.chdir(gusty.parent)
     scene = vs.load_scene("hot_cylinder", field="gusty.nc")
-    assert scene.integrator.field_file == gusty
+    assert scene.air.path == gusty
     monkeypatch.chdir("/")
     assert scene.at(1.0).field.shape == scene.field.shape
     shipped = vs.load_scene("hot_cylinder")
-    assert shipped.integrator.field_file.name == "hot_cylinder_1250C_quarter.nc"
+    assert shipped.air.path.name == "hot_cylinder_1250C_quarter.nc"
     assert shipped.parameters["field"] == "fields/hot_cylinder_1250C_quarter.nc"
 
 

@@ -256,7 +256,8 @@ def test_another_way_keeps_the_air_and_what_is_said_of_it():
     given = scene.integrator
     other = given.with_way("exact", given.march, 0.01)
     assert other.field is given.field
-    assert (other.widen, other.blur_mm, other.field_file) == (1.2, 3.0, given.field_file)
-    assert other.field_file.is_file()
+    assert other.air == given.air
+    assert (other.air.widen, other.air.blur_mm) == (1.2, 3.0)
+    assert other.air.path.is_file()
     straight = given.with_field(None)
-    assert (straight.widen, straight.blur_mm, straight.field_file) == (1.0, 0.0, None)
+    assert (straight.air.widen, straight.air.blur_mm, straight.air.path) == (1.0, 0.0, None)

@@ -264,7 +264,7 @@ def test_light_of_other_emitters_comes_through_the_same_air(tmp_path):
     path = tmp_path / "lamp.xml"
     text = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
     path.write_text(text.replace("</scene>", POINT + "</scene>"), encoding="utf-8")
-    field = shipped.integrator.field_file
+    field = shipped.air.path
     frame, exact, cold = (
         render_frame(vs.load_scene(path, **parameters, field=field, way=way))
         for way in ("tabulated", "exact", "straight")

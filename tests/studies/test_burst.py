@@ -236,7 +236,7 @@ def test_the_command_passes_on_what_is_asked_for(result, swaying, tmp_path, monk
         return result
 
     monkeypatch.setattr("virtual_sensor.studies.burst.burst", answered)
-    file, place = str(swaying.integrator.field_file), tmp_path / "sway"
+    file, place = str(swaying.air.path), tmp_path / "sway"
     line = ["burst", "hot_cylinder", "-D", f"field={file}", "-o", str(place)]
     options = ["--start", "5.5", "--duration", "0.5", "--frames", "5"]
     ended = CliRunner().invoke(cli.app, [*line, *options])
@@ -303,7 +303,7 @@ def test_a_burst_that_the_field_does_not_hold_is_refused(swaying, arguments, mes
 )
 def test_a_scene_that_can_have_no_burst_is_refused(swaying, scene, parameters, message):
     """Rationale: a shipped field is of one instant; what is needed instead is said."""
-    field = {} if scene else {"field": swaying.integrator.field_file}
+    field = {} if scene else {"field": swaying.air.path}
     with pytest.raises(InputError, match=message) as error:
         burst(load_scene(scene or "hot_cylinder", **field, **parameters), None, 0.5, 3)
     assert re.match(r"\S+\.(xml|nc): ", str(error.value))
@@ -313,7 +313,7 @@ def test_a_frame_without_a_line_is_refused(swaying):
     """Rationale: a line too thin for its samples is not seen; not after all frames, but now."""
     scene = load_scene(
         "hot_cylinder",
-        field=swaying.integrator.field_file,
+        field=swaying.air.path,
         **(FILM | {"spp": 1, "line_radius": 1e-4}),
     )
     with pytest.raises(InputError, match=r"no line in the frame at 5\.5 s; give a wider"):

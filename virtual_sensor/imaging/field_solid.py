@@ -67,9 +67,9 @@ def check_solid(scene: Scene, lit_mm: Array) -> list[str]:
     InputError
         If they have little in common.
     """
-    file = scene.integrator.field_file
+    file = scene.air.path
     solid = _solid_of(file, file.stat().st_mtime_ns) if scene.field and file else None
-    if solid is None:
+    if file is None or solid is None:
         return []
     name = f'<integrator type="refractive">: the field {file.name}'
     share = float(np.mean(_in_front(scene, solid)))

@@ -41,6 +41,7 @@ from virtual_sensor.imaging.scene_file import (
     read_scene_file,
     shortened,
 )
+from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
@@ -84,6 +85,12 @@ class Scene:
     def field(self) -> IndexField | None:
         """The air; None where light runs straight."""
         return self.integrator.field
+
+    @property
+    def air(self) -> MediumDescription:
+        """Where the field comes from: its file, and what is made of it."""
+        description: MediumDescription = self.integrator.air
+        return description
 
     def cold(self) -> "Scene":
         """The same scene in homogeneous air."""

@@ -138,7 +138,7 @@ def instants(
     InputError
         If the scene's field does not hold such a burst.
     """
-    file = scene.integrator.field_file
+    file = scene.air.path
     if file is None:
         raise InputError(f"{scene.path}: light runs straight; a burst needs a field that moves")
     if scene.parameters.get("time"):
@@ -262,7 +262,7 @@ def summary(result: Burst) -> dict[str, Any]:
         "scene": str(result.scene.path),
         "parameters": result.scene.parameters,
         "field": {
-            "file": str(result.scene.integrator.field_file),
+            "file": str(result.scene.air.path),
             "source": result.scene.field.source if result.scene.field else "",
             "instants stored": len(result.stored_s),
             "first and last, s": [float(result.stored_s[0]), float(result.stored_s[-1])],

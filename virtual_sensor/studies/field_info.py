@@ -168,7 +168,7 @@ def field_info(
     """
     report("reading the field", 0.0)
     loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {}))
-    wavelength_nm = loaded.integrator.wavelength_nm
+    wavelength_nm = loaded.air.wavelength_nm
     field = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
     contents = _contents(path)
     if time_s is None and contents.times_s is not None:

@@ -50,8 +50,8 @@ def coarse_grid(scene: Scene) -> list[str]:
     if field is None:
         return []
     y = laser.dots_mm if laser.dots_mm.size else np.linspace(-0.45, 0.45, 9) * laser.length_mm
-    file = scene.integrator.field_file
-    solid = read_field_file(file, scene.integrator.wavelength_nm).solid if file else None
+    file = scene.air.path
+    solid = read_field_file(file, scene.air.wavelength_nm).solid if file else None
     if solid is not None and solid.shape != field.shape:
         solid = None
     loss = pixel_loss(

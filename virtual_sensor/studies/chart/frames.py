@@ -208,7 +208,7 @@ def with_lamp(**settings: Any) -> Scene:
     """The scene with a lamp, so that all of it is lit, and every pixel is to be rendered."""
     path = find_scene(SCENE)
     if "field" not in settings:
-        settings["field"] = load_scene(SCENE).integrator.field_file
+        settings["field"] = load_scene(SCENE).air.path
     with scratch_folder() as folder:
         lit = Path(folder, f"{SCENE}.xml")
         text = path.read_text(encoding="utf-8").replace("</scene>", f"{_LAMP}</scene>")

@@ -1,0 +1,88 @@
+"""Where a scene's air comes from: a field's file, and what is made of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.broadening import blurred, widened
+from virtual_sensor.medium.index_field import IndexField
+
+
+@dataclass(frozen=True)
+class MediumDescription:
+    """Which air a field's file stands for.
+
+    Attributes
+    ----------
+    path : Path or None
+        NetCDF file of the field; None: no file, and homogeneous air.
+    time_s : float or None
+        Flow time in a file with a time axis; None: its last instant.
+    widen : float
+        Factor by which the field is stretched along y.
+    blur_mm : float
+        Then: standard deviation of a Gaussian blur in y and z; 0: none.
+    wavelength_nm : float
+        Vacuum wavelength of the light.
+    interpolation : str
+        Between the nodes: "cubic" or "linear".
+    dimensions : int
+        3, or 2: the section x = 0, extruded along x.
+
+    Raises
+    ------
+    InputError
+        If the wavelength is no positive number, or a property of the field is given without one.
+    """
+
+    path: Path | None = None
+    time_s: float | None = None
+    widen: float = 1.0
+    blur_mm: float = 0.0
+    wavelength_nm: float = 532.0
+    interpolation: str = "cubic"
+    dimensions: int = 3
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.wavelength_nm < np.inf:
+            raise InputError(
+                f"'wavelength' must be a positive number of nm, not {self.wavelength_nm:g}"
+            )
+        if self.path is None and self.time_s is not None:
+            raise InputError("'time' is one of a field's; give the 'field', or no time")
+        if self.path is None and (self.widen, self.blur_mm) != (1.0, 0.0):
+            raise InputError("'widen' and 'blur' are of a field; give the 'field', or neither")
+
+    def read(self) -> IndexField | None:
+        """Read the field; None of homogeneous air.
+
+        Raises
+        ------
+        InputError
+            If the file can't be used, or the field not be broadened or simplified so.
+        """
+        if self.path is None:
+            return None
+        air = IndexField.read(self.path, wavelength_nm=self.wavelength_nm, time_s=self.time_s)
+        broad = blurred(widened(air, self.widen), self.blur_mm)
+        return replace(broad.simplified(self.interpolation, self.dimensions), notes=air.notes)
+
+    def at(self, time_s: float) -> MediumDescription:
+        """The same of another instant, s, of the file.
+
+        Raises
+        ------
+        InputError
+            If there is no file.
+        """
+        if self.path is None:
+            raise InputError("there is no 'field' to have instants; give it one")
+        return replace(self, time_s=time_s)
+
+    def without_file(self) -> MediumDescription:
+        """The same wavelength, for air that comes from no file."""
+        return MediumDescription(wavelength_nm=self.wavelength_nm)
