@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins.lit_pixels import film_place, film_rays
 
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.lookups import in_own_memory
 
 ONE_FRAME = threading.RLock()
 """Held while a frame is made: hot and cold states of a scene, in any thread, share one film."""
@@ -68,7 +68,7 @@ class Exposure:
 
     def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
         """Expose pixels, with so many samples in flight at once."""
-        if not pixels.size:  # Dr.Jit knows no empty array
+        if not pixels.size:
             return
         spp = self.sampler.sample_count()
         # Each pixel's samples are summed in their order: added to the film one by one, as other

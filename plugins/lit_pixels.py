@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from virtual_sensor_plugins.laser_line import LaserLineEmitter
 
+from virtual_sensor.arrays import at_least, in_own_memory
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
 from virtual_sensor.optics.sensor_model import Pose
 from virtual_sensor.optics.tabulate import Fineness
@@ -178,17 +178,13 @@ def find_lit_pixels(
         a, b = a + moved_a, b + moved_b
         margin = (pixel_mm + margin_a, pixel_mm + margin_b)
     # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
-    candidates = every[grown(reached(emitter, a, b, margin), height, width)]
-    if not candidates.size:
-        candidates = every[:1]  # Dr.Jit knows no empty array
+    candidates = at_least(1, every[grown(reached(emitter, a, b, margin), height, width)])
     sight = look(centre_rays(sensor, candidates))
     dr.eval(sight)
     account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
     lit = np.zeros(width * height, bool)
     lit[candidates] = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm)).numpy()
-    keep = np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32)
-    if not keep.size:
-        keep = np.zeros(1, np.uint32)
+    keep = at_least(1, np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32))
     return LitPixels(candidates[keep], rows(sight, keep), account)
 
 

@@ -20,6 +20,7 @@ from virtual_sensor_plugins.lit_pixels import (
 )
 from virtual_sensor_plugins.tabulated import Elsewhere, lit_pixels_and_tables, merged
 
+from virtual_sensor.arrays import at_least
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists
@@ -244,9 +245,8 @@ class Refractive(mi.SamplingIntegrator):
             else:
                 if found:
                     return found
-                none = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
-                sight = self.look(scene, centre_rays(sensor, none))
-                return LitPixels(none, sight, account)
+                dark = at_least(1, np.zeros(0, np.uint32))
+                return LitPixels(dark, self.look(scene, centre_rays(sensor, dark)), account)
         return find_lit_pixels(
             scene, sensor, laser_of(scene), lambda ray: self.look(scene, ray), account
         )

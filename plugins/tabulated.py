@@ -18,8 +18,8 @@ from virtual_sensor_plugins.lit_pixels import (
     rows,
 )
 
+from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.deflection_map import CameraMap, LaserMap
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.illumination import LaserFrame
@@ -250,8 +250,8 @@ def _probe(
     seen = sideways @ pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
     ray = rows(places.ray, some)
-    normal = np.array(scene.ray_intersect(ray).n, float).T
-    heading = np.array(ray.d, float).T
+    normal = to_numpy(scene.ray_intersect(ray).n)
+    heading = to_numpy(ray.d)
     lean = np.einsum("ij,ij->i", normal, heading)
     lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
     seen = seen - heading * (np.einsum("ij,ij->i", normal, seen) / lean)[:, None]

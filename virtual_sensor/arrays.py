@@ -1,14 +1,26 @@
-"""Numbers and arrays that a caller gives, checked before anything computes with them."""
+"""Numbers and arrays that a caller gives: checked, and brought into Dr.Jit's memory and back.
+
+Dr.Jit is imported by the functions that need it, so that the checks serve without a renderer.
+"""
+
+from __future__ import annotations
 
 import math
 import operator
 import sys
-from typing import Any
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
+
+if TYPE_CHECKING:
+    from virtual_sensor.engine import mi
+
+Result = TypeVar("Result")
 
 LARGEST = sys.float_info.max
 SMALLEST = math.ulp(0.0)
@@ -52,6 +64,12 @@ def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
     return array.astype(float)
 
 
+def points_of(values: ArrayLike) -> NDArray[np.float64]:
+    """The values as an array of float, whose shape is the caller's to check; [] as (0, 3)."""
+    array = np.asarray(values, float)
+    return array.reshape(0, 3) if array.shape == (0,) else array
+
+
 def short(value: Any) -> str:
     """How a value is written in a message, however long it is."""
     try:
@@ -68,3 +86,106 @@ def unmasked(values: ArrayLike) -> NDArray:
     masked: Any = np.ma.asarray(values)
     kind = np.float32 if masked.dtype in (np.uint8, np.uint16, np.float32) else np.float64
     return masked.astype(kind).filled(np.nan)
+
+
+# --------------------------------------------------------------------- into Dr.Jit and back
+
+
+def in_own_memory(array: np.ndarray, scalar: Any) -> Any:
+    """Numbers in C order, flat, as Dr.Jit's own of type `scalar`: Float, Float64 or UInt32.
+
+    The product copies: an aliased NumPy array may be aligned too poorly for packet gathers, and how
+    it is aligned would be compiled in.  The copying is waited for with the array held: without it,
+    workers that give memory back at once (Dask's) died here by signal 11; why is not known.
+    """
+    from virtual_sensor.engine import dr
+
+    held = np.array(_not_empty(array), _numpy_type(scalar), order="C").ravel()
+    own = scalar(held) * dr.opaque(scalar, 1)
+    dr.eval(own)
+    dr.sync_thread()
+    return own
+
+
+def to_scalars(values: NDArray[np.float64]) -> mi.Float64:
+    """Numbers (N,) as Dr.Jit's in double precision."""
+    from virtual_sensor.engine import mi
+
+    return in_own_memory(values, mi.Float64)
+
+
+def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
+    """Points (N, 3) as Dr.Jit vectors in double precision."""
+    from virtual_sensor.engine import dr, mi
+
+    held = np.array(_not_empty(points).T, float, order="C")
+    vectors = mi.Array3f64(held)
+    dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
+    dr.sync_thread()  # see `in_own_memory`
+    return vectors
+
+
+def to_numpy(vectors: object) -> NDArray[np.float64]:
+    """Dr.Jit vectors of any precision as points (N, 3)."""
+    return np.array(vectors, float).T
+
+
+def by_rows(compute: Callable[..., Result], *arrays: np.ndarray) -> Result:
+    """What `compute` makes of arrays of equally many rows, be they none or one.
+
+    Dr.Jit knows no empty array, and one row alone would be a constant to it, which compiles a
+    kernel of its own: `compute` is given two rows at least, and the spare rows of its result are
+    cut off.
+
+    Parameters
+    ----------
+    compute : callable
+        Gives an array of as many rows, or such arrays within tuples, dicts and dataclasses.
+    arrays : ndarray of shape (N, ...)
+    """
+    count = len(arrays[0])
+    result = compute(*(at_least(2, array) for array in arrays))
+    return result if count > 1 else _first_rows(result, count)
+
+
+def at_least(count: int, rows: np.ndarray) -> np.ndarray:
+    """Rows for Dr.Jit: those given, and copies of the first up to `count`.
+
+    Where none is given they are ones, or zeros of integers: numbers of a row that exists.
+    """
+    missing = count - len(rows)
+    if missing <= 0:
+        return rows
+    make = np.zeros if rows.dtype.kind in "iu" else np.ones
+    first = rows[:1] if len(rows) else make((1, *rows.shape[1:]), rows.dtype)
+    return np.concatenate([rows, np.repeat(first, missing, axis=0)])
+
+
+def _first_rows(tree: Any, count: int) -> Any:
+    if isinstance(tree, np.ndarray):
+        return tree[:count]
+    if isinstance(tree, tuple):
+        return tuple(_first_rows(leaf, count) for leaf in tree)
+    if isinstance(tree, dict):
+        return {name: _first_rows(leaf, count) for name, leaf in tree.items()}
+    if is_dataclass(tree) and not isinstance(tree, type):
+        leaves = {f.name: _first_rows(getattr(tree, f.name), count) for f in fields(tree)}
+        return replace(tree, **leaves)
+    return tree
+
+
+def _not_empty(array: np.ndarray) -> np.ndarray:
+    """The array; an empty one would end the process at the first kernel that reads it."""
+    if not array.size:
+        raise ValueError("Dr.Jit knows no empty array: compute `by_rows`, or with `at_least` one")
+    return array
+
+
+def _numpy_type(scalar: Any) -> Any:
+    from virtual_sensor.engine import dr
+
+    return {
+        dr.VarType.Float32: np.float32,
+        dr.VarType.Float64: np.float64,
+        dr.VarType.UInt32: np.uint32,
+    }[dr.type_v(scalar)]

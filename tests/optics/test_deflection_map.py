@@ -7,6 +7,7 @@ import pytest
 from oracles import unit
 from scipy.integrate import solve_ivp
 
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium import exact_fields
 from virtual_sensor.medium.exact_fields import ExactField
@@ -15,7 +16,6 @@ from virtual_sensor.optics.illumination import LightStatus, illuminate
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
 from virtual_sensor.optics.surfaces import NoSurface
 from virtual_sensor.optics.tabulate import NoMapError, camera_map, displaced, laser_map
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 MARCH = March(step_mm=1.0, method="rk4", precision="double")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import NdBSpline, RegularGridInterpolator, make_interp_spline
 
+from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.deflection_map import Grid, LinearTable, Table
-from virtual_sensor.optics.trace import to_vectors
 
 RNG = np.random.default_rng(5)
 NODES = (7, 5, 6)

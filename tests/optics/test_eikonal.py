@@ -9,6 +9,7 @@ from oracles import unit
 from scipy.optimize import brentq
 
 import virtual_sensor as vs
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.exact_fields import fish_eye, hot_spot, linear, luneburg, selfoc
 from virtual_sensor.medium.index_field import IndexField
@@ -23,7 +24,6 @@ from virtual_sensor.optics.eikonal import (
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.steppers import STEPPERS
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 BOX = np.array([[-40.0] * 3, [40.0] * 3])
 STARTS = np.array([[-12.0, 3.0, 1.0], [-10.0, -4.0, 5.0], [-14.0, 0.5, -2.0]])

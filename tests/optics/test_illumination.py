@@ -7,6 +7,7 @@ import pytest
 from oracles import unit
 
 import virtual_sensor as vs
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March, Straight, bend, in_plane
@@ -14,7 +15,6 @@ from virtual_sensor.optics.illumination import LightStatus, illuminate
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
 from virtual_sensor.optics.surfaces import NoSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 MARCH = March(step_mm=0.5, method="leapfrog")
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import virtual_sensor as vs
 from virtual_sensor import ray_search
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import shipped_scenes
@@ -27,7 +28,6 @@ from virtual_sensor.optics.rays import March, Straight
 from virtual_sensor.optics.sensitivity import laser_y_at, line_sensitivity
 from virtual_sensor.optics.sensor_model import Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, SceneSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 AGREEMENT = 1e-4  # of the largest derivative along the line
 Y = np.linspace(-9.83, 9.64, 8)  # on no knot of the spline: its third derivative jumps there

@@ -7,12 +7,12 @@ from oracles import unit
 from scipy.integrate import RK45, quad_vec
 
 from virtual_sensor import IndexField, RayStatus, trace
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.exact_fields import fish_eye, hot_spot, luneburg, selfoc
 from virtual_sensor.optics.eikonal import March, Straight, bend, in_plane
 from virtual_sensor.optics.steppers import DOPRI5_LOWER, DOPRI5_STAGES, dopri5_with_error
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 BOX = np.array([[-60.0] * 3, [60.0] * 3])
 STARTS = np.array([[-12.0, 3.0, 1.0], [-10.0, -4.0, 5.0], [-11.0, 0.5, -6.0]])

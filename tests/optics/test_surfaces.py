@@ -5,11 +5,11 @@ import pytest
 from oracles import unit
 
 import virtual_sensor as vs
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import March, Straight, bend
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, SceneSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 CYLINDER = Cylinder(radius_mm=13.5, half_length_mm=85.0, axis_y_mm=2.0, axis_z_mm=-13.5)
 VECTORS = {"double": mi.Array3f64, "single": mi.Array3f}

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_vectors
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.scene import Scene
@@ -12,7 +13,6 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.sensor_model import SensorModel
-from virtual_sensor.optics.trace import to_vectors
 
 Array = NDArray[np.float64]
 

@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.checks import lit_line
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.sensor_model import Camera
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.medium.netcdf import read_field_file
 
 Array = NDArray[np.float64]

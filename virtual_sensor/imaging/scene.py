@@ -30,6 +30,7 @@ import numpy as np
 import virtual_sensor_plugins as plugins
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists, readable
@@ -45,7 +46,6 @@ from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
-from virtual_sensor.optics.trace import to_vectors
 
 # Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])

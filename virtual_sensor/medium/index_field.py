@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from virtual_sensor.arrays import points_of, to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.lookups import LOOKUPS, GridLookup
@@ -217,10 +218,9 @@ class IndexField:
     def _section(self) -> np.ndarray:
         """Difference from ambient at the nodes of the section x = 0; shape (ny, nz)."""
         y, z = (self.origin[i] + self.spacing[i] * np.arange(self.shape[i]) for i in (1, 2))
-        points = np.stack(np.broadcast_arrays(0.0, *np.meshgrid(y, z, indexing="ij")))
+        points = np.stack(np.broadcast_arrays(0.0, *np.meshgrid(y, z, indexing="ij")), axis=-1)
         whole = self.simplified(self.interpolation, 3).lookup("double")
-        delta = whole.delta(mi.Array3f64(points.reshape(3, -1)))
-        return delta.numpy().reshape(points.shape[1:])
+        return whole.delta(to_vectors(points.reshape(-1, 3))).numpy().reshape(points.shape[:2])
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -249,7 +249,7 @@ class IndexField:
         points, inside = self._locate(points_mm)
         result = np.where(np.isnan(points).any(axis=1), np.nan, self.ambient)
         if inside.any():
-            delta = self.lookup("double").delta(mi.Array3f64(points[inside].T))
+            delta = self.lookup("double").delta(to_vectors(points[inside]))
             result[inside] += delta.numpy()
         return result
 
@@ -269,9 +269,8 @@ class IndexField:
         points, inside = self._locate(points_mm)
         result = np.where(np.isnan(points).any(axis=1, keepdims=True), np.nan, np.zeros((1, 3)))
         if inside.any():
-            p = mi.Array3f64(points[inside].T)
-            _, gradient = self.lookup("double").delta_and_gradient(p)
-            result[inside] = gradient.numpy().T
+            _, gradient = self.lookup("double").delta_and_gradient(to_vectors(points[inside]))
+            result[inside] = to_numpy(gradient)
         return result
 
     def border_jump(self) -> np.ndarray:
@@ -306,7 +305,7 @@ class IndexField:
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return the points as float64 (N, 3), and which of them are in the box."""
-        points = np.asarray(points_mm, dtype=np.float64)
+        points = points_of(points_mm)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
         low, high = self.box

@@ -14,30 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.spline import bspline_coefficients
-
-_NUMPY_TYPES: dict[Any, Any] = {
-    dr.VarType.Float32: np.float32,
-    dr.VarType.Float64: np.float64,
-    dr.VarType.UInt32: np.uint32,
-}
-
-
-def in_own_memory(array: np.ndarray, scalar: Any) -> Any:
-    """Numbers in C order, flat, as Dr.Jit's own of type `scalar`: Float, Float64 or UInt32.
-
-    The product copies: an aliased NumPy array may be aligned too poorly for packet gathers, and how
-    it is aligned would be compiled in.  The copying is waited for with the array held: without it,
-    workers that give memory back at once (Dask's) died here by signal 11; why is not known.
-    """
-    kind = _NUMPY_TYPES[dr.type_v(scalar)]
-    held: np.ndarray = np.array(array, kind, order="C").ravel()
-    own = scalar(held) * dr.opaque(scalar, 1)
-    dr.eval(own)
-    dr.sync_thread()
-    return own
 
 
 class GridLookup(ABC):

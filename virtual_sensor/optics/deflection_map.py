@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, NdBSpline
 
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.medium.spline import bspline_coefficients
 from virtual_sensor.optics.eikonal import March, Straight
 from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus

@@ -143,10 +143,6 @@ def ray_search(
         if not value > 0.0:
             raise InputError(f"ray_search: {name} must be positive, not {value}")
     (march or REFERENCE).check(scene.field)
-    if not b.size:  # Dr.Jit knows no empty array
-        none = np.zeros((0, 3))
-        nil = np.zeros(0, int)
-        return FoundPixels(none, none[:, :2], none, none[:, 0], nil, nil)
     if method == "paper":
         found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE)
     else:

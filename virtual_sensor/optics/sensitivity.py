@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
+from virtual_sensor.arrays import by_rows, to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
@@ -26,7 +27,6 @@ from virtual_sensor.optics.ray_search import REFERENCE, SearchScene, SearchStatu
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
-from virtual_sensor.optics.trace import to_numpy, to_vectors
 
 Array = NDArray[np.float64]
 
@@ -118,10 +118,19 @@ def line_sensitivity(
     if "field_scale" in asked and scene.field is not None:
         air["field_scale"] = scene.field
 
+    return by_rows(lambda b: _sensitivity(scene, b, asked, known, air, march), b)
+
+
+def _sensitivity(
+    scene: SearchScene,
+    b: Array,
+    asked: Iterable[str],
+    known: Mapping[str, Motion],
+    air: Mapping[str, Field],
+    march: March,
+) -> Sensitivity:
+    """The derivatives asked for, of laser rays at b (N,)."""
     found = ray_search(scene, b, "newton", march=march)
-    if not b.size:  # Dr.Jit knows no empty array
-        none, nil = np.zeros((0, 3)), np.zeros((0, 2))
-        return Sensitivity(b, none, nil, nil, dict.fromkeys(asked, nil), found.status)
     camera, laser = scene.sensor.camera, scene.sensor.laser
     lit = _carry(scene, "laser", Starts.of_laser(laser, b), air, march)
     seen = _carry(scene, "camera", Starts.of_pixels(camera, found.pixel), air, march)

@@ -5,6 +5,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend, in_plane
@@ -12,7 +13,6 @@ from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
 from virtual_sensor.optics.sensor_model import Camera, SensorModel
 from virtual_sensor.optics.surfaces import NoSurface, Surface
-from virtual_sensor.optics.trace import to_numpy, to_scalars, to_vectors
 
 Array = NDArray[np.float64]
 
@@ -68,13 +68,17 @@ def misses(scene: SearchScene, target: Array, pixel: Array, march: March = REFER
     """
     camera = scene.sensor.camera
     axis = camera.pose.rotation[:, 2]
-    line = _line(*_sight(camera, _two(pixel)), march)
     normal = dr.opaque(march.vector(*map(float, axis)))  # one kernel for all poses
-    offset = march.scalar(to_scalars(np.nan_to_num(_two(target)) @ axis))
-    ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
-    ray = bend(scene.field, NoSurface(), line, march, remaining=ends)
-    dr.eval(ray)
-    miss = (target - to_numpy(ray.position(line))[: len(target)]) @ camera.pose.rotation[:, :2]
+
+    def to_plane(target: Array, pixel: Array) -> Array:
+        line = _line(*_sight(camera, pixel), march)
+        offset = march.scalar(to_scalars(np.nan_to_num(target) @ axis))
+        ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
+        ray = bend(scene.field, NoSurface(), line, march, remaining=ends)
+        dr.eval(ray)
+        return to_numpy(ray.position(line))
+
+    miss = (target - by_rows(to_plane, target, pixel)) @ camera.pose.rotation[:, :2]
     return np.where(np.isfinite(pixel).all(axis=1, keepdims=True), miss, np.nan)
 
 
@@ -89,13 +93,11 @@ def _line(origins: Array, directions: Array, march: March) -> Straight:
 
 
 def _to_surface(scene: SearchScene, origins: Array, directions: Array, march: March) -> Array:
-    line = _line(_two(origins), _two(directions), march)
-    ray = bend(scene.field, scene.surface, line, march)
-    dr.eval(ray)  # once: what is asked of it one by one is marched anew each time
-    hit = np.array(ray.status) == RayStatus.HIT
-    return np.where(hit[:, None], to_numpy(ray.position(line)), np.nan)[: len(origins)]
+    def hits(origins: Array, directions: Array) -> Array:
+        line = _line(origins, directions, march)
+        ray = bend(scene.field, scene.surface, line, march)
+        dr.eval(ray)  # once: what is asked of it one by one is marched anew each time
+        hit = np.array(ray.status) == RayStatus.HIT
+        return np.where(hit[:, None], to_numpy(ray.position(line)), np.nan)
 
-
-def _two(rows: Array) -> Array:
-    """At least two rows: one alone would be a number to Dr.Jit, and compile its own kernel."""
-    return np.repeat(rows, 2, axis=0) if len(rows) == 1 else rows
+    return by_rows(hits, origins, directions)

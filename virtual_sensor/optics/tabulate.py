@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.optics.deflection_map import CameraMap, Grid, LaserMap, LinearTable, Table
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sensor_model import LaserLine, Pose
 from virtual_sensor.optics.surfaces import NoSurface
-from virtual_sensor.optics.trace import to_scalars, to_vectors
 
 Array = NDArray[np.float64]
 

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.engine import dr, mi
+from virtual_sensor.arrays import by_rows, points_of, to_numpy, to_scalars, to_vectors
+from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.lookups import in_own_memory
 from virtual_sensor.optics.eikonal import Field, March, Straight, after_length, bend
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,9 @@ class Rays:
         those of the last step).
     """
 
-    position: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    optical_path_mm: NDArray[np.float64]
+    position: Array
+    direction: Array
+    optical_path_mm: Array
     status: NDArray[np.uint32]
 
 
@@ -63,8 +65,8 @@ def trace(
     InputError
         If shapes do not match, a number is not finite, a direction is zero or a length negative.
     """
-    origins, directions = (np.atleast_2d(np.asarray(x, float)) for x in (origins_mm, directions))
-    if origins.shape != directions.shape or origins.shape[1:] != (3,) or not len(origins):
+    origins, directions = (np.atleast_2d(points_of(x)) for x in (origins_mm, directions))
+    if origins.shape != directions.shape or origins.shape[1:] != (3,):
         raise InputError(
             f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
         )
@@ -81,8 +83,16 @@ def trace(
         raise InputError("trace: lengths must be finite and not negative")
     lengths = np.broadcast_to(lengths, norm.shape)
     march = March(step_mm, method, precision, tolerance_mm=tolerance_mm)
-    o, d = to_vectors(origins), to_vectors(scaled / norm[:, None])
-    line = Straight.through(o, d, march)
+
+    def marched(origins: Array, directions: Array, lengths: Array) -> Rays:
+        return _marched(field, march, origins, directions, lengths)
+
+    return by_rows(marched, origins, scaled / norm[:, None], lengths)
+
+
+def _marched(field: Field, march: March, origins: Array, directions: Array, lengths: Array) -> Rays:
+    """March rays in unit directions."""
+    line = Straight.through(to_vectors(origins), to_vectors(directions), march)
     ends = after_length(march.scalar(to_scalars(lengths)))
     ray = bend(field, NoSurface(), line, march, remaining=ends)
     dr.eval(ray)
@@ -102,22 +112,3 @@ def trace(
         relative * (1.0 + field.ambient),
         status,
     )
-
-
-def to_scalars(values: NDArray[np.float64]) -> mi.Float64:
-    """Numbers (N,) in Dr.Jit's own memory: how NumPy's is aligned would be compiled in."""
-    return in_own_memory(values, mi.Float64)
-
-
-def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
-    """Points (N, 3) as Dr.Jit vectors."""
-    held = np.array(points.T, float, order="C")
-    vectors = mi.Array3f64(held)
-    dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
-    dr.sync_thread()  # see `in_own_memory`
-    return vectors
-
-
-def to_numpy(vectors: object) -> NDArray[np.float64]:
-    """Dr.Jit vectors of any precision as points (N, 3)."""
-    return np.array(vectors, float).T

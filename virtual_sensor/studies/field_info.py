@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import FACES, LitLine, border_crossings, lit_line
 from virtual_sensor.imaging.scene import Scene, load_scene
@@ -15,7 +16,6 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, read_field_file
 from virtual_sensor.medium.netcdf_elements import number, open_netcdf, read_times, text, units_of
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.optics.trace import to_vectors
 from virtual_sensor.studies.field_grid import Loss, Structure, grid_losses, narrowest_structures
 from virtual_sensor.studies.measure import NINE_RAYS_MM
 
@@ -223,7 +223,11 @@ def field_info(
 def inside_part(scene: Scene, points_mm: Array) -> NDArray[np.bool_]:
     """Which world points (N, 3) lie inside the scene's part; shape (N,)."""
     up = np.broadcast_to([0.0, 0.0, 1.0], points_mm.shape)
-    return np.array(scene.surface.starts_inside(to_vectors(points_mm), to_vectors(up)))
+
+    def inside(points_mm: Array, up: Array) -> NDArray[np.bool_]:
+        return np.array(scene.surface.starts_inside(to_vectors(points_mm), to_vectors(up)))
+
+    return by_rows(inside, points_mm, up)
 
 
 def _node_places(field: IndexField) -> Array:

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from virtual_sensor_plugins.lit_pixels import LitPixels, rows
 from virtual_sensor_plugins.refractive import Refractive
 
+from virtual_sensor.arrays import at_least
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene, load_scene
@@ -235,9 +236,7 @@ def groups(column: Index, middle: Array) -> Index:
 
 def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
     """Lit pixels of some columns only."""
-    keep = np.flatnonzero(np.isin(lit.index % width, column)).astype(np.uint32)
-    if not keep.size:
-        keep = np.zeros(1, np.uint32)  # Dr.Jit knows no empty array
+    keep = at_least(1, np.flatnonzero(np.isin(lit.index % width, column)).astype(np.uint32))
     return replace(lit, index=lit.index[keep], sight=rows(lit.sight, keep))
 
 

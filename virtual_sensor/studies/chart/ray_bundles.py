@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
@@ -17,7 +18,6 @@ from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
 from virtual_sensor.optics.tabulate import camera_map
-from virtual_sensor.optics.trace import to_numpy, to_scalars, to_vectors
 
 Array = NDArray[np.float64]
 

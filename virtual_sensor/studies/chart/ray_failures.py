@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
@@ -14,7 +15,7 @@ from virtual_sensor.medium.exact_fields import ExactField, hot_spot, linear
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, never
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, Surface
-from virtual_sensor.optics.trace import to_numpy, to_vectors, trace
+from virtual_sensor.optics.trace import trace
 from virtual_sensor.studies.chart import air_failures
 from virtual_sensor.studies.chart.air_failures import TOO_MUCH_PX, HotAir
 from virtual_sensor.studies.chart.ray_bundles import MM_PER_PX

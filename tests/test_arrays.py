@@ -1,0 +1,103 @@
+"""Nothing given gives nothing, and what goes through Dr.Jit comes back as it was."""
+
+import inspect
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor.arrays import at_least, by_rows, in_own_memory, to_numpy, to_scalars, to_vectors
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.optics.newton_search import newton_along_line
+from virtual_sensor.optics.sensitivity import laser_y_at, line_sensitivity
+from virtual_sensor.optics.sight import incidence_points, misses, seen_points
+from virtual_sensor.studies.field_info import inside_part
+
+NONE = np.zeros(0)
+POINTS, PIXELS = np.zeros((0, 3)), np.zeros((0, 2))
+HOT = load_scene("hot_cylinder", width=64, height=64)
+
+EMPTY = {
+    "air_refractivity": lambda: vs.air_refractivity(532.0, NONE),
+    "ray_search": lambda: vs.ray_search(HOT, NONE),
+    "ray_search, of a list, by Newton": lambda: vs.ray_search(HOT, [], "newton"),
+    "trace": lambda: vs.trace(HOT.field, POINTS, POINTS, NONE),
+    "trace, of lists": lambda: vs.trace(HOT.field, [], [], 3.0),
+    "triangulate": lambda: vs.triangulate(HOT.sensor, PIXELS),
+    "IndexField.refractivity": lambda: HOT.field.refractivity(POINTS),
+    "IndexField.gradient": lambda: HOT.field.gradient([]),
+    "line_sensitivity": lambda: line_sensitivity(HOT, NONE),
+    "laser_y_at": lambda: laser_y_at(HOT, NONE),
+    "incidence_points": lambda: incidence_points(HOT, NONE),
+    "seen_points": lambda: seen_points(HOT, PIXELS),
+    "misses": lambda: misses(HOT, POINTS, PIXELS),
+    "newton_along_line": lambda: newton_along_line(HOT, NONE),
+    "inside_part": lambda: inside_part(HOT, POINTS),
+    "Camera.project": lambda: HOT.sensor.camera.project(POINTS),
+    "Camera.lines_of_sight": lambda: HOT.sensor.camera.lines_of_sight(PIXELS),
+}
+# What takes a name, a scene or an image: an image has pixels.
+OTHERS = {"load_scene", "render", "render_frame", "record", "line_centres"}
+
+
+def lengths(result):
+    """Lengths of all arrays in a result."""
+    if is_dataclass(result):
+        return {n for f in fields(result) for n in lengths(getattr(result, f.name))}
+    if isinstance(result, dict):
+        return {n for value in result.values() for n in lengths(value)}
+    return {len(result)}
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_nothing_given_gives_nothing(name):
+    """Rationale: a line of which nothing was found is no error, whatever is asked of it."""
+    assert lengths(EMPTY[name]()) == {0}
+
+
+def test_every_public_function_is_asked_for_nothing():
+    """Rationale: a function that is new must answer to nothing too."""
+    functions = {name for name in vs.__all__ if inspect.isfunction(getattr(vs, name))}
+    assert functions - OTHERS == functions & EMPTY.keys()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_rows_come_back_as_they_went(count):
+    """Rationale: the rows that Dr.Jit is given beside those of the caller are nobody's."""
+    points = np.random.default_rng(1).random((count, 3))
+
+    def through(points, numbers):
+        assert len(points) > 1
+        assert len(numbers) > 1
+        return {"points": to_numpy(to_vectors(points)), "both": (to_scalars(numbers).numpy(), "")}
+
+    result = by_rows(through, points, points[:, 1])
+    np.testing.assert_array_equal(result["points"], points)
+    np.testing.assert_array_equal(result["both"][0], points[:, 1])
+
+
+def test_rows_for_nothing_are_rows_that_exist():
+    """Rationale: pixel 0 exists in every image, and a direction of ones is one."""
+    assert at_least(1, np.zeros(0, np.uint32)).tolist() == [0]
+    assert at_least(2, np.zeros((0, 3))).tolist() == [[1.0] * 3] * 2
+    assert at_least(2, np.array([7, 8, 9])).tolist() == [7, 8, 9]
+
+
+@pytest.mark.parametrize("brought", [to_vectors, to_scalars])
+def test_an_empty_array_does_not_reach_drjit(brought):
+    """Rationale: a ray query of none ends the process, with everything that is not saved."""
+    with pytest.raises(ValueError, match="no empty array"):
+        brought(POINTS)
+
+
+@pytest.mark.parametrize("kind", [mi.Float, mi.Float64, mi.UInt32])
+def test_numbers_are_drjits_own(kind):
+    """Rationale: NumPy's memory may change, or go, while a kernel is still to read it."""
+    numbers = np.arange(12, dtype=np.int64).reshape(3, 4)
+    own = in_own_memory(numbers.T, kind)
+    expected = numbers.T.ravel().tolist()
+    numbers[:] = -1
+    assert dr.width(own) == 12
+    assert own.numpy().tolist() == expected
