@@ -47,31 +47,31 @@ class Account:
 
     Attributes
     ----------
-    way : str
-        "tabulated" or another of the integrator's.
+    transport : str
+        "tabulated" or another of `TRANSPORTS`.
     reason : str
-        Why it is not the way that was asked for; "" if it is.
+        Why it is not the transport that was asked for; "" if it is.
     camera, laser : Fineness or None
         Of the tables.
     error_px : float
         The tables' own estimate of their error; NaN without tables.
     march_px : float
         What half the march's step changes at some lit pixels, at most; NaN where none were asked.
-    samples, exact : int
+    samples, marched : int
         Samples that looked for the laser's light, and those of them that the tables couldn't tell
         of and that were marched.
     folded : int
         Pixels near the line to whose centre no single laser ray was found: they are black.
     """
 
-    way: str
+    transport: str
     reason: str = ""
     camera: Fineness | None = None
     laser: Fineness | None = None
     error_px: float = float("nan")
     march_px: float = float("nan")
     samples: int = 0
-    exact: int = 0
+    marched: int = 0
     folded: int = 0
 
 
@@ -92,7 +92,7 @@ class LitPixels:
 
     index: NDArray[np.uint32]
     sight: Sight
-    account: Account = field(default_factory=lambda: Account("exact"))
+    account: Account = field(default_factory=lambda: Account("marched"))
     tables: Any = None
 
 

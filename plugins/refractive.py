@@ -1,7 +1,6 @@
 """The `refractive` integrator: what a camera sees through air of varying refractive index."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,9 +30,7 @@ from virtual_sensor.optics.illumination import Illumination, LightStatus, illumi
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.tabulate import NoMapError
-
-WAYS = ("tabulated", "exact", "first_order", "straight")
-"""How bent rays are found, by name."""
+from virtual_sensor.optics.transports import Transport
 
 _LONGEST_NAME = 100  # of a file, in a message that names several places
 _MOST_STEPS = 40_000  # of a march: twice the default, for rays aslant through the field
@@ -53,7 +50,7 @@ class Refractive(mi.SamplingIntegrator):
     widen            1           Factor by which the field is stretched along y; 1: none
     blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
     wavelength       532         Vacuum wavelength of the light, nm
-    way              "tabulated" From tables of the bent rays; "exact": each sample's rays are
+    transport        "tabulated" From tables of the bent rays; "marched": each sample's rays are
                                  marched, its laser ray found by Newton; "first_order": so, but
                                  deflected as if it ran straight; "straight": no refraction
     tolerance        0.003       Largest error of the tables, px
@@ -85,22 +82,21 @@ class Refractive(mi.SamplingIntegrator):
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
-        self.way = str(props.get("way", "tabulated"))
-        if self.way not in WAYS:
-            raise InputError(f"refractive: 'way' must be one of {', '.join(WAYS)}, not {self.way}")
-        self.tolerance_px = float(props.get("tolerance", 0.003))
-        if not 0.0 < self.tolerance_px < np.inf:
+        if "way" in props:
             raise InputError(
-                f"refractive: 'tolerance' must be a positive number of px, not {self.tolerance_px}"
+                "refractive: 'way' is called 'transport' now, and its \"exact\" is \"marched\";"
+                ' put <string name="transport" value="..."/> in its place'
             )
         try:
-            self.march = March(
+            march = March(
                 step_mm=float(props.get("step", 2.0)),
                 method=str(props.get("method", "leapfrog")),
                 precision=str(props.get("precision", "single")),
-                first_order=self.way == "first_order",
                 max_steps=_MOST_STEPS,
             )
+            name_of_transport = str(props.get("transport", "tabulated"))
+            tolerance_px = float(props.get("tolerance", 0.003))
+            self.transport = Transport(name_of_transport, march, tolerance_px)
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
         self.glows = True
@@ -122,42 +118,40 @@ class Refractive(mi.SamplingIntegrator):
 
     def with_field(self, field: IndexField | None) -> "Refractive":
         """The same integrator in other air, taken as it is; None: a cold part, straight light."""
-        other = self.with_way(self.way, self.march, self.tolerance_px)
+        other = self.with_transport(self.transport)
         other.field, other.air = field, self.air.without_file()
         other.glows = self.glows and field is not None
         return other
 
-    def with_way(self, way: str, march: March, tolerance_px: float) -> "Refractive":
-        """Another way through the same air."""
-        choices = {"step": march.step_mm, "method": march.method, "precision": march.precision}
-        choices |= {"way": way, "tolerance": tolerance_px}
-        other = mi.load_dict({"type": "refractive", **choices})
+    def with_transport(self, transport: Transport) -> "Refractive":
+        """Another transport through the same air."""
+        other = mi.load_dict({"type": "refractive"})
         other.field, other.air, other.glows = self.field, self.air, self.glows
-        other.march = replace(march, first_order=way == "first_order")
+        other.transport = transport
         return other
 
     @property
     def _refracting(self) -> IndexField | None:
         """The air that bends light; an InputError if the march can't get through it."""
-        if self.way == "straight":
+        if self.transport.name == "straight":
             return None
         try:
-            self.march.check(self.field)
+            self.transport.march.check(self.field)
         except InputError as error:
             raise InputError(f"refractive: {error} (step)") from None
         return self.field
 
     def look(self, scene: mi.Scene, ray: Any, guess: Any = None, active: Any = True) -> Sight:
         """Follow camera rays to the surface and find the laser's light there, by marching."""
-        surface = SceneSurface(scene)
-        line = Straight.through(ray.o, ray.d, self.march)
+        surface, march = SceneSurface(scene), self.transport.march
+        line = Straight.through(ray.o, ray.d, march)
         field = self._refracting
-        bent = bend(field, surface, line, self.march, active=active)
+        bent = bend(field, surface, line, march, active=active)
         hit = active & (bent.status == int(RayStatus.HIT))
         point, heading = bent.position(line), dr.normalize(bent.tangent(line))
         dr.eval(point, heading, hit)  # else what uses them would march again
         line_laser = laser_of(scene).line
-        light = illuminate(line_laser, field, surface, point, self.march, guess=guess, active=hit)
+        light = illuminate(line_laser, field, surface, point, march, guess=guess, active=hit)
         return Sight(point, heading, hit, light)
 
     def sample(
@@ -228,20 +222,20 @@ class Refractive(mi.SamplingIntegrator):
 
     def lit_pixels(self, scene: mi.Scene, sensor: mi.Sensor) -> LitPixels:
         """The pixels that the laser reaches, with the truth at their centres."""
-        account = Account(self.way)
-        if self.way in ("tabulated", "straight"):
+        account = Account(self.transport.name)
+        if self.transport.name in ("tabulated", "straight"):
             try:
                 found = lit_pixels_and_tables(
                     scene,
                     sensor,
                     laser_of(scene),
                     self._refracting,
-                    self.march,
-                    self.tolerance_px,
+                    self.transport.march,
+                    self.transport.tolerance_px,
                     account,
                 )
             except NoMapError as why:
-                account = Account("exact", str(why), march_px=account.march_px)
+                account = Account("marched", str(why), march_px=account.march_px)
             else:
                 if found:
                     return found
@@ -325,7 +319,7 @@ class Refractive(mi.SamplingIntegrator):
         if lit.tables is not None and not laser_alone:
             rest = np.delete(every, lit.index)
             try:
-                bent = Elsewhere(scene, sensor, self._refracting, self.march).bent
+                bent = Elsewhere(scene, sensor, self._refracting, self.transport.march).bent
             except NoMapError as why:
                 lit.account.reason = f"pixels without laser light were marched: {why}"
                 exposure.add(rest, by_marching, _LANES["marched"])
@@ -341,7 +335,7 @@ class Refractive(mi.SamplingIntegrator):
         """What rays see by the tables; those of which these can't tell are marched, and counted."""
         sight, doubtful = lit.tables.look(ray)
         lit.account.samples += dr.width(doubtful)
-        lit.account.exact += int(dr.count(doubtful)[0])
+        lit.account.marched += int(dr.count(doubtful)[0])
         return self._marched_again(scene, ray, sight, doubtful)
 
     def _marched_again(self, scene: mi.Scene, ray: Any, sight: Sight, doubtful: Any) -> Sight:
@@ -353,7 +347,7 @@ class Refractive(mi.SamplingIntegrator):
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
-        return f"Refractive[{self.march}, field={self.air.path}]"
+        return f"Refractive[{self.transport.march}, field={self.air.path}]"
 
 
 def _instant(text: str) -> float | None:

@@ -14,9 +14,9 @@ from virtual_sensor.engine import dr
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.studies.chart.frames import SCENE, frame_anew, frame_direct, with_lamp
 
-# Exact rays to every pixel of a lit scene take minutes a frame, and tell nothing of speed.
+# Marched rays to every pixel of a lit scene take minutes a frame, and tell nothing of speed.
 LIGHTS: dict[str, tuple[Callable[..., Scene], tuple[str, ...]]] = {
-    "laser only": (partial(load_scene, SCENE), ("tabulated", "exact")),
+    "laser only": (partial(load_scene, SCENE), ("tabulated", "marched")),
     "whole scene": (with_lamp, ("tabulated",)),
 }
 
@@ -35,12 +35,12 @@ class FrameRow:
 def measured(film_px: int, spp: int, runs: int) -> Iterator[FrameRow]:
     """The stock frame, then ours, under the laser alone and with the whole scene lit."""
     size = {"width": film_px, "height": film_px, "spp": spp}
-    for light, (load, ways) in LIGHTS.items():
+    for light, (load, transports) in LIGHTS.items():
         stock, cpu = _timed(partial(frame_direct, load(**size)), runs)
         yield FrameRow(light, "stock direct, cold", stock, cpu, 1.0)
-        for way in ways:
-            seconds, cpu = _timed(partial(frame_anew, load(way=way, **size)), runs)
-            yield FrameRow(light, f"ours, hot, {way}", seconds, cpu, seconds / stock)
+        for name in transports:
+            seconds, cpu = _timed(partial(frame_anew, load(transport=name, **size)), runs)
+            yield FrameRow(light, f"ours, hot, {name}", seconds, cpu, seconds / stock)
 
 
 def _timed(frame: Callable[[], Any], runs: int) -> tuple[float, float]:

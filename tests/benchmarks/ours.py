@@ -87,7 +87,7 @@ def peers(scene: Scene) -> list[Peer]:
 
 
 def _tabulated(scene: Scene) -> list[Peer]:
-    """The tabulated way, the making of the table included."""
+    """The tabulated transport, the making of the table included."""
 
     def prepared(problem: Problem, setting: float) -> Callable[[], Array]:
         rays = Bundle(problem.starts, problem.directions, problem.targets, problem.normal)

@@ -81,10 +81,10 @@ def summary(trials: list[Trial]) -> tuple[str, bool]:
     cost = np.array([t.cost_ratio for t in chosen if t.cheapest])
     within = float(np.mean(error <= 1.0)) if chosen else 0.0
     worst = float(error.max(initial=0.0))
-    ways = {way: sum(t.rung.way == way for t in chosen) for way in ("straight", "tabulated")}
+    by_name = {n: sum(t.rung.transport == n for t in chosen) for n in ("straight", "tabulated")}
     lines = [
         f"{len(trials)} scenes; {len(trials) - len(chosen)} without a rung;"
-        f" {', '.join(f'{count} {way}' for way, count in ways.items())}",
+        f" {', '.join(f'{count} {name}' for name, count in by_name.items())}",
         f"error within the tolerance: {100.0 * within:.1f} % of {len(chosen)};"
         f" largest {worst:.2f} times it; median {np.median(error):.2f}",
     ]
@@ -122,7 +122,7 @@ def _row(number: int, done: Trial) -> dict[str, Any]:
         "scene": number,
         **done.parameters,
         "tolerance_px": done.tolerance_px,
-        "way": rung.way if rung else "",
+        "transport": rung.transport if rung else "",
         "step_mm": rung.step_mm if rung else "",
         "spp": rung.spp if rung else "",
         "estimate_px": rung.error_px if rung else "",

@@ -148,7 +148,7 @@ def test_a_line_much_longer_than_the_image_costs_no_more():
     for table in ("camera", "laser"):
         nodes = [getattr(frame.account, table).nodes for frame in frames]
         assert nodes[0] == nodes[1]
-    assert frames[1].account.way == "tabulated"
+    assert frames[1].account.transport == "tabulated"
     np.testing.assert_allclose(5.0 * frames[1].radiance, frames[0].radiance, rtol=1e-4, atol=1e-9)
 
 

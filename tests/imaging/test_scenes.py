@@ -80,7 +80,7 @@ def test_parameters_reach_the_scene():
         **{"width": 400, "height": 300, "spp": 4, "step": 1.5, "method": "rk4", "fan": 1},
         precision="double",
     )
-    sensor, march = scene.sensor, scene.integrator.march
+    sensor, march = scene.sensor, scene.transport.march
     assert sensor.triangulation_angle_deg == pytest.approx(45.0, abs=1e-4)
     tilt = np.degrees(np.arcsin(sensor.laser.pose.origin_mm[0] / 300.0))
     assert tilt == pytest.approx(-20.0, abs=1e-4)
@@ -138,7 +138,7 @@ def test_a_time_picks_an_instant_of_the_field(gusty):
     np.testing.assert_array_equal(last.field.refractivity(p), n_last)
     assert other.mitsuba is last.mitsuba
     assert (other.sensor, other.surface) == (last.sensor, last.surface)
-    assert other.integrator.march == last.integrator.march
+    assert other.transport == last.transport
     assert other.parameters == between.parameters | {"time": "2"}
 
 

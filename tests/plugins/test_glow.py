@@ -48,10 +48,9 @@ def test_the_glow_does_not_move_the_line(glowing):
 
 
 def test_the_cold_part_does_not_glow(glowing):
-    """In homogeneous air the part is taken as cold; another way through the air changes nothing."""
+    """In homogeneous air the part is taken as cold; another transport changes nothing."""
     assert np.mean(render(glowing.cold()) > 0.0) < 0.1
-    march = glowing.integrator.march
-    assert glowing.integrator.with_way("straight", march, 0.003).glows
+    assert glowing.with_transport(glowing.transport.by("straight")).integrator.glows
 
 
 def test_beside_a_lamp_the_cold_part_does_not_glow_either():

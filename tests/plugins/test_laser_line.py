@@ -103,7 +103,7 @@ def test_hot_air_concentrates_light_and_loses_none():
     line, cells = emitter.line, (56, 480)
     x, y, depth, cell = on_plane(line.distance_mm - 5.0, width=1.4, cells=cells)
     points = mi.Array3f(line.pose.to_world(np.column_stack([x, y, depth])).T)
-    light = illuminate(line, scene.field, NoSurface(), points, scene.integrator.march)
+    light = illuminate(line, scene.field, NoSurface(), points, scene.transport.march)
     cosine = np.array(light.heading).T @ line.pose.rotation[:, 2]
 
     density = np.array(emitter.irradiance(light.a, light.b, light.concentration))

@@ -1,7 +1,5 @@
 """Light of other emitters beside the laser: by tables as by marching, and by Lambert's law."""
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -45,9 +43,7 @@ def lit_by(tmp_path, name, lights, **parameters):
 
 def marched(scene):
     """The same with every ray marched."""
-    integrator = scene.integrator
-    exact = integrator.with_way("exact", integrator.march, integrator.tolerance_px)
-    return replace(scene, integrator=exact)
+    return scene.with_transport(scene.transport.by("marched"))
 
 
 def pixels_off(scene, seeds=1):

@@ -250,11 +250,11 @@ def test_air_that_cannot_be_broadened_is_refused(parameters, expected):
     assert "hot_cylinder.xml, line " in str(refusal.value)
 
 
-def test_another_way_keeps_the_air_and_what_is_said_of_it():
+def test_another_transport_keeps_the_air_and_what_is_said_of_it():
     """Rationale: of a burst by --tolerance the file was unknown, and another instant less broad."""
     scene = vs.load_scene("hot_cylinder", widen=1.2, blur=3)
     given = scene.integrator
-    other = given.with_way("exact", given.march, 0.01)
+    other = given.with_transport(given.transport.by("marched"))
     assert other.field is given.field
     assert other.air == given.air
     assert (other.air.widen, other.air.blur_mm) == (1.2, 3.0)

@@ -1,4 +1,4 @@
-"""The tabulated way against marching every ray: what it tells, what it can't, and what it says."""
+"""The tabulated transport against marching every ray: what it tells and what it can't."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def nodes(account):
 def frames(request):
     """A scene's name, its frame by tables, and that of rays all marched in double precision."""
     scene = load(request.param)
-    exact = load(request.param, way="exact", precision="double")
+    exact = load(request.param, transport="marched", precision="double")
     return request.param, render_frame(scene), render_frame(exact)
 
 
@@ -50,7 +50,7 @@ def frames(request):
 def test_line_centres_are_those_of_marched_rays(frames):
     """Rationale: this is what a measurement is made of; ends of the line and steps included."""
     _, frame, exact = frames
-    assert frame.account.way == "tabulated"
+    assert frame.account.transport == "tabulated"
     lines, expected = vs.line_centres(frame.radiance), vs.line_centres(exact.radiance)
     found = np.isfinite(expected.pixel[:, 1])
     np.testing.assert_array_equal(np.isfinite(lines.pixel[:, 1]), found)
@@ -77,15 +77,15 @@ def test_the_truth_is_that_of_marched_rays(frames):
 def step():
     """Where the line breaks at a step of the shaft: lit pixels there, by tables and marched."""
     images = {}
-    for way in ("tabulated", "exact"):
-        scene = load("stepped_shaft", width=1024, height=1024, way=way)
+    for name in ("tabulated", "marched"):
+        scene = load("stepped_shaft", width=1024, height=1024, transport=name)
         sensor = scene.mitsuba.sensors()[0]
         held = mi.traverse(sensor)
         held["film.crop_offset"] = mi.ScalarPoint2u(410, 525)
         held["film.crop_size"] = mi.ScalarVector2u(72, 24)
         held.update()
-        images[way] = np.array(scene.integrator.render(scene.mitsuba, sensor))[..., 0]
-        if way == "exact":
+        images[name] = np.array(scene.integrator.render(scene.mitsuba, sensor))[..., 0]
+        if name == "marched":
             pixels = dr.arange(mi.UInt32, 72 * 24)
             place = [(k + 0.5) / 2.0 for k in range(2)]
             images["alone"] = 0.0
@@ -98,14 +98,14 @@ def step():
     return images
 
 
-@pytest.mark.parametrize("way", ["tabulated", "exact"])
-def test_samples_beside_a_step_get_their_own_light(step, way):
+@pytest.mark.parametrize("name", ["tabulated", "marched"])
+def test_samples_beside_a_step_get_their_own_light(step, name):
     """Rationale: a pixel whose centre is in the shadow has samples that are not.
 
     Compared with rays that know nothing of their pixel's centre.
     """
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
-    apart = np.abs(step[way] - step["alone"])[inner]
+    apart = np.abs(step[name] - step["alone"])[inner]
     assert np.count_nonzero(step["alone"][inner]) > 300
     assert apart.max() < 2e-3 * step["alone"].max()
 
@@ -113,7 +113,9 @@ def test_samples_beside_a_step_get_their_own_light(step, way):
 @pytest.fixture(scope="module")
 def small():
     """A small frame of marched rays, in double precision."""
-    return render_frame(vs.load_scene("hot_cylinder", **SMALL, way="exact", precision="double"))
+    return render_frame(
+        vs.load_scene("hot_cylinder", **SMALL, transport="marched", precision="double")
+    )
 
 
 @pytest.fixture(scope="module")
@@ -148,10 +150,10 @@ def test_a_looser_tolerance_makes_coarser_tables(by_tolerance):
 
 def test_the_straight_way_is_the_cold_frame():
     """Rationale: bit for bit, though the hot air's field is loaded."""
-    scene = vs.load_scene("hot_cylinder", **SMALL, way="straight")
+    scene = vs.load_scene("hot_cylinder", **SMALL, transport="straight")
     frame, cold = render_frame(scene), render_frame(scene.cold())
     assert scene.field is not None
-    assert frame.account.way == "straight"
+    assert frame.account.transport == "straight"
     np.testing.assert_array_equal(frame.radiance, cold.radiance)
     np.testing.assert_array_equal(frame.point_mm, cold.point_mm)
 
@@ -161,7 +163,7 @@ def test_the_straight_way_is_the_cold_frame():
     [
         ({"interpolation": "linear"}, 1e-3),
         ({"dimensions": 2}, 1e-3),
-        ({"way": "first_order"}, 1e-3),
+        ({"transport": "first_order"}, 1e-3),
     ],
     ids=["linear", "extruded", "first order"],
 )
@@ -176,7 +178,8 @@ def test_choices_of_the_model_are_taken(small, choice, least_px):
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [
-        ({"way": "teleported"}, "tabulated, exact, first_order, straight, not teleported"),
+        ({"transport": "teleported"}, "tabulated, marched, first_order, straight, not teleported"),
+        ({"transport": "exact"}, "tabulated, marched, first_order, straight, not exact"),
         ({"tolerance": 0}, "'tolerance' must be a positive number of px, not 0"),
         ({"tolerance": -0.1}, "'tolerance' must be a positive number of px, not -0.1"),
         ({"tolerance": "nan"}, "'tolerance' must be a positive number of px, not nan"),
@@ -189,6 +192,17 @@ def test_choices_that_are_none_are_refused(parameters, expected):
     with pytest.raises(vs.InputError, match=expected) as refusal:
         vs.load_scene("hot_cylinder", **parameters)
     assert "hot_cylinder.xml, line " in str(refusal.value)
+
+
+def test_an_old_scenes_way_is_refused_with_the_new_name(tmp_path):
+    """Rationale: scenes written for 0.5 are about, and must not be rendered otherwise silently."""
+    text = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
+    old = tmp_path / "old.xml"
+    old.write_text(text.replace('<string name="transport"', '<string name="way"'), encoding="utf-8")
+    field = shipped_scenes() / "fields" / "hot_cylinder_1250C_quarter.nc"
+    with pytest.raises(vs.InputError, match=r"'way' is called 'transport' now") as no:
+        vs.load_scene(old, **SMALL, field=field)
+    assert "old.xml, line " in str(no.value)
 
 
 # ------------------------------------------------------------------------- what it can't tell
@@ -214,7 +228,7 @@ def test_samples_off_the_tables_are_marched_and_counted(small):
     image = np.array(scene.integrator.render(scene.mitsuba, sensor, lit=off))[..., 0]
     samples = 4 * lit.index.size
     assert off.account.samples == samples
-    assert 0.2 * samples < off.account.exact < 0.6 * samples
+    assert 0.2 * samples < off.account.marched < 0.6 * samples
     apart = np.abs(image - small.radiance) / small.radiance.max()
     one, other = apart[:, :126].max(), apart[:, 130:].max()  # p grows along u, or against it
     assert min(one, other) < 2e-3 < 0.05 < max(one, other)
@@ -232,11 +246,11 @@ def folded():
 def test_a_folded_map_falls_back_to_marching_and_says_why(folded):
     """Rationale: the frame is that of marched rays to the bit, and the account tells."""
     _, frame = folded
-    assert frame.account.way == "exact"
+    assert frame.account.transport == "marched"
     assert "folds" in frame.account.reason or "caustic" in frame.account.reason
     assert frame.account.camera is None
     assert np.isnan(frame.account.error_px)
-    exact = stronger(vs.load_scene("hot_cylinder", **SMALL, way="exact"), 14.0)
+    exact = stronger(vs.load_scene("hot_cylinder", **SMALL, transport="marched"), 14.0)
     np.testing.assert_array_equal(frame.radiance, render_frame(exact).radiance)
 
 
@@ -266,11 +280,11 @@ def test_light_of_other_emitters_comes_through_the_same_air(tmp_path):
     path.write_text(text.replace("</scene>", POINT + "</scene>"), encoding="utf-8")
     field = shipped.air.path
     frame, exact, cold = (
-        render_frame(vs.load_scene(path, **parameters, field=field, way=way))
-        for way in ("tabulated", "exact", "straight")
+        render_frame(vs.load_scene(path, **parameters, field=field, transport=name))
+        for name in ("tabulated", "marched", "straight")
     )
     top = exact.radiance.max()
-    assert frame.account.way == "tabulated"
+    assert frame.account.transport == "tabulated"
     assert np.count_nonzero(exact.radiance) > 5_000
     apart = np.abs(frame.radiance - exact.radiance)
     assert np.mean(apart <= 0.005 * top) >= 0.99
@@ -290,7 +304,7 @@ def test_tables_give_the_same_bits_with_any_number_of_threads():
             frames.append(render_frame(scene))
     finally:
         dr.set_thread_count(threads)
-    assert frames[0].account.way == "tabulated"
+    assert frames[0].account.transport == "tabulated"
     for frame in frames[1:]:
         np.testing.assert_array_equal(frame.radiance, frames[0].radiance)
         np.testing.assert_array_equal(frame.laser_mm, frames[0].laser_mm)
@@ -316,7 +330,7 @@ def test_another_choice_runs_the_same_kernels(other):
         frame = render_frame(scene)
         kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     large = [k for k in kernels if k["operation_count"] > 50]  # copies are of NumPy's alignment
-    assert frame.account.way == "tabulated"
+    assert frame.account.transport == "tabulated"
     assert large
     anew = [k["operation_count"] for k in large if not k["cache_hit"]]
     # Mitsuba's samplers have their number of samples compiled in: in kernels that make rays, and

@@ -73,7 +73,7 @@ def example():
     rungs = [
         rung(panel, f"{name}, {kind}", 10.0 ** rng.uniform(-7, -4), 10.0 ** rng.uniform(-5, 0), h=h)
         for panel in PANELS
-        for name in ("Euler", "RK4", "exact")
+        for name in ("Euler", "RK4", "marched")
         for kind in ("single", "double")
         for h in (1, 2, 4)
     ]
@@ -254,13 +254,17 @@ def test_pictures_are_as_wide_as_promised_and_show_the_front(example, saved, tmp
 
 
 def test_labels_tell_namesakes_apart():
-    """Rationale: four marks called 'exact' say nothing; settings that all share say nothing."""
-    rungs = [rung(name="exact", spp=spp, step=2) for spp in (1, 4)]
-    rungs += [rung(name="straight", spp=1), rung(name="exact", spp=1, step=2, variant="cuda_x")]
-    assert [label(r, rungs[:3]) for r in rungs[:3]] == ["exact, spp 1", "exact, spp 4", "straight"]
-    assert label(rungs[3], rungs) == "exact, spp 1, variant cuda_x"
-    assert family(rung(name="exact, linear")) == "exact"
-    assert family(rungs[3]) == "exact, GPU"
+    """Rationale: four marks called 'marched' say nothing; settings that all share say nothing."""
+    rungs = [rung(name="marched", spp=spp, step=2) for spp in (1, 4)]
+    rungs += [rung(name="straight", spp=1), rung(name="marched", spp=1, step=2, variant="cuda_x")]
+    assert [label(r, rungs[:3]) for r in rungs[:3]] == [
+        "marched, spp 1",
+        "marched, spp 4",
+        "straight",
+    ]
+    assert label(rungs[3], rungs) == "marched, spp 1, variant cuda_x"
+    assert family(rung(name="marched, linear")) == "marched"
+    assert family(rungs[3]) == "marched, GPU"
 
 
 def test_the_gpus_rows_are_added_and_its_faults_told(invented, monkeypatch):

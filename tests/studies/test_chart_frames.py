@@ -64,8 +64,8 @@ def test_every_rung_is_a_choice_of_its_own():
     for quick in (True, False):
         chosen = [(name, *sorted(settings.items())) for name, settings in frames.ladder(quick)]
         assert len(set(chosen)) == len(chosen)
-    ways = {settings["way"] for _, settings in frames.ladder()}
-    assert ways == {"straight", "first_order", "tabulated", "exact"}
+    names = {settings["transport"] for _, settings in frames.ladder()}
+    assert names == {"straight", "first_order", "tabulated", "marched"}
 
 
 @pytest.mark.parametrize("exponent", [0.5, 1.0])
@@ -83,7 +83,7 @@ def test_frames_that_differ_in_samples_only_are_put_together():
     def rung(spp, seconds, **others):
         settings = {"spp": spp, **others}
         values = (0.1, 0.1, 2.2, seconds, "frame", 1, 0, "say")
-        return Rung("frames", "exact", settings, *values)
+        return Rung("frames", "marched", settings, *values)
 
     rungs = [rung(spp, 0.5 + 0.03 * spp, step=2) for spp in (1, 4, 16, 64)]
     rungs += [rung(spp, 9.0, step=1) for spp in (1, 4)]
@@ -136,14 +136,14 @@ def test_the_lamp_lights_all_and_moves_no_line():
 
 @pytest.mark.slow
 def test_the_panel_ranks_what_is_known():
-    """Rationale: straight light misses by pixels, exact rays by next to nothing.
+    """Rationale: straight light misses by pixels, marched rays by next to nothing.
 
     Mitsuba's `direct` shades itself in the middle of the cylinder and loses columns there, so that
     an rms is of others; the largest error is on the flanks, which both have.
     """
     made = frames.rungs(lambda stage, fraction: None, quick=True)
     errors = {(r.name, r.settings["spp"], r.settings.get("light")): r.error_px for r in made}
-    assert errors["exact", 4, None] < 1e-3
+    assert errors["marched", 4, None] < 1e-3
     assert errors["tabulated", 4, None] < 3e-3
     assert errors["straight", 4, None] > 1.0
     largest = {r.name: r.largest_px for r in made if not r.settings.get("light")}
@@ -154,10 +154,10 @@ def test_the_panel_ranks_what_is_known():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", frame_failures.WAYS)
-def test_no_fold_goes_untold(way):
+@pytest.mark.parametrize("name", frame_failures.TRANSPORTS)
+def test_no_fold_goes_untold(name):
     """Rationale: independent of any status: incidence points of ever larger b go back in y."""
-    found = frame_failures.folding(way, (10, 20))
+    found = frame_failures.folding(name, (10, 20))
     first = float(found.first_at.split()[0])
     scene = load_scene("hot_cylinder")
 

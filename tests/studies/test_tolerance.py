@@ -51,21 +51,21 @@ def test_a_weak_field_needs_no_bent_rays(weak):
     """Rationale: the line moves by less than is asked for; to bend its light is wasted work."""
     px = moved_px(weak)
     rung = choose(weak, 1.3 * px)
-    assert rung.way == "straight"
+    assert rung.transport == "straight"
     assert rung.estimate_px["refraction left out"] == pytest.approx(px, rel=0.01)
 
 
 def test_where_the_line_moves_further_light_is_bent(weak, hot):
     """Rationale: just below what refraction moves the line by, straight light is wrong."""
-    assert choose(weak, 0.9 * moved_px(weak)).way == "tabulated"
-    assert choose(hot, 1.0).way == "tabulated"
+    assert choose(weak, 0.9 * moved_px(weak)).transport == "tabulated"
+    assert choose(hot, 1.0).transport == "tabulated"
 
 
 def test_less_tolerance_is_never_had_for_less(hot):
     """Rationale: each rung asked for less error is as costly in every respect, or more."""
     rungs = [choose(hot, px) for px in (100.0, 0.1, 0.01, 0.003)]
     cost = [(-r.step_mm, r.spp, -r.table_px) for r in rungs]
-    assert [r.way for r in rungs] == ["straight"] + 3 * ["tabulated"]
+    assert [r.transport for r in rungs] == ["straight"] + 3 * ["tabulated"]
     assert (np.diff(cost[1:], axis=0) >= 0).all()
     assert all(r.error_px <= px for r, px in zip(rungs, (100.0, 0.1, 0.01, 0.003), strict=True))
 
@@ -73,7 +73,7 @@ def test_less_tolerance_is_never_had_for_less(hot):
 def test_a_cold_scene_is_rendered_straight():
     """Rationale: without a field there is nothing to weigh but samples."""
     rung = choose(load_scene("cold_cylinder", **FILM), 0.01)
-    assert (rung.way, set(rung.estimate_px)) == ("straight", {"samples"})
+    assert (rung.transport, set(rung.estimate_px)) == ("straight", {"samples"})
     assert rung.error_px <= 0.01
 
 
@@ -116,9 +116,9 @@ def test_it_says_what_it_weighed(rung):
 def test_the_chosen_scene_is_the_rungs(hot, rung):
     """Rationale: what was judged is what the user gets."""
     chosen = with_rung(hot, rung)
-    assert chosen.integrator.way == rung.way
-    assert chosen.integrator.march.step_mm == rung.step_mm
-    assert chosen.integrator.tolerance_px == pytest.approx(rung.table_px, rel=1e-5)
+    assert chosen.transport.name == rung.transport
+    assert chosen.transport.march.step_mm == rung.step_mm
+    assert chosen.transport.tolerance_px == pytest.approx(rung.table_px, rel=1e-5)
     assert chosen.mitsuba.sensors()[0].sampler().sample_count() == rung.spp
 
 
@@ -134,11 +134,12 @@ def test_a_scene_without_the_parameters_is_refused_by_name(hot, tmp_path):
     text = hot.path.read_text(encoding="utf-8")
     fixed = tmp_path / "fixed.xml"
     fixed.write_text(
-        re.sub(r'<default name="way".*', "", text).replace("$way", "exact"), encoding="utf-8"
+        re.sub(r'<default name="transport".*', "", text).replace("$transport", "marched"),
+        encoding="utf-8",
     )
     field = hot.path.parent / "fields/hot_cylinder_1250C_quarter.nc"
     scene = load_scene(fixed, **FILM, field=field)
-    with pytest.raises(InputError, match=r"no parameter 'way'; the scene has: .*step"):
+    with pytest.raises(InputError, match=r"no parameter 'transport'; the scene has: .*step"):
         with_rung(scene, choose(scene, 100.0))
 
 

@@ -103,7 +103,7 @@ def _missed(scene: Scene, camera: Camera, depth_mm: Array) -> str:
     if scene.field and width_px > 1.0:
         return (
             '<integrator type="refractive">: by straight light the line is seen, and no bent ray'
-            " finds it through this field; change the field, or how it is marched (step, way)"
+            " finds it through this field; change the field, or how it is marched (step, transport)"
         )
     return (
         f'<emitter type="laser_line">: no sample of the frame met the line, which is {width_px:.2g}'

@@ -42,7 +42,7 @@ class Frame:
     lit : ndarray of shape (H, W)
         Whether the laser reaches the pixel's centre.
     account : Account
-        How the frame was made: the way, the tables' fineness and error, samples marched.
+        How the frame was made: the transport, the tables' fineness and error, samples marched.
     """
 
     radiance: Image

@@ -46,6 +46,7 @@ from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
+from virtual_sensor.optics.transports import Transport
 
 # Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
@@ -91,6 +92,16 @@ class Scene:
         """Where the field comes from: its file, and what is made of it."""
         description: MediumDescription = self.integrator.air
         return description
+
+    @property
+    def transport(self) -> Transport:
+        """How bent rays are found."""
+        transport: Transport = self.integrator.transport
+        return transport
+
+    def with_transport(self, transport: Transport) -> "Scene":
+        """The same scene by another transport of light."""
+        return replace(self, integrator=self.integrator.with_transport(transport))
 
     def cold(self) -> "Scene":
         """The same scene in homogeneous air."""

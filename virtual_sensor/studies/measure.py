@@ -267,10 +267,10 @@ def made_with(scene: Scene) -> dict[str, Any]:
         "llvm": str(running.llvm.path) if running.llvm else None,
         "threads": running.threads,
         "python": platform.python_version(),
-        "way": scene.integrator.way,
+        "transport": scene.transport.name,
         "samples per pixel": int(scene.mitsuba.sensors()[0].sampler().sample_count()),
-        "step, mm": scene.integrator.march.step_mm,
-        "march": str(scene.integrator.march),
+        "step, mm": scene.transport.march.step_mm,
+        "march": str(scene.transport.march),
         **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
     }
 
@@ -335,7 +335,7 @@ def frame_account(account: Account) -> dict[str, Any]:
     """How a frame was made, in words."""
     tables = account.camera is not None and account.laser is not None
     return {
-        "way": account.way,
+        "transport": account.transport,
         "why not as asked": account.reason or None,
         "tables": {
             "nodes of the camera's": account.camera.nodes,
@@ -345,7 +345,7 @@ def frame_account(account: Account) -> dict[str, Any]:
         if tables
         else None,
         "samples": account.samples,
-        "of them marched, where the tables could not tell": account.exact,
+        "of them marched, where the tables could not tell": account.marched,
         "pixels of folded light, black": account.folded,
     }
 

@@ -87,8 +87,8 @@ def frame_notes(
     notes = []
     if account.reason:
         notes.append(
-            f"the frame was made the {account.way} way: {account.reason}; {account.folded} pixels"
-            " of folded light are black"
+            f"the frame was {account.transport}: {account.reason}; {account.folded} pixels of"
+            " folded light are black"
         )
     if account.march_px > FINE_PX:
         notes.append(

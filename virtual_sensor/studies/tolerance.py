@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from virtual_sensor_plugins.lit_pixels import LitPixels, rows
-from virtual_sensor_plugins.refractive import Refractive
 
 from virtual_sensor.arrays import at_least
 from virtual_sensor.errors import InputError
@@ -48,7 +47,7 @@ class Rung:
 
     Attributes
     ----------
-    way : str
+    transport : str
     step_mm : float
     spp : int
     table_px : float
@@ -59,7 +58,7 @@ class Rung:
         In words, what was weighed.
     """
 
-    way: str
+    transport: str
     step_mm: float
     spp: int
     table_px: float
@@ -75,7 +74,7 @@ class Rung:
     def parameters(self) -> dict[str, str]:
         """The scene's parameters that choose it."""
         return {
-            "way": self.way,
+            "transport": self.transport,
             "step": f"{self.step_mm:g}",
             "spp": str(self.spp),
             "tolerance": f"{self.table_px:g}",
@@ -83,10 +82,9 @@ class Rung:
 
     def __str__(self) -> str:
         parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
-        step = f", steps of {self.step_mm:g} mm" if self.way != "straight" else ""
-        return (
-            f"{self.way}{step}, {self.spp} samples a pixel: about {self.error_px:.2g} px ({parts})"
-        )
+        step = f", steps of {self.step_mm:g} mm" if self.transport != "straight" else ""
+        made = f"{self.transport}{step}, {self.spp} samples a pixel"
+        return f"{made}: about {self.error_px:.2g} px ({parts})"
 
 
 def choose(scene: Scene, tolerance_px: float) -> Rung:
@@ -145,7 +143,7 @@ def _straight(
     why: list[str],
 ) -> Rung:
     """Straight light, with the fewest samples that do."""
-    step_mm = scene.integrator.march.step_mm
+    step_mm = scene.transport.march.step_mm
     tried = scene_on(scene, "straight", step_mm, tolerance_px)
     left_px = tolerance_px - sum(left_out.values())
     spp, error, words = _samples(tried, lit_pixels(tried), column, left_px)
@@ -174,13 +172,13 @@ def _bent(
         return Rung("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
     tried = scene_on(scene, "tabulated", step, table_px)
     lit = lit_pixels(tried)
-    if lit.account.way == "tabulated":
+    if lit.account.transport == "tabulated":
         estimate["tables"] = lit.account.error_px
     else:
         why.append(f"no tables: {lit.account.reason}")
     left_px = tolerance_px - sum(estimate.values())
     spp, estimate["samples"], words = _samples(tried, lit, column, left_px)
-    return Rung(lit.account.way, step, spp, table_px, estimate, [*why, words])
+    return Rung(lit.account.transport, step, spp, table_px, estimate, [*why, words])
 
 
 def with_rung(scene: Scene, rung: Rung) -> Scene:
@@ -200,11 +198,10 @@ def search_line(scene: Scene) -> FoundPixels:
     return ray_search(scene, line_y, "newton")
 
 
-def scene_on(scene: Scene, way: str, step_mm: float, table_px: float) -> Scene:
-    """The scene with the same air and another way through it."""
-    integrator: Refractive = scene.integrator
-    march = replace(integrator.march, step_mm=step_mm, first_order=False)
-    return replace(scene, integrator=integrator.with_way(way, march, table_px))
+def scene_on(scene: Scene, name: str, step_mm: float, table_px: float) -> Scene:
+    """The scene with the same air and another transport through it."""
+    transport = replace(scene.transport.by(name, step_mm=step_mm), tolerance_px=table_px)
+    return scene.with_transport(transport)
 
 
 def lit_pixels(scene: Scene) -> LitPixels:
@@ -280,7 +277,7 @@ def _step(
         If a ray does not get to the line.
     """
     point = found.laser_point_mm[np.isfinite(found.pixel[:, 0])]
-    camera, laser, march = scene.sensor.camera, scene.sensor.laser, scene.integrator.march
+    camera, laser, march = scene.sensor.camera, scene.sensor.laser, scene.transport.march
     seen, lit = camera.pose.to_local(point), laser.pose.to_local(point)
     depth = lit[:, 2] - laser.distance_mm
     b = lit[:, 1] / (1.0 + laser.fan_per_mm * depth)

@@ -26,7 +26,7 @@ from virtual_sensor.studies.chart.frames import (
 )
 from virtual_sensor.studies.chart.rung import Failure, Report
 
-WAYS = ("exact", "tabulated")
+TRANSPORTS = ("marched", "tabulated")
 CONTRASTS = (1, 2, 5, 10, 20, 50, 100)
 QUICK_CONTRASTS = (10, 20)
 _THIN_MM = 0.1  # 1/e^2 radius of a line that is little wider than a pixel of the small film
@@ -41,9 +41,9 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     """Raise the trouble step by step, and note where it first shows, and how it is told."""
     contrasts = QUICK_CONTRASTS if quick else CONTRASTS
     found = []
-    for number, way in enumerate(WAYS):
-        report(f"{way} frames in air of ever more contrast", 0.3 * number)
-        found.append(folding(way, contrasts, 1.5 if quick else 1.05))
+    for number, name in enumerate(TRANSPORTS):
+        report(f"{name} frames in air of ever more contrast", 0.3 * number)
+        found.append(folding(name, contrasts, 1.5 if quick else 1.05))
     report("frames with shadows", 0.6)
     found.append(shadowed())
     report("frames of too few samples, too long steps", 0.65)
@@ -82,7 +82,7 @@ class Told:
     lit_y_mm : ndarray of shape (N,)
         y on the part of the pixels that are lit.
     reason : str
-        Why the frame was not made in the way that was asked for; "" if it was.
+        Why the frame was not made by the transport that was asked for; "" if it was.
     """
 
     counts: dict[LightStatus, int]
@@ -115,12 +115,12 @@ def told_by(scene: Scene) -> Told:
     )
 
 
-def folding(way: str, contrasts: Sequence[float], doubt: float = 1.05) -> Failure:
+def folding(transport: str, contrasts: Sequence[float], doubt: float = 1.05) -> Failure:
     """Raise the air's contrast until the laser's map folds: a caustic.
 
     The contrast of the first fold is then found to the factor `doubt`.
     """
-    scene = load_scene(SCENE, way=way, spp=4, **_FILM)
+    scene = load_scene(SCENE, transport=transport, spp=4, **_FILM)
     air = scene.field
     assert air is not None
     usual = told_by(scene)
@@ -154,10 +154,10 @@ def folding(way: str, contrasts: Sequence[float], doubt: float = 1.05) -> Failur
             " get more than one laser ray, of which one is counted"
         )
     if told.reason:
-        pieces.append(f"made exact: {told.reason}")
+        pieces.append(f"marched: {told.reason}")
     return Failure(
         what="laser's map folds (a caustic)",
-        method=f"{way} frame",
+        method=f"{transport} frame",
         first_at=f"{first:.3g} times the air's contrast" if first else "",
         tried=f"contrast times {contrasts[0]:g} to {contrasts[-1]:g}; 1250 degC, film of 512 px",
         status="FOLDED: the pixel gets no laser light, its truth is NaN",
@@ -219,16 +219,16 @@ def _too_rough(quick: bool) -> list[Failure]:
     thin: dict[str, Any] = {"line_radius": _THIN_MM}
     truth = reference(QUICK_FILM_PX, 4 if quick else 64, 2.0, **thin)
     spps = (4, 1) if quick else (16, 9, 4, 1)
-    settings = {"way": "tabulated", **thin}
+    settings = {"transport": "tabulated", **thin}
     what = f"too few samples of a line of {_THIN_MM:g} mm"
     found = [_first_above(truth, what, "tabulated frame", settings, "spp", spps, "samples")]
     truth = reference(QUICK_FILM_PX, *(4, 2.0) if quick else (16, 1.0))
     lengths = (2, 32) if quick else (1, 2, 4, 8, 16, 32)
     methods = ("leapfrog",) if quick else ("euler", "leapfrog", "sharma", "rk4")
     tried = [("tabulated", method) for method in methods]
-    for way, method in tried if quick else [*tried, ("exact", "leapfrog")]:
-        settings = {"way": way, "method": method, "spp": 4}
-        name = f"{way} frame, {method}"
+    for transport, method in tried if quick else [*tried, ("marched", "leapfrog")]:
+        settings = {"transport": transport, "method": method, "spp": 4}
+        name = f"{transport} frame, {method}"
         found.append(_first_above(truth, "step too long", name, settings, "step", lengths, "mm"))
     return found
 

@@ -74,11 +74,17 @@ class Apart:
 
 
 def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any) -> Truth:
-    """Render the line in float64 by exact rays, in windows at its ends and between.
+    """Render the line in float64 by marched rays, in windows at its ends and between.
 
     The whole line would take minutes, and shows no more than these windows do.
     """
-    best = {"way": "exact", "method": "rk4", "precision": "double", "step": step_mm, "spp": spp}
+    best = {
+        "transport": "marched",
+        "method": "rk4",
+        "precision": "double",
+        "step": step_mm,
+        "spp": spp,
+    }
     scene = load_scene(SCENE, width=film_px, height=film_px, **(best | settings))
     half = 0.5 * scene.sensor.laser.length_mm
     seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
@@ -97,7 +103,7 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
         keep[sound] = True
     line = line_centres(image)
     column = np.flatnonzero(keep & (line.status == Status.OK))
-    words = f"exact rays in float64, RK4 of {step_mm:g} mm, {spp} samples a pixel"
+    words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples a pixel"
     return Truth(scene, column, line.row[column], words)
 
 
@@ -128,18 +134,21 @@ def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
     """The rungs' names and their scene parameters."""
     each: list[tuple[str, Settings]]
     if quick:
-        each = [("exact", {"way": "exact", "spp": spp}) for spp in (1, 4)]
-        return [*each, *((way, {"way": way, "spp": 4}) for way in ("straight", "tabulated"))]
+        each = [("marched", {"transport": "marched", "spp": spp}) for spp in (1, 4)]
+        return [
+            *each,
+            *((name, {"transport": name, "spp": 4}) for name in ("straight", "tabulated")),
+        ]
     spps: dict[str, tuple[int, ...]] = dict.fromkeys(("straight", "tabulated"), _SPP)
     # These two take long: the first of them never gets better by more samples.
-    spps |= {"first_order": (1,), "exact": (1, 4, 16)}
+    spps |= {"first_order": (1,), "marched": (1, 4, 16)}
     each = [
-        (way.replace("_", " "), {"way": way, "spp": spp})
-        for way, chosen in spps.items()
+        (name.replace("_", " "), {"transport": name, "spp": spp})
+        for name, chosen in spps.items()
         for spp in chosen
     ]
-    table: Settings = {"way": "tabulated", "spp": 16}
-    exact: Settings = {"way": "exact", "spp": 1}
+    table: Settings = {"transport": "tabulated", "spp": 16}
+    marched: Settings = {"transport": "marched", "spp": 1}
     each += [("tabulated", table | {"tolerance": t}) for t in (0.1, 0.01)]
     varied: list[tuple[str, Settings]] = [
         ("Euler", {"method": "euler"}),
@@ -157,7 +166,7 @@ def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
         if name != "linear":  # its kinks let no table keep the tolerance
             each.append((f"tabulated, {name}", table | choices))
         if name in ("RK4", "double", "linear", "2-D"):
-            each.append((f"exact, {name}", exact | choices))
+            each.append((f"marched, {name}", marched | choices))
     return each
 
 
@@ -167,7 +176,7 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
     report("the frames' reference", 0.0)
     truth = reference(film_px, *(4, 2.0) if quick else ())
     chosen = ladder(quick)
-    lit = [{"way": "tabulated", "spp": spp} for spp in ((4,) if quick else (1, 4, 16))]
+    lit = [{"transport": "tabulated", "spp": spp} for spp in ((4,) if quick else (1, 4, 16))]
     spps = (4,) if quick else (1, 4, 16)
     total, done, made = len(chosen) + len(lit) + 2 * len(spps), 0, []
 
@@ -234,7 +243,7 @@ def measure(
         seconds = timed(work, runs if seconds < 1.0 else min(runs, _LONG_RUNS), warm_ups=0)
     apart = beside(truth, line_centres(image))
     baseline = name == DIRECT
-    march = scene.integrator.march
+    march = scene.transport.march
     used = {"step": march.step_mm, "method": march.method, "precision": march.precision}
     given = {"film": f"{image.shape[1]} x {image.shape[0]}"} | ({} if baseline else used) | settings
     told = ["baseline: straight light, no hot air"] if baseline else []

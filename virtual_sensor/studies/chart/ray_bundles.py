@@ -131,7 +131,7 @@ def tabulated_ends(
     local = pose.to_local(bundle.targets)
     place = np.column_stack([local[:, :2] / local[:, 2:], local[:, 2]])
     low, high = place.min(axis=0) - _MARGIN, place.max(axis=0) + _MARGIN
-    march, error_mm = scene.integrator.march, tolerance_px * MM_PER_PX
+    march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
 
     def make() -> CameraMap:
         return camera_map(scene.field, pose, low, high, march, error_mm)[0]

@@ -117,19 +117,19 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
 
 
 def _tabulated(scene: Scene, task: Task, quick: bool) -> list[Rung]:
-    """The tabulated way: the time is that of making the table too."""
+    """The tabulated transport: the time is that of making the table too."""
     found = []
     for tolerance in _TABLES_PX[:1] if quick else _TABLES_PX:
         work, make = tabulated_ends(scene, task.bundle, tolerance)
         runs = _QUICK_RUNS if quick else _RUNS
         seconds, making = timed(work, runs), timed(make, runs)
         error = apart_px(work()[task.at], task.truth, task.bundle.some(len(task.at)))
-        march = scene.integrator.march
+        march = scene.transport.march
         found.append(
             Rung(
                 panel="rays",
                 name="tabulated",
-                settings={"way": "tabulated", "tolerance": tolerance, "march": str(march)},
+                settings={"transport": "tabulated", "tolerance": tolerance, "march": str(march)},
                 error_px=float(np.sqrt(np.mean(error**2))),
                 largest_px=float(error.max()),
                 error_um=float(np.sqrt(np.mean(error**2))) * _UM_PER_PX,
@@ -170,7 +170,7 @@ def _closed_form_tasks(rays: int, judged: int) -> Iterator[Task]:
 
 def _choices(quick: bool) -> Iterator[Choice]:
     """What the camera's rays are bent by."""
-    yield Choice("straight", March(2.0, "leapfrog", "single"), {"way": "straight"}, {})
+    yield Choice("straight", March(2.0, "leapfrog", "single"), {"transport": "straight"}, {})
     for step in (4.0,) if quick else _STEPS_MM[:4]:
         yield _chosen("leapfrog", step, "single", first_order=True)
     yield from _plain_choices(quick)
@@ -212,7 +212,7 @@ def _chosen(
 def _measured(task: Task, choice: Choice, runs: int) -> Rung:
     """Time a choice and judge it."""
     field: Field | None = task.field
-    straight = choice.settings.get("way") == "straight"
+    straight = choice.settings.get("transport") == "straight"
     if straight:
         field = None
     elif choice.model:
@@ -225,8 +225,12 @@ def _measured(task: Task, choice: Choice, runs: int) -> Rung:
     known = error[np.isfinite(error)]
     rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
     march = choice.march
-    way = "first_order" if march.first_order else "exact"
-    settings = {"way": way, "method": march.method, "step": march.step_mm} | choice.settings
+    transport = "first_order" if march.first_order else "marched"
+    settings = {
+        "transport": transport,
+        "method": march.method,
+        "step": march.step_mm,
+    } | choice.settings
     if straight:
         settings = choice.settings
     return Rung(

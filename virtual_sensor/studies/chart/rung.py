@@ -90,7 +90,7 @@ class Scaling:
     Attributes
     ----------
     name : str
-        "exact frame, samples per pixel".
+        "marched frame, samples per pixel".
     exponent : float
         Slope of log(time) over log(size), by least squares; NaN of fewer than two points.
     points : tuple of pairs

@@ -19,7 +19,7 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE, frame_anew
 from virtual_sensor.studies.chart.rung import Report, Rung, Scaling, timed
 
-WAYS = ("exact", "tabulated")
+TRANSPORTS = ("marched", "tabulated")
 _MEMORY_SPP = 64
 
 _MEMORY = """
@@ -102,19 +102,19 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
     film = QUICK_FILM_PX if quick else FILM_PX
     factors = (-2, 1) if quick else (-2, 1, 2)
     found = []
-    for number, way in enumerate(WAYS):
-        scene = load_scene(SCENE, width=film, height=film, way=way, spp=4)
+    for number, name in enumerate(TRANSPORTS):
+        scene = load_scene(SCENE, width=film, height=film, transport=name, spp=4)
         field = scene.field
         assert field is not None
         points = []
         for i, factor in enumerate(factors):
-            done = (number + i / len(factors)) / len(WAYS)
-            report(f"{way} frames in finer and coarser fields", done)
+            done = (number + i / len(factors)) / len(TRANSPORTS)
+            report(f"{name} frames in finer and coarser fields", done)
             air = resampled(field, factor)
             other = scene.with_field(air)
             seconds = timed(partial(frame_anew, other), runs=1 if quick else 3)
             points.append((float(np.prod(air.shape)), seconds))
-        found.append(power(f"{way} frame, nodes of the field", points, "4 samples a pixel"))
+        found.append(power(f"{name} frame, nodes of the field", points, "4 samples a pixel"))
     return found
 
 

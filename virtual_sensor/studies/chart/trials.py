@@ -16,6 +16,7 @@ from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.transports import Transport
 from virtual_sensor.studies.tolerance import (
     SAMPLES,
     STEPS_MM,
@@ -148,14 +149,14 @@ def trial(
         return Trial(parameters, tolerance_px, None, failure=str(told))
     middle = np.concatenate([[0.0, 1.0], rng.random(_GROUPS - 2)])
     truth = _reference(scene, middle)
-    chosen = scene_on(scene, rung.way, rung.step_mm, rung.table_px)
+    chosen = scene_on(scene, rung.transport, rung.step_mm, rung.table_px)
     columns = _columns(chosen, truth)
     error = largest_apart(line_rows(chosen, columns, rung.spp), truth)
     result = Trial(parameters, tolerance_px, rung, error)
     if clock is None:
         return result
     others = {
-        f"{tried.integrator.way}, {tried.integrator.march.step_mm:g} mm, {spp} spp": (tried, spp)
+        f"{tried.transport.name}, {tried.transport.march.step_mm:g} mm, {spp} spp": (tried, spp)
         for tried, spp in _that_would_do(scene, truth, tolerance_px)
     }
     seconds = _seconds([(chosen, rung.spp), *others.values()], clock)
@@ -177,12 +178,12 @@ def _sigma_px(drawn: dict[str, Any]) -> float:
 
 
 def _reference(scene: Scene, middle: Array) -> Array:
-    """Row of the line's centre by exact rays in float64, in some columns; NaN elsewhere."""
-    marched = scene_on(scene, "exact", 2.0, 1.0)
+    """Row of the line's centre by marched rays in float64, in some columns; NaN elsewhere."""
+    marched = scene_on(scene, "marched", 2.0, 1.0)
     column = groups(whole_columns(search_line(scene)), middle)
     some = in_columns(lit_pixels(marched), scene.sensor.camera.size[0], column)
-    exact = scene.integrator.with_way("exact", _REFERENCE, 1.0)
-    return line_rows(replace(scene, integrator=exact), some, _REFERENCE_SPP)
+    best = scene.with_transport(Transport("marched", _REFERENCE, 1.0))
+    return line_rows(best, some, _REFERENCE_SPP)
 
 
 def _columns(scene: Scene, truth: Array) -> LitPixels:
