@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
@@ -39,20 +40,25 @@ STAIRS = (  # from the ground up
     ),
     ("virtual_sensor.medium",),
     ("virtual_sensor.optics",),
+    ("virtual_sensor.devices",),
     ("virtual_sensor_plugins",),
     ("virtual_sensor.metrology",),
     ("virtual_sensor.imaging",),
     ("virtual_sensor.studies",),
     ("virtual_sensor.cli", "virtual_sensor.__main__"),
 )
-# Metrology serves images of real cameras too: it knows no renderer.
+# Metrology serves images of real cameras too: it knows no renderer, and bent rays only when asked.
 METROLOGY_KNOWS = (
     "virtual_sensor.arrays",
     "virtual_sensor.errors",
     "virtual_sensor.files",
     "virtual_sensor.metrology",
+    "virtual_sensor.optics.ray_families",
     "virtual_sensor.optics.sensor_model",
 )
+METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
+# Rooms without a renderer in them, where the engine is only started.
+WITHOUT_DRJIT = ("virtual_sensor.optics.ray_families", "virtual_sensor.optics.sensor_model")
 SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))
 
 
@@ -70,17 +76,22 @@ MODULES = modules()
 TOOLS = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
 
 
-def imports(file):
-    """Names of all modules that a file imports, inside functions too."""
-    found = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file}: write relative imports out"
-            members = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= {name if name in MODULES else node.module for name in members}
-    return found
+@cache
+def imports(file, lazy=True):
+    """Names of the modules that a file imports; of those inside functions only if lazy."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return {name for node in (ast.walk(tree) if lazy else tree.body) for name in imported(node)}
+
+
+def imported(node):
+    """Names of the modules that a statement imports."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    if isinstance(node, ast.ImportFrom):
+        assert node.level == 0, f"{ast.unparse(node)}: write relative imports out"
+        members = {f"{node.module}.{alias.name}" for alias in node.names}
+        return {name if name in MODULES else node.module for name in members}
+    return set()
 
 
 def is_in(module, room):
@@ -88,9 +99,20 @@ def is_in(module, room):
     return module == room or module.startswith(f"{room}.")
 
 
+def in_any(module, rooms):
+    """Whether a module is or lies in one of the rooms."""
+    return any(is_in(module, room) for room in rooms)
+
+
+def violations(forbidden, lazy=True):
+    """Imports of all modules that are forbidden: by (module, what it imports)."""
+    pairs = ((name, other) for name, file in MODULES.items() for other in imports(file, lazy))
+    return sorted(f"{name} imports {other}" for name, other in pairs if forbidden(name, other))
+
+
 def floor(module):
     """Number of the stair on which a module stands; None for the doorstep and for others'."""
-    return next((i for i, rooms in enumerate(STAIRS) if any(is_in(module, r) for r in rooms)), None)
+    return next((i for i, rooms in enumerate(STAIRS) if in_any(module, rooms)), None)
 
 
 def test_every_module_has_a_place_in_the_house():
@@ -103,17 +125,18 @@ def test_every_module_has_a_place_in_the_house():
     }
 
 
-@pytest.mark.parametrize("module", sorted(n for n in MODULES if floor(n) is not None))
-def test_imports_only_go_down(module):
+def test_imports_only_go_down():
     """Rationale: what lies below can be read, tested and used without what lies above."""
-    above = {name for name in imports(MODULES[module]) if (floor(name) or 0) > floor(module)}
-    assert not above
+
+    def upward(name, other):
+        return floor(name) is not None and (floor(other) or 0) > floor(name)
+
+    assert violations(upward) == []
 
 
-@pytest.mark.parametrize("module", sorted(MODULES.keys() - {"virtual_sensor"}))
-def test_nobody_goes_through_the_door(module):
+def test_nobody_goes_through_the_door():
     """Rationale: `from virtual_sensor import render` inside the house would hide what it needs."""
-    assert "virtual_sensor" not in imports(MODULES[module])
+    assert violations(lambda name, other: other == "virtual_sensor" != name) == []
 
 
 def test_there_are_no_circles():
@@ -123,13 +146,49 @@ def test_there_are_no_circles():
     TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize(
-    "module", sorted(n for n in MODULES if is_in(n, "virtual_sensor.metrology"))
-)
-def test_metrology_knows_no_mitsuba(module):
+@pytest.mark.parametrize("lazy", [False, True])
+def test_metrology_knows_no_mitsuba(lazy):
     """Rationale: it must work on a real camera's images, on a machine without a renderer."""
-    ours = {name for name in imports(MODULES[module]) if name.startswith("virtual_sensor")}
-    assert {name for name in ours if not any(is_in(name, r) for r in METROLOGY_KNOWS)} == set()
+    known = METROLOGY_KNOWS_WHEN_ASKED if lazy else METROLOGY_KNOWS
+
+    def unknown(name, other):
+        ours = is_in(name, "virtual_sensor.metrology") and other.startswith("virtual_sensor")
+        return ours and not in_any(other, known)
+
+    assert violations(unknown, lazy) == []
+
+
+def test_metrology_and_imaging_stand_apart():
+    """Rationale: what makes images must not know what is looked for in them."""
+    rooms = {"virtual_sensor.metrology", "virtual_sensor.imaging"}
+
+    def across(name, other):
+        here = {room for room in rooms if is_in(name, room)}
+        return bool(here) and in_any(other, rooms - here)
+
+    assert violations(across) == [
+        # Asks of a scene's sensor what is asked of a real one's calibration.
+        "virtual_sensor.imaging.checks imports virtual_sensor.metrology.triangulation"
+    ]
+
+
+def test_what_metrology_knows_of_optics_is_plain_numpy():
+    """Rationale: a ray family is a formula, for NumPy's arrays as for Dr.Jit's."""
+
+    def computes(name, other):
+        return in_any(name, WITHOUT_DRJIT) and is_in(other, "virtual_sensor.engine")
+
+    assert violations(computes) == []
+
+
+def test_tests_lie_in_rooms_like_what_they_test():
+    """Rationale: who moves a module finds its tests, and moves them."""
+    tests = {
+        file.parent.relative_to(ROOT / "tests").as_posix().replace("/", ".")
+        for file in (ROOT / "tests").rglob("test_*.py")
+    }
+    rooms = {name.replace("virtual_sensor_plugins", "virtual_sensor.plugins") for name in MODULES}
+    assert {f"virtual_sensor.{room}" for room in tests - {".", "hostile"}} <= rooms
 
 
 def test_only_the_engine_imports_drjit():
@@ -137,7 +196,7 @@ def test_only_the_engine_imports_drjit():
     users = {
         file.relative_to(ROOT).as_posix()
         for file in [*MODULES.values(), *TOOLS]
-        if any(is_in(name, engine) for name in imports(file) for engine in ("drjit", "mitsuba"))
+        if any(in_any(name, ("drjit", "mitsuba")) for name in imports(file))
     }
     assert users == {"virtual_sensor/engine.py"}
 

@@ -26,6 +26,7 @@ EMPTY = {
     "trace": lambda: vs.trace(HOT.field, POINTS, POINTS, NONE),
     "trace, of lists": lambda: vs.trace(HOT.field, [], [], 3.0),
     "triangulate": lambda: vs.triangulate(HOT.sensor, PIXELS),
+    "triangulate, of a list": lambda: vs.triangulate(HOT.sensor, []),
     "IndexField.refractivity": lambda: HOT.field.refractivity(POINTS),
     "IndexField.gradient": lambda: HOT.field.gradient([]),
     "line_sensitivity": lambda: line_sensitivity(HOT, NONE),

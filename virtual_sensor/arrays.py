@@ -64,10 +64,10 @@ def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
     return array.astype(float)
 
 
-def points_of(values: ArrayLike) -> NDArray[np.float64]:
-    """The values as an array of float, whose shape is the caller's to check; [] as (0, 3)."""
+def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
+    """The values as an array of float, whose shape is the caller's to check; [] as (0, length)."""
     array = np.asarray(values, float)
-    return array.reshape(0, 3) if array.shape == (0,) else array
+    return array.reshape(0, length) if array.shape == (0,) else array
 
 
 def short(value: Any) -> str:

@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import unmasked
+from virtual_sensor.arrays import points_of, unmasked
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.sensor_model import Camera
 
@@ -83,7 +83,7 @@ def triangulate(sensor: Sensor, pixel: ArrayLike) -> Array:
         Where `pixel` is no list of (u, v), or the camera stands in the laser plane.
     """
     check_geometry(sensor)
-    pixel = np.asarray(unmasked(pixel), float)
+    pixel = points_of(unmasked(pixel), 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
     finite = np.isfinite(pixel).all(axis=-1, keepdims=True)
