@@ -66,17 +66,17 @@ def test_a_search_prints_the_notes(here):
 
 
 def test_a_burst_prints_and_keeps_the_notes(here):
-    """Rationale: of its scene, and of the rays that its line does not light."""
+    """Rationale: of its scene, and of the rays asked for that its line does not light."""
     shape = (2, 5, 5, 5)
     air = GriddedQuantity(
         "temperature", np.full(shape, 293.15), [-96, -24, -16], [48, 12, 48], np.array([0.0, 1.0])
     )
     write_quantity(here / "air.nc", air)
     given = [*FILM, "-D", "line_radius=0.5", "-D", "line_length=6", "--frames", "3"]
-    given += ["-D", f"field={here / 'air.nc'}"]
+    given += ["-D", f"field={here / 'air.nc'}", "-y", "0", "-y", "-2", "-y", "4"]
     printed = run("burst", "hot_cylinder", *given, "-o", "out")
     assert printed.count(NOTE) == 1
     assert sum(note == NOTE for note in kept("out")) == 1
-    assert any("6 of the paper's nine rays are not lit" in note for note in kept("out"))
-    rows = (here / "out/nine_rays.csv").read_text().splitlines()[1:]
-    assert [row.rpartition(",")[2] for row in rows] == ["found"] * 3 + ["unlit"] * 6
+    assert any("1 of 3 probe rays are not lit, at y = 4 mm" in note for note in kept("out"))
+    rows = (here / "out/probe_rays.csv").read_text().splitlines()[1:]
+    assert [row.rpartition(",")[2] for row in rows] == ["found", "found", "unlit"]

@@ -20,7 +20,6 @@ from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies import burst_results
 from virtual_sensor.studies.burst import MIN_FRAMES, burst, instants, spread, summary
-from virtual_sensor.studies.measure import NINE_RAYS_MM
 
 FILM = {"width": 512, "height": 512, "spp": 4, "line_length": 20}
 X, Y, Z = np.arange(-96.0, 97.0, 12.0), np.arange(-24.0, 25.0, 1.5), np.arange(-16.0, 161.0, 8.0)
@@ -28,6 +27,7 @@ ORIGIN, SPACING = [-96.0, -24.0, -16.0], [12.0, 1.5, 8.0]
 AMPLITUDE_MM = 1.5
 STORED_S = np.linspace(4.0, 6.0, 17)
 FRAMES = 5
+RAYS_MM = np.linspace(0.0, -10.0, 9)
 
 
 def shift_mm(time_s):
@@ -66,7 +66,7 @@ def told():
 @pytest.fixture(scope="module")
 def result(swaying, told):
     """A burst in the last half second, each frame at a stored instant."""
-    return burst(swaying, None, 0.5, FRAMES, lambda stage, part: told.append((stage, part)))
+    return burst(swaying, None, 0.5, FRAMES, lambda *said: told.append(said), RAYS_MM)
 
 
 @pytest.fixture(scope="module")
@@ -104,9 +104,9 @@ def test_the_line_sways_as_the_rays_of_each_instant_do(result, oracle):
     np.testing.assert_allclose(line.mean[both, 1], np.mean(rows, axis=0)[both], atol=0.003)
 
 
-def test_the_nine_rays_sway_as_in_the_formulas_air(result, oracle):
+def test_the_probe_rays_sway_as_in_the_formulas_air(result, oracle):
     """Rationale: packing in 16 bits is all that lies between the two; it must not be seen."""
-    searched = [ray_search(scene, NINE_RAYS_MM, "newton") for scene in oracle]
+    searched = [ray_search(scene, RAYS_MM, "newton") for scene in oracle]
     pixel = spread(result.rays_px)
     expected = np.std([found.pixel for found in searched], axis=0, ddof=1)
     seen = np.isfinite(expected[:, 0])
@@ -180,7 +180,7 @@ def folder(result, tmp_path_factory):
 def test_the_tables_hold_the_sway(folder, result):
     """Rationale: the deviations can be made again from the tidy table of frames."""
     assert {p.name for p in folder.iterdir()} == {
-        *("sway.csv", "nine_rays.csv", "frames.csv", "sway.ply", "report.png", "summary.json")
+        *("sway.csv", "probe_rays.csv", "frames.csv", "sway.ply", "report.png", "summary.json")
     }
     sway, frames = (columns_of(folder / name) for name in ("sway.csv", "frames.csv"))
     rows = numbers(frames["row"]).reshape(FRAMES, -1)
@@ -195,7 +195,7 @@ def test_the_tables_hold_the_sway(folder, result):
     dark = numbers(sway["frames"]) == 0
     assert set(np.array(sway["status"])[dark]) <= {s.name.lower() for s in Status} - {"ok"}
     assert np.isnan(numbers(sway["std_v_px"])[dark]).all()
-    rays = columns_of(folder / "nine_rays.csv")
+    rays = columns_of(folder / "probe_rays.csv")
     np.testing.assert_allclose(
         numbers(rays["std_px_u"]), np.std(result.rays_px[..., 0], axis=0, ddof=1), rtol=1e-8
     )
@@ -231,16 +231,16 @@ def test_the_command_passes_on_what_is_asked_for(result, swaying, tmp_path, monk
     """
     asked = []
 
-    def answered(scene, start_s, duration_s, frames, report):
-        asked.append((scene.parameters["field"], start_s, duration_s, frames))
+    def answered(scene, start_s, duration_s, frames, report, y_mm):
+        asked.append((scene.parameters["field"], start_s, duration_s, frames, y_mm))
         return result
 
     monkeypatch.setattr("virtual_sensor.studies.burst.burst", answered)
     file, place = str(swaying.air.path), tmp_path / "sway"
     line = ["burst", "hot_cylinder", "-D", f"field={file}", "-o", str(place)]
-    options = ["--start", "5.5", "--duration", "0.5", "--frames", "5"]
+    options = ["--start", "5.5", "--duration", "0.5", "--frames", "5", "-y", "-1", "-y", "2"]
     ended = CliRunner().invoke(cli.app, [*line, *options])
-    assert (ended.exit_code, asked) == (0, [(file, 5.5, 0.5, 5)])
+    assert (ended.exit_code, asked) == (0, [(file, 5.5, 0.5, 5, [-1.0, 2.0])])
     assert (place / "sway.csv").exists()
     again = CliRunner().invoke(cli.app, line)
     assert isinstance(again.exception, InputError)

@@ -7,17 +7,19 @@ import re
 import numpy as np
 import pytest
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.studies.measure import (
-    NINE_RAYS_MM,
     measure,
-    nine_ray_deviations,
+    probe_deviations,
     summary,
 )
 from virtual_sensor.studies.notes import coarse_grid
+from virtual_sensor.studies.probes import PROBES, probe_rays
+from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM
 from virtual_sensor.studies.results import save
 from virtual_sensor.studies.search import search
 
@@ -92,34 +94,34 @@ def test_newtons_search_needs_few_marches_and_finds_the_same(result, state):
 
 def test_in_cold_air_the_measured_point_is_the_point(result):
     """Rationale: straight light closes the circle laser, surface, pixel, triangulation."""
-    assert np.abs(nine_ray_deviations(result).cold_um).max() < 1e-6
+    assert np.abs(probe_deviations(result).cold_um).max() < 1e-6
 
 
 def test_rounded_pixels_move_the_point_by_half_a_step_along_each_axis_of_the_sensor(result):
     """Rationale: half of 0.25 px is 0.125 px, 2.75 um of 22 um, along u and along v.
 
-    The paper's 2.7 um is that figure.  The distance in space is larger, up to 3.35 um for its nine
-    rays, because the laser plane is inclined to the sensor: by 60 degrees to its axis, so that a
+    The paper's 2.7 um is that figure.  The distance in space is larger, up to 3.35 um for its rays,
+    because the laser plane is inclined to the sensor: by 60 degrees to its axis, so that a
     point which moves by dv across the line of sight moves by dv tan(30 degrees) along it, too.
     """
-    cold_um = nine_ray_deviations(result, 0.25).cold_um
+    cold_um = probe_deviations(result, 0.25).cold_um
     camera = result.cold.scene.sensor.camera
     half_step_um = 0.125 * FIELD_OF_VIEW_MM * 1e3 / camera.size[0]
     perspective = camera.pose.to_local(result.cold.newton.laser_point_mm)[:, 2] / 300.0
     along = np.abs(cold_um @ camera.pose.rotation) / perspective[:, None]
     assert (along[:, :2] <= 1.001 * half_step_um).all()
     np.testing.assert_allclose(along[:, 2], along[:, 1] * np.tan(np.radians(30.0)), rtol=2e-3)
-    in_space = summary(result)["nine_rays_um"]["largest |A - A_m|, cold, pixels rounded to 0.25"]
+    in_space = summary(result)["probe_rays_um"]["largest |A - A_m|, cold, pixels rounded to 0.25"]
     assert half_step_um < in_space < half_step_um * np.sqrt(1.0 + 1.0 / np.cos(np.radians(30)) ** 2)
 
 
 def test_at_the_top_line_the_measured_point_lies_above_the_surface(result):
     """Rationale: as in the paper's figure 7; refraction of the wrong sign would put it below."""
-    assert NINE_RAYS_MM[0] == 0.0
+    [top] = np.flatnonzero(result.probe_y_mm == 0.0)
     hot = result.hot.newton
     measured = triangulate(result.hot.scene.sensor, hot.pixel)
-    assert abs(hot.laser_point_mm[0, 2]) < 1e-3
-    assert 0.02 < measured[0, 2] < 0.2
+    assert abs(hot.laser_point_mm[top, 2]) < 1e-3
+    assert 0.02 < measured[top, 2] < 0.2
 
 
 def test_progress_never_goes_back(measured):
@@ -135,12 +137,47 @@ def test_a_part_that_is_only_cold_has_no_hot_figures():
     film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5}
     result = measure(load_scene("cold_cylinder", **film))
     assert list(result.states) == ["cold"]
-    deviation = nine_ray_deviations(result)
+    deviation = probe_deviations(result)
     assert np.isnan([deviation.hot_um, deviation.incidence_um, deviation.measured_um]).all()
     assert np.abs(deviation.cold_um).max() < 1e-6
     figures = json.loads(json.dumps(summary(result)))
-    assert figures["nine_rays_um"]["largest |B - A|"] is None
+    assert figures["probe_rays_um"]["largest |B - A|"] is None
     assert list(figures["states"]) == ["cold"]
+
+
+LASERS = {"line_length": 6}, {"line_length": 500}, {"dots": "0 -5"}, {"dots": "-12"}, {"beta": 30}
+
+
+@pytest.mark.parametrize("given", LASERS, ids=str)
+@pytest.mark.parametrize("name", ["hot_cylinder", "stepped_shaft"])
+def test_a_scenes_own_probe_rays_are_lit_and_seen(name, given):
+    """Rationale: of a line of 6 mm the paper's rays lit three of nine; a user's line is his own."""
+    scene = load_scene(name, **given)
+    y = probe_rays(scene)
+    laser = scene.sensor.laser
+    found = ray_search(scene.cold(), y, "newton")
+    assert (found.status == SearchStatus.FOUND).all()
+    if laser.dots_mm.size:
+        np.testing.assert_array_equal(y, laser.dots_mm)
+        return
+    assert y.size == PROBES
+    seen = ray_search(scene.cold(), np.linspace(-0.5, 0.5, 2001) * laser.length_mm, "newton")
+    seen_y = seen.laser_point_mm[seen.status == SearchStatus.FOUND, 1]
+    assert np.ptp(found.laser_point_mm[:, 1]) > 0.8 * np.ptp(seen_y)
+
+
+def test_probe_rays_that_are_given_are_those_of_all_tables(tmp_path):
+    """Rationale: who compares with another program's rays asks for these, wherever they are."""
+    film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5}
+    given = [1.0, -7.25, 3.5]
+    result = measure(load_scene("hot_cylinder", **film), y_mm=given)
+    save(result, summary(result), tmp_path / "out")
+    with (tmp_path / "out/probe_rays.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["y_mm"]) for row in rows] == given
+    np.testing.assert_allclose([float(row["A_mm_y"]) for row in rows], given, atol=1e-9)
+    with pytest.raises(InputError, match=r"the rays' y are \[nan\]; give finite numbers in mm"):
+        measure(load_scene("hot_cylinder"), y_mm=[np.nan])
 
 
 @pytest.mark.parametrize(
@@ -151,22 +188,22 @@ def test_a_part_that_is_only_cold_has_no_hot_figures():
 def test_rays_without_light_have_no_figure_anywhere(tmp_path, laser, lit):
     """Rationale: a line of 6 mm was said to have nine found rays, the farthest 333 um off."""
     film = {"width": 512, "height": 512, "spp": 4}
-    result = measure(load_scene("hot_cylinder", **film, **laser))
+    result = measure(load_scene("hot_cylinder", **film, **laser), y_mm=NINE_RAYS_MM)
     figures = summary(result)
     save(result, figures, tmp_path / "out")
-    with (tmp_path / "out/nine_rays.csv").open(encoding="utf-8") as file:
+    with (tmp_path / "out/probe_rays.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     dark = [row for row in rows if row["status_A"] != "found"]
     assert len(dark) == 9 - lit
-    assert any(f"{9 - lit} of the paper's nine rays are not lit" in note for note in result.notes)
+    assert any(f"{9 - lit} of 9 probe rays are not lit" in note for note in result.notes)
     for row in dark:
         assert {row.pop(name) for name in list(row) if name.startswith("status")} == {"unlit"}
         assert not any(row[name] for name in row if name != "y_mm")
     assert figures["rays lit"] == lit
     for state in figures["states"].values():
-        for method in ("paper's search, nine rays", "Newton's search, nine rays"):
+        for method in ("paper's search, probe rays", "Newton's search, probe rays"):
             assert state[method]["found"] == lit
-    assert all((value is None) == (lit == 0) for value in figures["nine_rays_um"].values())
+    assert all((value is None) == (lit == 0) for value in figures["probe_rays_um"].values())
 
 
 def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):

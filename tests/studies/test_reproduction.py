@@ -9,7 +9,6 @@ import pytest
 from command_line import command
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies.measure import NINE_RAYS_MM
 from virtual_sensor.studies.reproduction import broadening_fit, pieces
 from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, fit_broadening
 from virtual_sensor.studies.reproduction.curves import (
@@ -28,7 +27,7 @@ from virtual_sensor.studies.reproduction.curves import (
 )
 from virtual_sensor.studies.reproduction.numbers import STATED, TOLERANCE, Kind
 from virtual_sensor.studies.reproduction.reproduce import rendered_cases, reproduce
-from virtual_sensor.studies.reproduction.settings import Broadening, Scenes, settings
+from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM, Broadening, Scenes, settings
 from virtual_sensor.studies.reproduction.statements import STATEMENTS, judge
 from virtual_sensor.studies.tables import write_csv
 

@@ -201,6 +201,16 @@ def test_values_with_commas_are_parted_by_semicolons(tmp_path):
     assert all(row["cold_line_rms_px"] == "" for row in rows)
 
 
+def test_probe_rays_that_are_given_are_those_of_every_case(tmp_path):
+    """Rationale: others than the scene's own are other results, and another key."""
+    given = {"line_radius": ["0.5"]} | FILM
+    [own], [other] = plan("cold_cylinder", given), plan("cold_cylinder", given, [3.0, -2.0])
+    assert own.key != other.key
+    [end] = run([other], tmp_path)
+    with (end.folder / "probe_rays.csv").open(encoding="utf-8") as file:
+        assert [float(row["y_mm"]) for row in csv.DictReader(file)] == [3.0, -2.0]
+
+
 def test_progress_never_goes_back_and_names_the_case(tmp_path):
     """Rationale: a bar that jumps back is worse than none."""
     told = []

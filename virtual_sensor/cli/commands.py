@@ -13,6 +13,7 @@ from virtual_sensor.cli.console import errors, one_line, streams
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
+    ProbeRays,
     SceneArgument,
     console,
     definitions,
@@ -69,6 +70,7 @@ def before_the_command(
 def measure(
     scene: SceneArgument,
     define: Definitions = None,
+    y: ProbeRays = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -101,7 +103,7 @@ def measure(
             loaded = with_rung(loaded, rung)
             console.print(f"{tolerance:g} px: {rung}", soft_wrap=True)
             console.print(f"  because {'; '.join(rung.why)}", soft_wrap=True)
-        result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction))
+        result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)
         report("writing the results", 0.92)
         figures = summary(result)
         save(result, figures, output, overwrite)
@@ -118,9 +120,9 @@ def measure(
             f"{state.seconds['render']:.1f} s",
         )
     console.print(table)
-    for name, value in figures["nine_rays_um"].items():
+    for name, value in figures["probe_rays_um"].items():
         if value is not None:
-            console.print(f"  nine rays, {name}: {value:.3g} µm")
+            console.print(f"  probe rays, {name}: {value:.3g} µm")
     print_notes(result.notes)
     console.print(
         f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
@@ -140,10 +142,7 @@ def search(
     scene: SceneArgument,
     define: Definitions = None,
     method: Annotated[str, typer.Option(help="paper or newton.")] = "paper",
-    y: Annotated[
-        list[float] | None,
-        typer.Option("-y", help="A ray's position along the line, mm; repeatable."),
-    ] = None,
+    y: ProbeRays = None,
     rays: Annotated[
         int | None, typer.Option(min=2, help="So many rays along the whole line, in place of -y.")
     ] = None,
@@ -154,7 +153,7 @@ def search(
 ) -> None:
     """Search, ray by ray, for the pixels that see the laser: no image is made.
 
-    Without -y or --rays: the paper's nine rays, y = 0 to -10 mm. Exit status 1: none is found.
+    Exit status 1: none is found.
     """
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.studies.search import search as run
@@ -166,7 +165,7 @@ def search(
         raise InputError("-y and --rays: choose one of them")
     if output:
         check_output(output, overwrite)
-    result = run(load_scene(scene, **definitions(define)), method, y, rays)
+    result = run(load_scene(scene, **definitions(define)), method, y or None, rays)
     columns, number = result.columns, len(result.columns["y_mm"])
     if output:
         write_csv(output, columns)
@@ -195,6 +194,7 @@ def search(
 def burst(
     scene: SceneArgument,
     define: Definitions = None,
+    y: ProbeRays = None,
     start: Annotated[
         float | None,
         typer.Option(help="Flow time of the first frame, s; by default the field's last second."),
@@ -224,14 +224,15 @@ def burst(
             duration,
             frames,
             lambda stage, fraction: report(stage, 0.95 * fraction),
+            y or None,
         )
         report("writing the results", 0.95)
         figures = summary(result)
         save_burst(result, figures, output, overwrite)
         report("done", 1.0)
     table = Table("standard deviation", "median", "largest")
-    for group in ("line", "nine rays"):
-        place = "along the line" if group == "line" else "of the nine rays"
+    for group in ("line", "probe rays"):
+        place = "along the line" if group == "line" else "of the probe rays"
         for name, value in figures[f"standard deviation {place}"].items():
             if value.get("median") is not None:
                 row = (f"{value['median']:.3g}", f"{value['largest']:.3g}")

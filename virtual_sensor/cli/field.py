@@ -9,6 +9,7 @@ from rich.table import Table
 from virtual_sensor.cli.shared import (
     Definitions,
     Overwrite,
+    ProbeRays,
     closing,
     command_line,
     console,
@@ -47,6 +48,7 @@ def info(
         ),
     ] = None,
     define: Definitions = None,
+    y: ProbeRays = None,
     time: Annotated[
         float | None, typer.Option(help="Flow time, s, of a field with many; by default the last.")
     ] = None,
@@ -68,7 +70,7 @@ def info(
         if path:
             check_output(path, overwrite)
     with reporting("reading the field") as report:
-        told = field_info(field, scene, definitions(define), time, report)
+        told = field_info(field, scene, definitions(define), time, report, y or None)
         if output:
             report("drawing the picture", 0.8)
             draw_field(told, output)

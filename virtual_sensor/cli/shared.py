@@ -40,6 +40,15 @@ Scheduler = Annotated[
         "installed and share the disk of the results. By default this process does the work.",
     ),
 ]
+ProbeRays = Annotated[
+    list[float] | None,
+    typer.Option(
+        "-y",
+        metavar="MM",
+        help="A probe ray's position along the line, mm; repeatable. By default nine rays over all "
+        "that is seen of the line, or the dots.",
+    ),
+]
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 

@@ -72,7 +72,7 @@ def simulate(
     steady: Annotated[
         float,
         typer.Option(
-            help="It ends when the paper's nine rays move by less than this, px per s of flow."
+            help="It ends when the scene's probe rays move by less than this, px per s of flow."
         ),
     ] = 0.05,
     record: Annotated[
@@ -84,7 +84,7 @@ def simulate(
     ] = None,
     processes: Annotated[int, typer.Option(min=1, help="Processes of the solver, by MPI.")] = 1,
     scene: Annotated[
-        str, typer.Option(help="Scene whose nine rays tell whether the flow is steady.")
+        str, typer.Option(help="Scene whose probe rays tell whether the flow is steady.")
     ] = "hot_cylinder",
     overwrite: Overwrite = False,
 ) -> None:

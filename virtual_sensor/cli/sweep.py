@@ -9,6 +9,7 @@ from rich.table import Table
 
 from virtual_sensor.cli.shared import (
     FINISHED_STAYS,
+    ProbeRays,
     SceneArgument,
     Scheduler,
     console,
@@ -35,6 +36,7 @@ Choices = Annotated[
 def sweep(
     scene: SceneArgument,
     define: Choices = None,
+    y: ProbeRays = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
     ] = Path("swept"),
@@ -53,7 +55,7 @@ def sweep(
     if len(choices) < len(define or []):
         raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
     with reporting("planning the cases", FINISHED_STAYS) as report:
-        cases = plan(scene, choices)
+        cases = plan(scene, choices, y or None)
         finished = run(
             cases, output, scheduler, lambda stage, fraction: report(stage, 0.98 * fraction)
         )

@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
@@ -21,8 +21,9 @@ from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.measure import NINE_RAYS_MM, Report, made_with
+from virtual_sensor.studies.measure import Report, made_with
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
+from virtual_sensor.studies.probes import probe_rays
 from virtual_sensor.studies.tables import status_names
 
 MIN_FRAMES = 3
@@ -63,7 +64,9 @@ class Burst:
     lines : tuple of F LineCentres
         The rendered line in every column.
     rays : tuple of F FoundPixels
-        The paper's nine rays, by Newton's search.
+        The probe rays, by Newton's search.
+    probe_y_mm : ndarray of shape (N,)
+        Their positions along the line.
     notes : tuple of str
         What the user should know.
     seconds : dict
@@ -75,6 +78,7 @@ class Burst:
     stored_s: Array
     lines: tuple[LineCentres, ...]
     rays: tuple[FoundPixels, ...]
+    probe_y_mm: Array
     notes: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -95,17 +99,17 @@ class Burst:
 
     @property
     def rays_px(self) -> Array:
-        """Pixels that see the nine rays; shape (F, 9, 2)."""
+        """Pixels that see the probe rays; shape (F, N, 2)."""
         return np.stack([found.pixel for found in self.rays])
 
     @property
     def incidence_mm(self) -> Array:
-        """The nine rays' points B on the part, world, mm; shape (F, 9, 3)."""
+        """The probe rays' points B on the part, world, mm; shape (F, N, 3)."""
         return np.stack([found.laser_point_mm for found in self.rays])
 
     @property
     def measured_mm(self) -> Array:
-        """The nine rays' measured points B_m, world, mm; shape (F, 9, 3)."""
+        """The probe rays' measured points B_m, world, mm; shape (F, N, 3)."""
         return triangulate(self.scene.sensor, self.rays_px)
 
     @property
@@ -115,7 +119,7 @@ class Burst:
 
     @property
     def ray_status(self) -> NDArray[np.str_]:
-        """Per ray "found", or why most frames have no pixel for it; shape (9,)."""
+        """Per ray "found", or why most frames have no pixel for it; shape (N,)."""
         return _commonest(np.stack([found.status for found in self.rays]), SearchStatus)
 
     def with_height(self, points_mm: Array) -> Array:
@@ -174,8 +178,9 @@ def burst(
     duration_s: float = 1.0,
     frames: int = 11,
     report: Report = lambda stage, fraction: None,
+    y_mm: ArrayLike | None = None,
 ) -> Burst:
-    """Render frames of moving air, find the line in each, and search the nine rays.
+    """Render frames of moving air, find the line in each, and search the probe rays.
 
     Parameters
     ----------
@@ -190,6 +195,8 @@ def burst(
         Their number.
     report : callable
         Told what is being done, and which fraction of the whole is.
+    y_mm : array_like of shape (N,), optional
+        Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
 
     Raises
     ------
@@ -202,7 +209,8 @@ def burst(
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
     seconds = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
     lines, rays = [], []
-    notes = [*scene.notes, *unlit_rays(scene.sensor.laser, NINE_RAYS_MM), *coarse_grid(scene)]
+    y = probe_rays(scene, y_mm)
+    notes = [*scene.notes, *unlit_rays(scene.sensor.laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
     at_border: list[str] = []
     for number, instant in enumerate(times):
@@ -210,24 +218,25 @@ def burst(
         def tell(part: float, number: int = number, instant: float = instant) -> None:
             report(f"frame {number + 1} of {frames}, {instant:.3f} s", (number + part) / frames)
 
-        line, found, border = _one_frame(scene, float(instant), tell, seconds)
+        line, found, border = _one_frame(scene, y, float(instant), tell, seconds)
         lines.append(line)
         rays.append(found)
         # At one instant: at the others it is much the same.
         at_border = at_border or [f"at {instant:g} s: {text}" for text in border]
-    return Burst(scene, times, stored, tuple(lines), tuple(rays), (*notes, *at_border), seconds)
+    notes += at_border
+    return Burst(scene, times, stored, tuple(lines), tuple(rays), y, tuple(notes), seconds)
 
 
 def _one_frame(
-    scene: Scene, instant: float, tell: Callable[[float], None], seconds: dict[str, float]
+    scene: Scene, y: Array, instant: float, tell: Callable[[float], None], seconds: dict[str, float]
 ) -> tuple[LineCentres, FoundPixels, list[str]]:
-    """Line, nine rays and notes of one instant; `seconds` grows by what each part took."""
+    """Line, probe rays and notes of one instant; `seconds` grows by what each part took."""
     tell(0.0)
     with _timed(seconds, "field"):
         now = scene.at(instant)
     with _timed(seconds, "search"):
         notes = check_scene(now)
-        found = ray_search(now, NINE_RAYS_MM, "newton")
+        found = ray_search(now, y, "newton")
     tell(0.1)
     with _timed(seconds, "render"):
         frame = render_frame(now, progress=lambda part: tell(0.3 + 0.7 * part))
@@ -277,7 +286,7 @@ def summary(result: Burst) -> dict[str, Any]:
             "y, um": _middle_and_largest(points.std[:, 1] * UM_PER_MM),
             "height along the laser's axis, um": _middle_and_largest(points.std[:, 3] * UM_PER_MM),
         },
-        "standard deviation of the nine rays": {
+        "standard deviation of the probe rays": {
             "u, px": _middle_and_largest(rays.std[:, 0]),
             "v, px": _middle_and_largest(rays.std[:, 1]),
             "B_m's height along the laser's axis, um": _middle_and_largest(

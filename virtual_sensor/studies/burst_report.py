@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from virtual_sensor.files import written_whole
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.studies.burst import Burst, spread
-from virtual_sensor.studies.measure import NINE_RAYS_MM
 
 _RAYS = "#c8321e"
 
@@ -20,7 +19,7 @@ def draw_burst(result: Burst, figures: dict[str, Any], path: Path) -> None:
     """Draw the page as a PNG; `figures` is the burst's summary."""
     figure = Figure(figsize=(13.5, 9.5), dpi=110, layout="constrained")
     axes = figure.subplot_mosaic(
-        [["film", "film", "film"], ["pixel", "point", "nine"], ["text", "text", "rays"]],
+        [["film", "film", "film"], ["pixel", "point", "probes"], ["text", "text", "rays"]],
         height_ratios=[1.2, 1.2, 0.8],
     )
     figure.suptitle(
@@ -31,7 +30,7 @@ def draw_burst(result: Burst, figures: dict[str, Any], path: Path) -> None:
     _film(axes["film"], result)
     _pixel(axes["pixel"], result)
     _point(axes["point"], result)
-    _nine(axes["nine"], result)
+    _probes(axes["probes"], result)
     _ray_pixels(axes["rays"], result)
     _text(axes["text"], result, figures)
     with written_whole(path) as temporary:
@@ -80,12 +79,12 @@ def _point(axes: Axes, result: Burst) -> None:
     axes.legend(fontsize=8, loc="upper center", ncols=2)
 
 
-def _nine(axes: Axes, result: Burst) -> None:
+def _probes(axes: Axes, result: Burst) -> None:
     """How far above its true place each ray's point is measured, and how steadily."""
     error = (result.measured_mm - result.incidence_mm) @ result.up * UM_PER_MM
     of_rays = spread(error[..., None])
     axes.errorbar(
-        *(NINE_RAYS_MM, of_rays.mean[:, 0]),
+        *(result.probe_y_mm, of_rays.mean[:, 0]),
         yerr=of_rays.std[:, 0],
         fmt="o",
         ms=4,
@@ -95,16 +94,16 @@ def _nine(axes: Axes, result: Burst) -> None:
     axes.axhline(0.0, color="0.7", lw=0.6)
     axes.invert_xaxis()
     axes.set(xlabel="y of the laser ray in mm", ylabel="height of B$_m$ above B in µm")
-    axes.set_title("The paper's nine rays, mean ± standard deviation")
+    axes.set_title("Probe rays, mean ± standard deviation")
 
 
 def _ray_pixels(axes: Axes, result: Burst) -> None:
     rays = spread(result.rays_px)
     for axis, name in enumerate("uv"):
-        axes.plot(NINE_RAYS_MM, rays.std[:, axis], "o-", ms=3, lw=1.0, label=name)
+        axes.plot(result.probe_y_mm, rays.std[:, axis], "o-", ms=3, lw=1.0, label=name)
     axes.invert_xaxis()
     axes.set(xlabel="y of the laser ray in mm", ylabel="standard deviation in px")
-    axes.set_title("Sway of the nine rays' pixels")
+    axes.set_title("Sway of the probe rays' pixels")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize=8)
 
@@ -112,7 +111,7 @@ def _ray_pixels(axes: Axes, result: Burst) -> None:
 def _text(axes: Axes, result: Burst, figures: dict[str, Any]) -> None:
     """The figures that a reader asks for first."""
     lines = []
-    for group in ("standard deviation along the line", "standard deviation of the nine rays"):
+    for group in ("standard deviation along the line", "standard deviation of the probe rays"):
         lines.append(f"{group[0].upper()}{group[1:]}:")
         for name, value in figures[group].items():
             if value.get("median") is not None:

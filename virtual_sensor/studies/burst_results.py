@@ -1,4 +1,4 @@
-"""A burst's results in a folder: the sway along the line and of the nine rays, frames, picture."""
+"""A burst's results in a folder: the sway along the line and of the probe rays, frames, picture."""
 
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,6 @@ from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.studies.burst import Burst, spread
 from virtual_sensor.studies.burst_report import draw_burst
-from virtual_sensor.studies.measure import NINE_RAYS_MM
 from virtual_sensor.studies.tables import status_names, vectors, write_csv, write_json, write_ply
 
 _POINT = ("x", "y", "z", "height")
@@ -30,7 +29,7 @@ def save_burst(
     """
     with folder_written_whole(folder, overwrite) as place:
         write_csv(place / "sway.csv", _sway_table(result))
-        write_csv(place / "nine_rays.csv", _nine_rays_table(result))
+        write_csv(place / "probe_rays.csv", _probe_rays_table(result))
         write_csv(place / "frames.csv", _frames_table(result))
         points = spread(result.with_height(result.points_mm))
         write_ply(place / "sway.ply", points.mean[:, :3], points.std[:, 3] * UM_PER_MM)
@@ -53,13 +52,13 @@ def _sway_table(result: Burst) -> dict[str, Any]:
     }
 
 
-def _nine_rays_table(result: Burst) -> dict[str, Any]:
-    """Mean and standard deviation of the nine rays' pixels, points B and measured points B_m."""
+def _probe_rays_table(result: Burst) -> dict[str, Any]:
+    """Mean and standard deviation of the probe rays' pixels, points B and measured points B_m."""
     pixel = spread(result.rays_px)
     incidence = spread(result.with_height(result.incidence_mm))
     measured = spread(result.with_height(result.measured_mm))
     return {
-        "y_mm": NINE_RAYS_MM,
+        "y_mm": result.probe_y_mm,
         "frames": pixel.frames,
         **vectors("mean_px", pixel.mean, "uv"),
         **vectors("std_px", pixel.std, "uv"),

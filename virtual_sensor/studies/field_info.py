@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.errors import InputError
@@ -17,7 +17,7 @@ from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, read_fiel
 from virtual_sensor.medium.netcdf_elements import number, open_netcdf, read_times, text, units_of
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.field_grid import Loss, Structure, grid_losses, narrowest_structures
-from virtual_sensor.studies.measure import NINE_RAYS_MM
+from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
 
@@ -98,8 +98,10 @@ class FieldInfo:
         In this field; None if the field suits none.
     line : LitLine or None
         Where the scene's laser lights its part.
-    effect_px : ndarray of shape (9, 2) or None
-        By how much the field moves the pixels of the paper's nine rays; NaN for those not found.
+    probe_y_mm : ndarray of shape (N,)
+        Positions of the scene's probe rays along the line; empty without a scene.
+    effect_px : ndarray of shape (N, 2) or None
+        By how much the field moves their pixels; NaN for those not found.
     notes : tuple of str
         What of the file is ignored; what is not in here, and why.
     """
@@ -115,6 +117,7 @@ class FieldInfo:
     losses: list[Loss]
     scene: Scene | None
     line: LitLine | None
+    probe_y_mm: Array
     effect_px: Array | None
     notes: tuple[str, ...]
 
@@ -145,6 +148,7 @@ def field_info(
     parameters: Mapping[str, str] | None = None,
     time_s: float | None = None,
     report: Callable[[str, float], None] = lambda stage, fraction: None,
+    y_mm: ArrayLike | None = None,
 ) -> FieldInfo:
     """Look at a field, by itself and as a scene's light sees it.
 
@@ -160,6 +164,8 @@ def field_info(
         The instant, in s of flow time; the last by default.
     report : callable
         Is told what is being done, and which fraction of the whole is.
+    y_mm : array_like of shape (N,), optional
+        Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
 
     Raises
     ------
@@ -176,7 +182,7 @@ def field_info(
 
     report("following the light", 0.1)
     in_it = loaded.with_field(field)
-    line, effect, pixels, notes = None, None, None, [*field.notes]
+    line, probes, effect, pixels, notes = None, np.zeros(0), None, None, [*field.notes]
     try:
         line = lit_line(in_it)
     except InputError as error:
@@ -184,11 +190,12 @@ def field_info(
             raise InputError(f"{path}: does not suit the scene: {error}") from None
         notes.append(f"left out: what it does to light; it does not suit a scene ({error})")
     if line:
-        pixels = partial(nine_pixels, in_it)
+        probes = probe_rays(in_it, y_mm)
+        pixels = partial(searched_pixels, in_it, probes)
         effect = pixels(field) - pixels(None)
         if np.isnan(effect).all():
             effect, pixels = None, None
-            notes.append("left out: the effect in px; none of the nine rays is in the picture")
+            notes.append("left out: the effect in px; none of the probe rays is in the picture")
 
     solid = read_field_file(path, wavelength_nm, time_s=time_s).solid
     refilled = solid is not None
@@ -215,6 +222,7 @@ def field_info(
         losses,
         in_it if line else None,
         line,
+        probes,
         effect,
         tuple(notes),
     )
@@ -235,9 +243,9 @@ def _node_places(field: IndexField) -> Array:
     return field.origin + np.indices(field.shape).reshape(3, -1).T * field.spacing
 
 
-def nine_pixels(scene: Scene, field: IndexField | None) -> Array:
-    """Pixels (9, 2) that see the paper's nine rays through a field."""
-    return ray_search(scene.with_field(field), NINE_RAYS_MM, "newton").pixel
+def searched_pixels(scene: Scene, y_mm: Array, field: IndexField | None) -> Array:
+    """Pixels (N, 2) that see laser rays at y_mm (N,) through a field."""
+    return ray_search(scene.with_field(field), y_mm, "newton").pixel
 
 
 def _contents(path: Path) -> Contents:

@@ -8,7 +8,6 @@ from virtual_sensor.imaging.checks import JUMP_REFUSED_PX, JUMP_TOLD_PX
 from virtual_sensor.studies.agreement import FINE_PX
 from virtual_sensor.studies.field_grid import Convergence, Loss
 from virtual_sensor.studies.field_info import FieldInfo
-from virtual_sensor.studies.measure import NINE_RAYS_MM
 
 COARSE_PX = 0.1
 """Loss that a field's grid may cause: what a measurement must resolve; `FINE_PX` is what it can."""
@@ -51,9 +50,9 @@ def facts(info: FieldInfo) -> dict[str, str]:
         shift = np.linalg.norm(info.effect_px, axis=1)
         worst = int(np.nanargmax(shift))
         told["effect"] = (
-            "moves what the camera sees of the paper's nine rays by up to"
+            "moves what the camera sees of the probe rays by up to"
             f" {_pixels(shift[worst])} px (hot minus cold; the ray at y ="
-            f" {NINE_RAYS_MM[worst]:g} mm; scene {info.scene.path.stem})"
+            f" {info.probe_y_mm[worst]:g} mm; scene {info.scene.path.stem})"
         )
     return told
 
@@ -158,7 +157,7 @@ def _border_verdict(info: FieldInfo) -> str:
 def _grid_verdict(losses: list[Loss]) -> str:
     together = losses[-1].pixel
     assert together  # asked only then
-    lost = f"between its nodes this grid loses {_pixels(together.present)} px of the nine rays"
+    lost = f"between its nodes this grid loses {_pixels(together.present)} px of the probe rays"
     if together.present <= FINE_PX:
         verdict = f"Grid: fine enough for {FINE_PX:g} px: {lost}."
     elif together.present <= COARSE_PX:
@@ -221,11 +220,11 @@ def figures(info: FieldInfo) -> dict[str, Any]:
             loss.axes: {
                 "largest change of n, every 2nd": _known(loss.largest),
                 "rms change of n": _convergence(loss.rms),
-                "largest shift of the nine rays, px": _convergence(loss.pixel),
+                "largest shift of the probe rays, px": _convergence(loss.pixel),
             }
             for loss in info.losses
         },
-        "effect on the nine rays (u, v), px": None
+        "effect on the probe rays (u, v), px": None
         if info.effect_px is None
         else [[_known(px) for px in row] for row in info.effect_px],
         "verdicts": verdicts(info),

@@ -27,7 +27,7 @@ from virtual_sensor.medium.imports.meshes import pyvista
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.studies.measure import DENSE_RAYS, NINE_RAYS_MM
+from virtual_sensor.studies.probes import DENSE_RAYS, probe_rays
 from virtual_sensor.studies.simulate import as_field
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Change:
     line_px, line_rms_px : float
         Of the line across itself, at equal columns: at most, and root mean square.
     rays_px : float
-        Of the nine rays' pixels, in both axes, at most.
+        Of the probe rays' pixels, in both axes, at most.
     points_um : float
         Of the points measured on the line, at most.
     run_s : float
@@ -132,7 +132,7 @@ class Seen:
     columns : tuple of float
         First and last column of it.
     rays_px : ndarray of shape (9, 2)
-        Pixels of the nine rays.
+        Pixels of the probe rays.
     """
 
     line: CubicSpline
@@ -224,7 +224,7 @@ def fineness(
 
 
 def look(scene: Scene) -> Seen:
-    """The line and the nine rays, by Newton's search.
+    """The line and the probe rays, by Newton's search.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def look(scene: Scene) -> Seen:
     u, v = ray_search(scene, y, "newton").pixel.T
     if not (np.isfinite(u).all() and (np.diff(u) > 0.0).all()):
         raise InputError(f"{scene.path}: the air hides or folds the line; nothing to compare")
-    rays = ray_search(scene, NINE_RAYS_MM, "newton").pixel
+    rays = ray_search(scene, probe_rays(scene), "newton").pixel
     return Seen(CubicSpline(u, v), (float(u[0]), float(u[-1])), rays)
 
 

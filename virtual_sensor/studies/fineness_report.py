@@ -74,7 +74,7 @@ def markdown_table(result: Fineness) -> str:
     rows["as the shipped fields"] = next((c for c in result.changes if c.choice == SHIPPED), None)
     rows[f"against {reference.time_s:g} s on the same mesh"] = result.long
     lines = [
-        "| | mesh cell | flow time | field grid y x z | line, across itself | nine rays, both axes"
+        "| | mesh cell | flow time | field grid y x z | line, across itself | probe rays, both axes"
         " | points | solver | file |",
         "|---|---|---|---|---|---|---|---|---|",
         *(_row(name, c) for name, c in rows.items() if c),
@@ -158,7 +158,7 @@ def draw_chart(result: Fineness, path: Path) -> None:
 
 def _lines(axes: Axes, changes: list[Change], places: list[float]) -> None:
     for name, label in (
-        ("rays_px", "nine rays, both axes, at most"),
+        ("rays_px", "probe rays, both axes, at most"),
         ("line_px", "line, across itself, at most"),
     ):
         axes.plot(places, [_floor(getattr(c, name)) for c in changes], "o-", label=label)

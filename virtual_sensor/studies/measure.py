@@ -8,7 +8,7 @@ from importlib import metadata
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from virtual_sensor_plugins.lit_pixels import Account
 
 from virtual_sensor import engine
@@ -41,14 +41,7 @@ from virtual_sensor.studies.notes import (
     unlit_rays,
     upright_line,
 )
-
-NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
-"""The paper's laser rays: positions y along the line."""
-
-DENSE_RAYS = 401
-"""Rays along the whole line of the search that the rendered line is compared with."""
-
-_BESIDE = 0.1  # of what is seen, on either side: hot air may show more of it
+from virtual_sensor.studies.probes import dense_rays, probe_rays
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -65,7 +58,7 @@ class State:
     frame : Frame
     line : LineCentres
     paper, newton : FoundPixels
-        The nine rays, by the paper's search and by Newton's.
+        The probe rays, by the paper's search and by Newton's.
     dense : FoundPixels
         Rays along the whole line, or one at each dot, by Newton's search.
     sound : Sound
@@ -116,12 +109,13 @@ class State:
 class Measurement:
     """The part measured cold and, if the scene has a field, hot.
 
-    `dense_y_mm` are the dense search's rays; `notes` hold what the user should know of the scene;
-    `seconds` is the time of the whole.
+    `probe_y_mm` and `dense_y_mm` are the rays' positions along the line, mm; `notes` hold what the
+    user should know of the scene; `seconds` is the time of the whole.
     """
 
     cold: State
     hot: State | None
+    probe_y_mm: Array
     dense_y_mm: Array
     notes: tuple[str, ...]
     seconds: float
@@ -129,7 +123,7 @@ class Measurement:
     @property
     def rays(self) -> int:
         """Rays that were searched in each state."""
-        return 2 * len(NINE_RAYS_MM) + len(self.dense_y_mm)
+        return 2 * len(self.probe_y_mm) + len(self.dense_y_mm)
 
     @property
     def states(self) -> dict[str, State]:
@@ -137,28 +131,46 @@ class Measurement:
         return {"cold": self.cold} | ({"hot": self.hot} if self.hot else {})
 
 
-def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Measurement:
+def measure(
+    scene: Scene,
+    report: Report = lambda stage, fraction: None,
+    y_mm: ArrayLike | None = None,
+) -> Measurement:
     """Render, find the line, triangulate, search: first cold, then hot.
+
+    Parameters
+    ----------
+    scene : Scene
+    report : callable
+        Told what is being done, and which fraction of the whole is.
+    y_mm : array_like of shape (N,), optional
+        Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
 
     Raises
     ------
     InputError
-        If the scene can't be measured (see `imaging.checks`), or its frame stays black.
+        If a ray's position is not finite, the scene can't be measured (see `imaging.checks`), or
+        its frame stays black.
     """
     started = time.perf_counter()
     report("checking the scene", 0.0)
     laser = scene.sensor.laser
-    notes = [*scene.notes, *check_scene(scene), *unlit_rays(laser, NINE_RAYS_MM)]
-    notes += coarse_grid(scene)
+    notes = [*scene.notes, *check_scene(scene)]
+    probe_y = probe_rays(scene, y_mm)
+    notes += [*unlit_rays(laser, probe_y), *coarse_grid(scene)]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
     cold = _measure_state(
-        scene.cold(), dense_y, lambda stage, part: report(f"cold part: {stage}", share * part)
+        scene.cold(),
+        probe_y,
+        dense_y,
+        lambda stage, part: report(f"cold part: {stage}", share * part),
     )
     hot = None
     if scene.field:
         hot = _measure_state(
             scene,
+            probe_y,
             dense_y,
             lambda stage, part: report(f"hot part: {stage}", share + (1.0 - share) * part),
         )
@@ -167,31 +179,16 @@ def measure(scene: Scene, report: Report = lambda stage, fraction: None) -> Meas
         words = [] if state.dots else upright_line(state.dense)
         words += frame_notes(state.frame.account, state.line, state.compared, state.sound)
         notes += [f"{name}: {each}" for each in words]
-    return Measurement(cold, hot, dense_y, tuple(notes), time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return Measurement(cold, hot, probe_y, dense_y, tuple(notes), seconds)
 
 
-def dense_rays(scene: Scene) -> Array:
-    """Positions y (N,) of `DENSE_RAYS` rays along what is seen of the line on the cold part, mm.
-
-    Spread over a line that is much longer than the part they would lie too far apart.
-    """
-    ends = np.array([-0.5, 0.5]) * scene.sensor.laser.length_mm
-    while True:
-        y = np.linspace(ends[0], ends[1], DENSE_RAYS)
-        seen = y[ray_search(scene.cold(), y, "newton").status == SearchStatus.FOUND]
-        margin = _BESIDE * np.ptp(seen) if seen.size > 1 else 0.0
-        closer = np.clip([seen.min() - margin, seen.max() + margin], *ends) if margin else ends
-        if np.ptp(closer) > 0.5 * np.ptp(ends):
-            return y
-        ends = closer
-
-
-def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
+def _measure_state(scene: Scene, probe_y: Array, dense_y: Array, report: Report) -> State:
     clock = time.perf_counter
     report("searching, ray by ray", 0.0)
     at = clock()
-    paper = ray_search(scene, NINE_RAYS_MM, "paper")
-    newton = ray_search(scene, NINE_RAYS_MM, "newton")
+    paper = ray_search(scene, probe_y, "paper")
+    newton = ray_search(scene, probe_y, "newton")
     dense = ray_search(scene, dense_y, "newton")
     seconds = {"search": clock() - at}
     report("looking for the lit pixels", 0.2)
@@ -211,8 +208,8 @@ def _measure_state(scene: Scene, dense_y: Array, report: Report) -> State:
     return State(scene, frame, line, paper, newton, dense, truth, compared, seconds)
 
 
-def nine_ray_deviations(result: Measurement, step_px: float | None = None) -> Deviation:
-    """The paper's differences for its nine rays, by Newton's search; pixels rounded if asked.
+def probe_deviations(result: Measurement, step_px: float | None = None) -> Deviation:
+    """The paper's differences for the probe rays, by Newton's search; pixels rounded if asked.
 
     Of a part that is measured only cold, the hot points are NaN.
     """
@@ -235,7 +232,7 @@ def nine_ray_deviations(result: Measurement, step_px: float | None = None) -> De
 def summary(result: Measurement) -> dict[str, Any]:
     """The figures that tell whether the measurement is sound, for `summary.json`."""
     scene = (result.hot or result.cold).scene
-    exact, rounded = nine_ray_deviations(result), nine_ray_deviations(result, 0.25)
+    exact, rounded = probe_deviations(result), probe_deviations(result, 0.25)
     sensor_axes = scene.sensor.camera.pose.rotation[:, :2]
     return {
         "scene": str(scene.path),
@@ -243,8 +240,8 @@ def summary(result: Measurement) -> dict[str, Any]:
         "field": _field_summary(scene.field) if scene.field else None,
         "notes": result.notes,
         "states": {name: _state_summary(state) for name, state in result.states.items()},
-        "rays lit": int(np.sum(scene.sensor.laser.reaches(0.0, NINE_RAYS_MM))),
-        "nine_rays_um": {
+        "rays lit": int(np.sum(scene.sensor.laser.reaches(0.0, result.probe_y_mm))),
+        "probe_rays_um": {
             "largest |A - A_m|, cold": _largest(exact.cold_um),
             "largest |A - A_m|, cold, pixels rounded to 0.25": _largest(rounded.cold_um),
             "the same along a sensor axis": _largest(
@@ -316,14 +313,14 @@ def _state_summary(state: State) -> dict[str, Any]:
         }
         if dots
         else None,
-        "paper's search, nine rays": {
+        "paper's search, probe rays": {
             "largest distance, um": _largest(state.paper.distance_um[:, None]),
-            "steps": int(state.paper.iterations.max()),
+            "steps": int(state.paper.iterations.max(initial=0)),
             "found": int(np.sum(state.paper.status == SearchStatus.FOUND)),
         },
-        "Newton's search, nine rays": {
+        "Newton's search, probe rays": {
             "largest distance, um": _largest(state.newton.distance_um[:, None]),
-            "marches": int(state.newton.iterations.max()),
+            "marches": int(state.newton.iterations.max(initial=0)),
             "found": int(np.sum(state.newton.status == SearchStatus.FOUND)),
         },
         "frame": frame_account(state.frame.account),

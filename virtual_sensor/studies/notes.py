@@ -20,6 +20,7 @@ from virtual_sensor.studies.agreement import (
     Sound,
 )
 from virtual_sensor.studies.field_grid import pixel_loss
+from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ TRUTH = "line centres beside the frame's truth"
 
 
 def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
-    """Note of the paper's nine rays that the laser does not light."""
+    """Note of the probe rays that the laser does not light."""
     unlit = y_mm[~laser.reaches(0.0, y_mm)]
     if not unlit.size:
         return []
@@ -39,17 +40,17 @@ def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
     )
     places = ", ".join(f"{y:g}" for y in unlit)
     return [
-        f"laser_line: {unlit.size} of the paper's nine rays are not lit, at y = {places} mm: the"
+        f"laser_line: {unlit.size} of {y_mm.size} probe rays are not lit, at y = {places} mm: the"
         f" {what}; these have no figures"
     ]
 
 
 def coarse_grid(scene: Scene) -> list[str]:
     """Note of a field whose grid loses more than is seen; some 0.15 s for a field of 2 MB."""
-    field, laser = scene.field, scene.sensor.laser
+    field = scene.field
     if field is None:
         return []
-    y = laser.dots_mm if laser.dots_mm.size else np.linspace(-0.45, 0.45, 9) * laser.length_mm
+    y = probe_rays(scene)
     file = scene.air.path
     solid = read_field_file(file, scene.air.wavelength_nm).solid if file else None
     if solid is not None and solid.shape != field.shape:

@@ -15,9 +15,8 @@ from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.agreement import DotAgreement
 from virtual_sensor.studies.measure import (
-    NINE_RAYS_MM,
     Measurement,
-    nine_ray_deviations,
+    probe_deviations,
 )
 
 Array = NDArray[np.float64]
@@ -34,7 +33,7 @@ def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> Non
     axes = figure.subplot_mosaic(
         [
             ["frame", "frame", "along"],
-            ["height", "nine", "across"],
+            ["height", "probes", "across"],
             ["residual", "residual", "text"],
         ],
         height_ratios=[1.3, 1.2, 0.8],
@@ -50,7 +49,7 @@ def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> Non
     _air(axes["along"], result, across=False)
     _air(axes["across"], result, across=True)
     _height(axes["height"], result)
-    _nine_rays(axes["nine"], result)
+    _probe_rays(axes["probes"], result)
     _residual(axes["residual"], result)
     _text(axes["text"], result, figures)
     with written_whole(path) as temporary:
@@ -136,19 +135,19 @@ def _height(axes: Axes, result: Measurement) -> None:
     axes.legend(fontsize=8)
 
 
-def _nine_rays(axes: Axes, result: Measurement) -> None:
+def _probe_rays(axes: Axes, result: Measurement) -> None:
     """The paper's figure 7: norms of its differences."""
-    d = nine_ray_deviations(result)
+    d = probe_deviations(result)
     for label, values in (
         ("B - A", d.incidence_um),
         ("B - B$_m$", d.hot_um),
         ("B$_m$ - A$_m$", d.measured_um),
         ("A - A$_m$", d.cold_um),
     ):
-        axes.plot(NINE_RAYS_MM, euclidean(values), "o-", ms=3, lw=1.0, label=label)
+        axes.plot(result.probe_y_mm, euclidean(values), "o-", ms=3, lw=1.0, label=label)
     axes.invert_xaxis()
     axes.set(xlabel="y of the laser ray in mm", ylabel="distance in µm")
-    axes.set_title("The paper's nine rays")
+    axes.set_title("Probe rays: laser points, cold A and hot B, and points measured")
     axes.legend(fontsize=8)
 
 
@@ -175,9 +174,9 @@ def _residual(axes: Axes, result: Measurement) -> None:
 
 def _text(axes: Axes, result: Measurement, figures: dict[str, Any]) -> None:
     """The figures that a reader asks for first."""
-    nine = figures["nine_rays_um"]
-    lines = [f"Nine rays, {figures['rays lit']} of them lit:"]
-    lines += [f"  {name}: {um:.3g} µm" for name, um in nine.items() if um is not None]
+    moved = figures["probe_rays_um"]
+    lines = [f"{len(result.probe_y_mm)} probe rays, {figures['rays lit']} of them lit:"]
+    lines += [f"  {name}: {um:.3g} µm" for name, um in moved.items() if um is not None]
     for name, state in result.states.items():
         lines.append(
             f"{name}: {state.centres} centres, rendered in {state.seconds['render']:.1f} s"

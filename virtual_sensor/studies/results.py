@@ -14,10 +14,9 @@ from virtual_sensor.metrology.deviation import euclidean, separate_paths
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.studies.measure import (
-    NINE_RAYS_MM,
     Measurement,
     State,
-    nine_ray_deviations,
+    probe_deviations,
 )
 from virtual_sensor.studies.notes import TRUTH, WRONG
 from virtual_sensor.studies.report import draw_report
@@ -73,7 +72,7 @@ def save(
                 )
             brightness = state.dots.flux if state.dots else state.line.amplitude
             write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
-        write_csv(place / "nine_rays.csv", _nine_rays_table(result))
+        write_csv(place / "probe_rays.csv", _probe_rays_table(result))
         write_csv(place / "dense_search.csv", _dense_table(result))
         sensor = result.cold.scene.sensor
         with written_whole(place / CALIBRATION) as temporary:
@@ -108,20 +107,21 @@ def markdown_table(result: Measurement, figures: dict[str, Any]) -> str:
     }
     rows = {
         **(of_dots if result.cold.dots else of_line),
-        "The paper's search: largest distance of nine rays": (
+        "The paper's search: largest distance of {probes} rays": (
             "{:.2g} µm",
-            ("paper's search, nine rays", "largest distance, um"),
+            ("paper's search, probe rays", "largest distance, um"),
         ),
         "Newton's search: the same": (
             "{:.1g} µm",
-            ("Newton's search, nine rays", "largest distance, um"),
+            ("Newton's search, probe rays", "largest distance, um"),
         ),
-        "Newton's search: marches a ray": ("{}", ("Newton's search, nine rays", "marches")),
+        "Newton's search: marches a ray": ("{}", ("Newton's search, probe rays", "marches")),
         "Frame of {0} x {1} px, {spp} samples a lit pixel": ("{:.1f} s", ("seconds", "render")),
         "Search of {rays} rays": ("{:.2f} s", ("seconds", "search")),
     }
     scene = result.cold.scene
     words = {"spp": figures["made_with"]["samples per pixel"], "rays": result.rays}
+    words["probes"] = len(result.probe_y_mm)
     lines = ["| | " + " | ".join(states) + " |", "|---|" + "---|" * len(states)]
     for name, (shape, (group, key)) in rows.items():
         values = [state[group][key] for state in states.values()]
@@ -149,8 +149,8 @@ def _line_table(state: State) -> dict[str, Any]:
     }
 
 
-def _nine_rays_table(result: Measurement) -> dict[str, Any]:
-    table: dict[str, Any] = {"y_mm": NINE_RAYS_MM}
+def _probe_rays_table(result: Measurement) -> dict[str, Any]:
+    table: dict[str, Any] = {"y_mm": result.probe_y_mm}
     for letter, state in zip("AB", result.states.values(), strict=False):
         table |= {
             **vectors(f"{letter}_mm", state.newton.laser_point_mm, "xyz"),
@@ -161,7 +161,7 @@ def _nine_rays_table(result: Measurement) -> dict[str, Any]:
             f"status_{letter}_paper": status_names(state.paper.status, SearchStatus),
         }
     for suffix, step in (("", None), ("_rounded", 0.25)):
-        d = nine_ray_deviations(result, step)
+        d = probe_deviations(result, step)
         for name, values, axes in (
             ("B-A_um", d.incidence_um, "xyz"),
             ("B-B_m_um", d.hot_um, "xyz"),

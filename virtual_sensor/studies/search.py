@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.studies.measure import NINE_RAYS_MM
+from virtual_sensor.studies.probes import probe_rays
 from virtual_sensor.studies.tables import status_names, vectors
 
 
@@ -39,19 +38,17 @@ class Search:
 def search(
     scene: Scene, method: str, y_mm: ArrayLike | None = None, rays: int | None = None
 ) -> Search:
-    """Search the pixels of laser rays at y_mm, of so many rays along the line, or the paper's nine.
+    """Search the pixels of laser rays at y_mm, of so many along the line, or of the probe rays.
 
     Raises
     ------
     InputError
         If a number is not finite, or the scene can't be measured (see `imaging.checks`).
     """
-    y = NINE_RAYS_MM if y_mm is None else np.asarray(y_mm, float)
-    if not np.isfinite(y).all():
-        raise InputError(f"search: the rays' y are {y.tolist()}; give finite numbers in mm")
-    notes = (*scene.notes, *check_scene(scene))
     if rays:
-        y = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
+        y_mm = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
+    notes = (*scene.notes, *check_scene(scene))
+    y = probe_rays(scene, y_mm)
     found = ray_search(scene, y, method)
     columns = {
         "y_mm": y,

@@ -31,7 +31,8 @@ from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.imports.meshes import pyvista
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
-from virtual_sensor.studies.field_info import nine_pixels
+from virtual_sensor.studies.field_info import searched_pixels
+from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -49,7 +50,7 @@ class Until:
     at_most_s, at_least_s : float
         Flow time at which it ends in any case, and before which it does not, s.
     steady_px_per_s : float
-        In between it ends once the pixels of the paper's nine rays move by less than this per
+        In between it ends once the pixels of the scene's probe rays move by less than this per
         second of flow; 0: it does not.
     """
 
@@ -78,7 +79,7 @@ class Simulation:
     balance : HeatBalance
         Of the last quarter of a second.
     drift_px_per_s : float
-        How fast the nine rays' pixels still moved in the end; NaN where it was not looked at.
+        How fast the probe rays' pixels still moved in the end; NaN where it was not looked at.
     notes : tuple of str
         What the user should know of the scene whose rays were followed.
     """
@@ -93,13 +94,17 @@ class Simulation:
 
 @dataclass
 class Steadiness:
-    """Watches how fast the nine rays' pixels move while the flow develops."""
+    """Watches how fast the probe rays' pixels move while the flow develops."""
 
     scene: Scene
     until: Until
     sampled: Callable[[float], GriddedQuantity]
     drift_px_per_s: float = np.nan
     _last: tuple[float, Array] | None = field(default=None, repr=False)
+    _probes: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._probes = probe_rays(self.scene)
 
     def __call__(self, time_s: float) -> bool:
         """Whether the flow may end at this saved time."""
@@ -122,7 +127,7 @@ class Steadiness:
             self._look(times_s[-1])
 
     def _look(self, time_s: float) -> None:
-        pixel = nine_pixels(self.scene, as_field(self.sampled(time_s)))
+        pixel = searched_pixels(self.scene, self._probes, as_field(self.sampled(time_s)))
         if self._last:
             before_s, before = self._last
             moved = np.linalg.norm(pixel - before, axis=1)
@@ -167,7 +172,7 @@ def simulate(
     processes : int
         Of the solver, by MPI.
     scene_name : str
-        Scene whose nine rays tell whether the flow is steady.
+        Scene whose probe rays tell whether the flow is steady.
     history : str
         The command, for the file's attributes.
 
@@ -240,7 +245,7 @@ def outcome(result: Simulation) -> list[str]:
     flow, balance, drift = result.flow, result.balance, result.drift_px_per_s
     lines = [f"ended at {result.end.time_s:g} s of flow"]
     if np.isfinite(drift):
-        lines[0] += f", when the paper's nine rays moved by {drift:.2g} px per s of flow"
+        lines[0] += f", when the probe rays moved by {drift:.2g} px per s of flow"
     lines.append(
         f"heat: {balance.wall_w:.4g} W given off, {balance.outflow_w:.4g} W carried out"
         f" ({balance.mismatch:+.1%})"
@@ -271,7 +276,7 @@ def _provenance(
         nusselt = nusselt_number(flow, balance.wall_w)
         sound.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
     if np.isfinite(drift):
-        sound.append(f"the nine rays still move by {drift:.2g} px per s of flow")
+        sound.append(f"the probe rays still move by {drift:.2g} px per s of flow")
     if end.step:
         last = ", ".join(f"{name} {value:.0e}" for name, value in end.step.residuals.items())
         sound.append(f"last residuals: {last}")

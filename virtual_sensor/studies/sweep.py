@@ -8,7 +8,7 @@ import itertools
 import re
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -57,7 +57,9 @@ class Case:
     name : str
         For people and for files, of the parameters that are swept.
     key : str
-        Hash of the scene, of the files that it refers to, of `values` and of the program.
+        Hash of the scene, of the files that it refers to, of `values`, `y_mm` and the program.
+    y_mm : tuple of float or None
+        Positions of the probe rays along the line; None: the scene's own.
     """
 
     scene: str
@@ -65,6 +67,7 @@ class Case:
     values: dict[str, str]
     name: str
     key: str
+    y_mm: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -90,8 +93,14 @@ class Finished:
     was_kept: bool
 
 
-def plan(scene: str | Path, choices: Mapping[str, Sequence[str]]) -> list[Case]:
+def plan(
+    scene: str | Path,
+    choices: Mapping[str, Sequence[str]],
+    y_mm: Sequence[float] | None = None,
+) -> list[Case]:
     """All combinations of parameters' values, the last parameter's changing fastest.
+
+    `y_mm` are the positions of the probe rays; by default each case has its scene's own.
 
     Raises
     ------
@@ -102,11 +111,14 @@ def plan(scene: str | Path, choices: Mapping[str, Sequence[str]]) -> list[Case]:
     if empty:
         raise InputError(f"{empty[0]}: no value to take; give one or more")
     combined = itertools.product(*choices.values())
-    return cases(scene, [dict(zip(choices, values, strict=True)) for values in combined])
+    return cases(scene, [dict(zip(choices, values, strict=True)) for values in combined], y_mm=y_mm)
 
 
 def cases(
-    scene: str | Path, parameters: Sequence[Mapping[str, str]], names: Sequence[str] | None = None
+    scene: str | Path,
+    parameters: Sequence[Mapping[str, str]],
+    names: Sequence[str] | None = None,
+    y_mm: Sequence[float] | None = None,
 ) -> list[Case]:
     """A list of cases, each with the values that are given for it.
 
@@ -118,6 +130,8 @@ def cases(
         For each case what differs from the scene's defaults.
     names : sequence of str, optional
         One for each case; by default the parameters in which the cases differ.
+    y_mm : sequence of float, optional
+        Positions of the probe rays along the line, mm; by default each scene's own.
 
     Raises
     ------
@@ -128,16 +142,13 @@ def cases(
 
     path = find_scene(scene)
     which = str(scene) if path.parent == shipped_scenes() else str(path.absolute())
-    planned = []
+    planned, probes = [], None if y_mm is None else tuple(map(float, y_mm))
     for given in parameters:
         whole = {name: _anywhere(path, str(value)) for name, value in given.items()}
-        values, inputs = _inputs(which, whole)
-        planned.append(Case(which, whole, values, "", key_of(inputs)))
+        values, inputs = _inputs(which, whole, probes)
+        planned.append(Case(which, whole, values, "", key_of(inputs), probes))
     told = names or [_name(path.stem, case, differing(planned)) for case in planned]
-    return [
-        Case(case.scene, case.parameters, case.values, _as_file(name), case.key)
-        for case, name in zip(planned, told, strict=True)
-    ]
+    return [replace(case, name=_as_file(name)) for case, name in zip(planned, told, strict=True)]
 
 
 def differing(planned: Iterable[Case]) -> list[str]:
@@ -172,14 +183,17 @@ def _anywhere(scene: Path, value: str) -> str:
     return value
 
 
-def _inputs(scene: str, parameters: Mapping[str, str]) -> tuple[dict[str, str], dict[str, Any]]:
+def _inputs(
+    scene: str, parameters: Mapping[str, str], y_mm: tuple[float, ...] | None
+) -> tuple[dict[str, str], dict[str, Any]]:
     """The parameters as used, and all that a measurement depends on but the program."""
     from virtual_sensor.imaging.scene import find_scene, scene_files, scene_parameters
 
     path = find_scene(scene)
     values = scene_parameters(path, dict(parameters))
     files = sorted(file_hash(file) for file in scene_files(path, values))
-    return values, {"scene": file_hash(path), "parameters": values, "files": files}
+    inputs = {"scene": file_hash(path), "parameters": values, "files": files, "probe rays": y_mm}
+    return values, inputs
 
 
 def run(
@@ -236,7 +250,13 @@ def _finished(case: Case, place: Path, earlier: Path | None, told: Told | None) 
 
 
 def _make(
-    scene: str, parameters: dict[str, str], name: str, key: str, place: str, report: Report | None
+    scene: str,
+    parameters: dict[str, str],
+    y_mm: tuple[float, ...] | None,
+    name: str,
+    key: str,
+    place: str,
+    report: Report | None,
 ) -> Told:
     """Measure a case and keep it: the task that Dask runs, in whatever process and thread."""
     from virtual_sensor.imaging.scene import load_scene
@@ -248,14 +268,14 @@ def _make(
     def fill(folder: Path) -> None:
         told("loading the scene", 0.0)
         result = measure(
-            load_scene(scene, **parameters), lambda stage, part: told(stage, 0.85 * part)
+            load_scene(scene, **parameters), lambda stage, part: told(stage, 0.85 * part), y_mm
         )
         told("writing the results", 0.85)
         save(result, summary(result), folder, overwrite=True)
 
     with _ONE_AT_A_TIME:
         try:
-            inputs = _inputs(scene, parameters)[1]
+            inputs = _inputs(scene, parameters, y_mm)[1]
             if key_of(inputs) != key:
                 raise InputError(
                     f"{scene}: its files or the program are not those that the sweep was planned"
@@ -271,7 +291,7 @@ def _task(case: Case, place: Path, report: Report | None) -> Any:
     from dask import delayed
 
     task = delayed(_make, pure=False, traverse=False)
-    words = (case.scene, case.parameters, case.name, case.key, str(place), report)
+    words = (case.scene, case.parameters, case.y_mm, case.name, case.key, str(place), report)
     return task(*words, dask_key_name=f"{case.name}-{case.key}")
 
 

@@ -16,7 +16,7 @@ from virtual_sensor.studies.sweep import CaseStatus, Finished, differing
 from virtual_sensor.studies.tables import write_csv, write_json
 
 STATES = ("cold", "hot")
-_NINE_RAYS = {
+_PROBE_RAYS = {
     f"largest_{d}_um": f"largest |{d.replace('-', ' - ')}|" for d in ("B-A", "B-B_m", "B_m-A_m")
 }
 _MAIN = "largest_B_m-A_m_um"
@@ -76,7 +76,7 @@ def table(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any]]:
     The given parameters as they were used; status; of each state the number of centres, those that
     were compared and those that are ok and wrong, and rms and largest distance of rendered from
     searched in px, across the line, or of a laser that makes dots along u and v; how many of the
-    nine rays are lit, and their largest differences in um; the case's folder, relative to
+    probe rays are lit, and their largest differences in um; the case's folder, relative to
     `folder`, and its message.  What a case does not have is NaN.
 
     Raises
@@ -131,9 +131,9 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
             f"{name}_dots_largest_u_px": dots.get("largest in u"),
             f"{name}_dots_largest_v_px": dots.get("largest in v"),
         }
-    nine = summary.get("nine_rays_um", {})
+    moved = summary.get("probe_rays_um", {})
     figures["rays_lit"] = summary.get("rays lit")
-    figures |= {name: nine.get(key) for name, key in _NINE_RAYS.items()}
+    figures |= {name: moved.get(key) for name, key in _PROBE_RAYS.items()}
     return {name: np.nan if value is None else value for name, value in figures.items()}
 
 
@@ -170,7 +170,7 @@ def draw_sweep(columns: dict[str, list[Any]], swept: Sequence[str], path: Path) 
         axes.set_ylim(bottom=0.0)
         axes.grid(alpha=0.3)
     shift.set(
-        title="The nine rays: how far hot air moves the point",
+        title="Probe rays: how far hot air moves the point",
         ylabel="largest |B$_m$ - A$_m$| in µm",
     )
     apart.set(title="Rendered minus ray search (dots: largest)", ylabel="rms in px")

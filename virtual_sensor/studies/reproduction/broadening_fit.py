@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from virtual_sensor.studies.measure import NINE_RAYS_MM, Report
+from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.curves import BLURRED, WIDENED, Setting, searched
 from virtual_sensor.studies.reproduction.numbers import STATED
-from virtual_sensor.studies.reproduction.settings import SCAN, Broadening, Scenes
+from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM, SCAN, Broadening, Scenes
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,18 @@ from typing import Any, TypeVar
 import numpy as np
 
 from virtual_sensor.studies.kept import file_hash, kept, sources
-from virtual_sensor.studies.measure import NINE_RAYS_MM, Report
+from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.beta_map import LINE_MM, BetaMap, beta_map
 from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, Fit, fit_broadening
 from virtual_sensor.studies.reproduction.curves import SEARCHED, Curve, Setting, searched
 from virtual_sensor.studies.reproduction.reconstruction import Reconstruction, reconstruct
-from virtual_sensor.studies.reproduction.settings import SCAN, Broadening, Scenes, settings
+from virtual_sensor.studies.reproduction.settings import (
+    NINE_RAYS_MM,
+    SCAN,
+    Broadening,
+    Scenes,
+    settings,
+)
 
 T = TypeVar("T")
 

@@ -37,6 +37,7 @@ from virtual_sensor.studies.reproduction.settings import (
     BETAS_DEG,
     DOT_RADIUS_MM,
     NINE_DOTS,
+    NINE_RAYS_MM,
     SCENE,
     TEMPERATURES_C,
     Broadening,
@@ -187,6 +188,7 @@ def _measure(
         SCENE,
         [_parameters(setting, way, given, airs[setting.air]) for setting, way in wanted],
         [_name(setting, way) for setting, way in wanted],
+        NINE_RAYS_MM.tolist(),
     )
     finished = run(planned, folder, scheduler, report)
     if failed := [end for end in finished if end.status is not CaseStatus.OK]:

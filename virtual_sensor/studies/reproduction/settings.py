@@ -113,7 +113,9 @@ def settings(air: str) -> list[Setting]:
     return [Setting(air, t, b) for t in TEMPERATURES_C for b in BETAS_DEG]
 
 
-NINE_DOTS = ",".join(f"{y:g}" for y in np.linspace(0.0, -10.0, 9))
-"""The paper's nine rays as dots of the laser."""
+NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
+"""The paper's laser rays: positions y along the line."""
+NINE_DOTS = ",".join(f"{y:g}" for y in NINE_RAYS_MM)
+"""The same as dots of the laser."""
 DOT_RADIUS_MM = 0.04
 """Small, since a Gaussian dot's centroid shifts with the square of its radius."""
