@@ -262,7 +262,7 @@ def _probe(
 
 
 def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
-    near = reached(emitter, *places.laser[:, :2].T, margin_mm)
+    near = reached(emitter, places.laser[:, 0], places.laser[:, 1], margin_mm.tolist())
     return near if near.any() else ~near
 
 

@@ -53,7 +53,7 @@ def invented(setting, way, y_mm=NINE_MM):
         known = [0.0, 1.0] if way == LINE else [1.0, 1.0]
         pixels = [pixel + sign * stray * known for pixel, sign in zip(pixels, (1, -1), strict=True)]
     helper = np.where(way == SEARCHED, 0.5 + 0.04 * y_mm, np.nan)
-    return Curve(setting, way, sensor, y_mm, A, B, *pixels, helper)
+    return Curve(setting, way, sensor, y_mm, A, B, pixels[0], pixels[1], helper)
 
 
 POSES = [(t, b) for t in (900.0, 1100.0, 1250.0) for b in (0.0, 15.0, 30.0)]

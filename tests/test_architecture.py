@@ -9,6 +9,7 @@ import sys
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -249,7 +250,7 @@ def test_every_public_name_resolves():
     assert dir(vs) == sorted(vs.__all__) == sorted(vs._HOME)
     assert all(getattr(vs, name) is not None for name in vs.__all__)
     with pytest.raises(AttributeError, match="no attribute 'rays_search'"):
-        _ = vs.rays_search
+        _ = vs.rays_search  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -315,7 +316,7 @@ def command_lines():
 def test_commands_that_are_shown_can_be_typed(line):
     """Rationale: a first command that fails is the last one."""
     words = shlex.split(line)[1:]
-    group = typer.main.get_command(cli.app)
+    group: Any = typer.main.get_command(cli.app)
     if words != ["--help"]:
         number = next(i for i, word in enumerate(words) if word in group.commands)
         group.make_context("virtual-sensor", words[: number + 1])

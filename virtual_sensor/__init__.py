@@ -88,10 +88,12 @@ if "drjit" not in sys.modules:
     sys.meta_path.insert(0, _LlvmFirst)
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'virtual_sensor' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"virtual_sensor.{_HOME[name]}"), name)
+if not TYPE_CHECKING:  # a checker would take any name for one of ours
+
+    def __getattr__(name: str) -> Any:
+        if name not in _HOME:
+            raise AttributeError(f"module 'virtual_sensor' has no attribute '{name}'")
+        return getattr(importlib.import_module(f"virtual_sensor.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:

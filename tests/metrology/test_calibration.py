@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from virtual_sensor.metrology.calibration import (
 )
 from virtual_sensor.metrology.triangulation import triangulate
 
-GOOD = {
+GOOD: dict[str, Any] = {
     "image_width": 2048,
     "image_height": 1536,
     "camera_matrix": np.array([[5000.0, 0, 1023.5], [0, 5000.0, 767.5], [0, 0, 1]]),

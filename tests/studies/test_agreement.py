@@ -33,7 +33,7 @@ def line(row, status=None):
     """Line centres at rows (W,)."""
     status = np.full(WIDTH, Status.OK, np.uint8) if status is None else status
     blank = np.full(WIDTH, np.nan)
-    return LineCentres(np.arange(WIDTH), row, *[blank] * 5, status)
+    return LineCentres(np.arange(WIDTH), row, blank, blank, blank, blank, blank, status)
 
 
 def across(row):

@@ -31,7 +31,7 @@ def line(row, lost=()):
     status[list(lost)] = Status.LINE_END
     row = np.where(status == Status.OK, row, np.nan)
     blank = np.full(row.size, np.nan)
-    return LineCentres(np.arange(row.size), row, *[blank] * 5, status)
+    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, blank, status)
 
 
 def test_a_known_error_comes_out_in_px_and_um():

@@ -299,10 +299,10 @@ def test_names_of_every_kind_are_drawn(tmp_path):
     paths, _ = find_images([folder])
     found = []
     detect(paths, "gaussian", {}, None, None, lambda each, number: found.append(each))
-    for name, each in zip(names_of([*paths, paths[-1]]), [*found, found[-1]], strict=True):
-        save_detected(each, name, tmp_path)
-        assert (tmp_path / f"{name}.png").stat().st_size > 20_000
-        assert name.isprintable()
+    for shown, each in zip(names_of([*paths, paths[-1]]), [*found, found[-1]], strict=True):
+        save_detected(each, shown, tmp_path)
+        assert (tmp_path / f"{shown}.png").stat().st_size > 20_000
+        assert shown.isprintable()
     assert len(found) == len(names)
     write_json(tmp_path / "paths.json", paths := [str(path) for path in paths])
     assert json.loads((tmp_path / "paths.json").read_text()) == paths

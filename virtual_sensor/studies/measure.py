@@ -330,16 +330,16 @@ def _state_summary(state: State) -> dict[str, Any]:
 
 def frame_account(account: Account) -> dict[str, Any]:
     """How a frame was made, in words."""
-    tables = account.camera is not None and account.laser is not None
+    camera, laser = account.camera, account.laser
     return {
         "transport": account.transport,
         "why not as asked": account.reason or None,
         "tables": {
-            "nodes of the camera's": account.camera.nodes,
-            "nodes of the laser's": account.laser.nodes,
+            "nodes of the camera's": camera.nodes,
+            "nodes of the laser's": laser.nodes,
             "estimated error, px": account.error_px,
         }
-        if tables
+        if camera and laser
         else None,
         "samples": account.samples,
         "of them marched, where the tables could not tell": account.marched,
