@@ -1,11 +1,15 @@
 """The gridded field against SciPy's splines, and against itself folded, filled and refined."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.interpolate import NdBSpline, make_interp_spline
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium import lookups
 from virtual_sensor.medium.index_field import IndexField, fill_solid
 
 ORIGIN = np.array([-4.0, 2.0, 10.0])
@@ -116,6 +120,32 @@ def test_all_lookups_give_the_same_value(field, points):
     lookup, p = field.lookup("double"), mi.Array3f64(points.T)
     with_gradient, _ = lookup.delta_and_gradient(p)
     np.testing.assert_allclose(lookup.delta(p).numpy(), with_gradient.numpy(), atol=1e-18)
+
+
+@pytest.mark.parametrize("precision", ["single", "double"])
+def test_a_large_field_takes_less_memory_and_gives_the_same(field, points, monkeypatch, precision):
+    """Coefficients that are stored once are read one by one, not four by four."""
+    vector = mi.Array3f64 if precision == "double" else mi.Array3f
+    packed = field.lookup(precision).delta_gradient_hessian(vector(points.T))
+    monkeypatch.setattr(lookups, "MOST_PACKED", 0)
+    large = replace(field, _lookups={}).lookup(precision).delta_gradient_hessian(vector(points.T))
+    for a, b in zip(packed, large, strict=True):
+        np.testing.assert_array_equal(a.numpy(), b.numpy())
+
+
+def test_beyond_the_border_it_goes_over_into_a_constant(field):
+    """A first-order ray asks there: the field runs on smoothly and ends within three cells."""
+    low, high = field.box
+    middle = low + (high - low) * [0.4, 0.6, 0.3]
+    for axis, (side, outward) in product(range(3), enumerate((-1.0, 1.0))):
+        cells = np.array([-1e-9, 1e-9, 0.5, 1.5, 3.0, 3.5, 400.0])[:, None]
+        places = np.repeat(middle[None], len(cells), axis=0)
+        places[:, axis] = (field.box[side, axis] + outward * cells * SPACING[axis])[:, 0]
+        delta, gradient = field.lookup("double").delta_and_gradient(mi.Array3f64(places.T))
+        delta, gradient = delta.numpy(), gradient.numpy().T
+        np.testing.assert_allclose(gradient[0], gradient[1], atol=1e-12)
+        np.testing.assert_allclose(delta[4:], delta[4], rtol=1e-14)
+        np.testing.assert_allclose(gradient[4:, axis], 0.0, atol=1e-18)
 
 
 def test_a_symbolic_loop_can_look_up(field):

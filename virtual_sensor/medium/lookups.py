@@ -19,6 +19,11 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.spline import bspline_coefficients
 
+MOST_PACKED = 2**26
+"""Coefficients of a field up to which a lookup takes four times their memory: 1 GB in float32."""
+
+_BEYOND = 3  # cells at the border
+
 
 class GridLookup(ABC):
     """What the lookups have in common.
@@ -104,43 +109,123 @@ class GridLookup(ABC):
 
 
 class CubicLookup(GridLookup):
-    """The cubic spline through the nodes: continuous up to the second derivative."""
+    """The cubic spline through the nodes: continuous up to the second derivative.
+
+    Of four coefficients along each axis.  The four along the last are read by one load: they are
+    stored side by side for each cell, which takes four times the memory and halves the time.
+    """
 
     def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
-        # Texels are one coefficient wider than the nodes at either end; the last index is x.
-        coefficients = bspline_coefficients(difference, self._mirror).T
-        double = self._scalar is mi.Float64
-        tensor = mi.TensorXf64 if double else mi.TensorXf
-        texture = {
-            (3, True): mi.Texture3d,
-            (3, False): mi.Texture3f,
-            (2, True): mi.Texture2d,
-            (2, False): mi.Texture2f,
-        }[difference.ndim, double]
-        values = tensor(in_own_memory(coefficients, self._scalar), (*coefficients.shape, 1))
-        self._texture = texture(values, use_accel=False)
+        coefficients = bspline_coefficients(difference, self._mirror)
+        # Constant from three cells beyond the border: all four coefficients are then the last one.
+        beyond = [(0 if even else _BEYOND, _BEYOND) for even in self._mirror]
+        coefficients = np.pad(coefficients, beyond, mode="edge")
+        shape, size = coefficients.shape, coefficients.size
+        self._coefficients = in_own_memory(coefficients, self._scalar)
+        self._packed = size <= MOST_PACKED
+        if self._packed:
+            i = dr.arange(mi.UInt32, 4 * size)
+            each = dr.minimum((i >> 2) + (i & 3), dr.opaque(mi.UInt32, size - 1))
+            self._coefficients = dr.gather(self._scalar, self._coefficients, each)
+            dr.eval(self._coefficients)
+        self._packet = mi.Array4f64 if self._scalar is mi.Float64 else mi.Array4f
 
-        # Texel centres are at (i + 1/2) / N and node 0 is texel 1. Opaque: one kernel for any grid.
-        texels = np.array(difference.shape) + 2
-        self._scale, self._first = map(self._opaque, (1.0 / (texels * spacing), 1.5 / texels))
+        # Opaque: one kernel for any grid.
+        strides = np.cumprod([1, *shape[:0:-1]])[::-1].tolist()
+        self._strides = [dr.opaque(mi.UInt32, stride) for stride in strides]
+        self._last = [dr.opaque(mi.UInt32, count - 4) for count in shape]
+        self._end = self._opaque(np.array(shape) - 3)
+        self._scale = self._opaque(1.0 / spacing)
+        self._first = self._opaque(np.array([low for low, _ in beyond]))
 
     def delta(self, p: Any) -> Any:
         """See `GridLookup`."""
-        u, _ = self._on_grid(p, self._scale, self._first)
-        return self._texture.eval_cubic(u)[0]
+        value, _, _ = self._derivatives(p, 0)
+        return value
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """See `GridLookup`."""
-        u, scale = self._on_grid(p, self._scale, self._first)
-        value, gradient = self._texture.eval_cubic_grad(u)
-        return value[0], self._in_world(p, gradient[0], scale)
+        value, gradient, _ = self._derivatives(p, 1)
+        return value, gradient
 
     def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
         """See `GridLookup`."""
+        return self._derivatives(p, 2)
+
+    def _derivatives(self, p: Any, most: int) -> tuple[Any, Any, Any]:
+        """Value, gradient and Hessian; zero those of an order above `most`."""
         u, scale = self._on_grid(p, self._scale, self._first)
-        value, gradient, hessian = self._texture.eval_cubic_hessian(u)
-        in_world = self._in_world(p, gradient[0], scale)
-        return value[0], in_world, self._matrix_in_world(hessian[0], scale)
+        u = dr.clip(u, 0.0, self._end)
+        cell = [dr.minimum(mi.UInt32(x), last) for x, last in zip(u, self._last, strict=True)]
+        within = [x - self._scalar(i) for x, i in zip(u, cell, strict=True)]
+        first = sum(i * stride for i, stride in zip(cell, self._strides, strict=True))
+        along = self._contracted([_weights(t)[: most + 1] for t in within], most, first)
+        axes = range(len(u))
+        none = self._scalar(0.0)
+
+        def derivative(*by: int) -> Any:
+            return along.get(tuple(by.count(axis) for axis in axes), none)
+
+        gradient = [derivative(i) for i in axes]
+        hessian = self._matrix(0.0)
+        for i, j in product(axes, repeat=2):
+            hessian[i, j] = derivative(i, j)
+        return (
+            derivative(),
+            self._in_world(p, gradient, scale),
+            self._matrix_in_world(hessian, scale),
+        )
+
+    def _contracted(self, weights: list[Any], most: int, first: Any) -> dict[tuple[int, ...], Any]:
+        """Derivatives at a point, by their order along each axis, their sum `most` at most.
+
+        Parameters
+        ----------
+        weights : list
+            Of the four coefficients along each axis from here on, by order of the derivative.
+        first : int
+            The cell's first coefficient.
+        """
+        stride = self._strides[-len(weights)]
+        across, *rest = weights
+        sums: dict[tuple[int, ...], Any] = {}
+        for number in range(4):
+            row = first + number * stride
+            parts = {(): self._four(row)} if len(rest) == 1 else self._contracted(rest, most, row)
+            for orders, part in parts.items():
+                for order in range(most - sum(orders) + 1):
+                    key, weight = (order, *orders), across[order][number]
+                    sums[key] = dr.fma(part, weight, sums[key]) if key in sums else part * weight
+        if len(rest) > 1:
+            return sums
+        # Fours along the last axis are contracted last: twice as fast as first.
+        return {
+            (*orders, order): dr.dot(four, self._packet(*rest[0][order]))
+            for orders, four in sums.items()
+            for order in range(most - sum(orders) + 1)
+        }
+
+    def _four(self, first: Any) -> Any:
+        """Four coefficients side by side."""
+        if self._packed:
+            return dr.gather(self._packet, self._coefficients, first)
+        each = (dr.gather(self._scalar, self._coefficients, first + i) for i in range(4))
+        return self._packet(*each)
+
+
+def _weights(t: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Of four coefficients for the value, slope and curvature of a cubic B-spline, t in [0, 1]."""
+    s = 1.0 - t
+    t2, s2 = t * t, s * s
+    value = [
+        s2 * s * (1 / 6),
+        dr.fma(t2, dr.fma(t, 0.5, -1.0), 2 / 3),
+        dr.fma(s2, dr.fma(s, 0.5, -1.0), 2 / 3),
+        t2 * t * (1 / 6),
+    ]
+    slope = [-0.5 * s2, t * dr.fma(t, 1.5, -2.0), -s * dr.fma(s, 1.5, -2.0), 0.5 * t2]
+    curvature = [s, dr.fma(t, 3.0, -2.0), dr.fma(s, 3.0, -2.0), t]
+    return value, slope, curvature
 
 
 class LinearLookup(GridLookup):
