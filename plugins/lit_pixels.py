@@ -13,8 +13,8 @@ from virtual_sensor_plugins.laser_line import LaserLineEmitter
 from virtual_sensor.arrays import at_least, in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
+from virtual_sensor.optics.ray_maps import Fineness
 from virtual_sensor.optics.sensor_model import Pose
-from virtual_sensor.optics.tabulate import Fineness
 
 _LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
 _FAR_MM = 2.0  # refraction is taken to move no light further than this

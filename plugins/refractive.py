@@ -27,9 +27,9 @@ from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, March, Straight, bend
 from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
+from virtual_sensor.optics.ray_maps import NoMapError
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import SceneSurface
-from virtual_sensor.optics.tabulate import NoMapError
 from virtual_sensor.optics.transports import Transport
 
 _LONGEST_NAME = 100  # of a file, in a message that names several places

@@ -20,18 +20,20 @@ from virtual_sensor_plugins.lit_pixels import (
 
 from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.deflection_map import CameraMap, LaserMap
 from virtual_sensor.optics.eikonal import Field, March
-from virtual_sensor.optics.illumination import LaserFrame
-from virtual_sensor.optics.sensor_model import Pose
-from virtual_sensor.optics.surfaces import SceneSurface
-from virtual_sensor.optics.tabulate import (
+from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
+from virtual_sensor.optics.ray_maps import (
+    ForwardMap,
+    InverseMap,
     NoMapError,
-    camera_map,
-    laser_map,
-    laser_moved,
-    sight_moved,
+    displaced,
+    forward_map,
+    in_coordinates,
+    inverse_map,
 )
+from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.tabulated_light import hits, light
 
 Array = NDArray[np.float64]
 
@@ -54,15 +56,15 @@ class Tables:
 
     Attributes
     ----------
-    camera : CameraMap
-    laser : LaserMap
+    camera : ForwardMap
+    laser : InverseMap
     emitter : LaserLineEmitter
     surface : SceneSurface
     march : March
     """
 
-    camera: CameraMap
-    laser: LaserMap
+    camera: ForwardMap
+    laser: InverseMap
     emitter: LaserLineEmitter
     surface: SceneSurface
     march: March
@@ -73,11 +75,11 @@ class Tables:
         Everything is evaluated, so that one kernel serves pixels and samples of any number.
         """
         dr.eval(ray)
-        seen = self.camera.seen(self.surface, ray, self.march)
-        light, off = self.laser.light(self.surface, seen.point, seen.hit)
-        near = self.emitter.reaches(light.a, light.b, (_PAD_MM, _PAD_MM))
+        seen = hits(self.camera, self.surface, ray, self.march)
+        lit, off = light(self.laser, self.surface, seen.point, seen.hit)
+        near = self.emitter.reaches(lit.a, lit.b, (_PAD_MM, _PAD_MM))
         doubtful = seen.lost | (seen.hit & near & (seen.off | off))
-        sight = Sight(seen.point, seen.heading, seen.hit, light)
+        sight = Sight(seen.point, seen.heading, seen.hit, lit)
         dr.eval(sight, doubtful)
         return sight, doubtful
 
@@ -104,17 +106,15 @@ def lit_pixels_and_tables(
     NoMapError
         If there is no map that can be trusted.
     """
-    pose = pinhole(sensor)
-    if pose is None:
-        raise NoMapError("the camera is no pinhole")
+    view, sheet = _view(sensor), _sheet(emitter)
     width, height = (int(n) for n in sensor.film().crop_size())
     margin = np.full(2, _FIRST_MARGIN_MM)
     for _ in range(_MOST_TRIALS):
         index, distance = _straight_candidates(scene, sensor, emitter, margin)
         if not index.size:
             return None
-        places = _places(sensor, index, distance[index], pose, emitter)
-        moves = _probe(scene, field, pose, emitter, march, places)
+        places = _places(sensor, index, distance[index], view, sheet)
+        moves = _probe(scene, field, view, sheet, march, places)
         account.march_px = moves.march_px
         if np.all(moves.light_mm <= margin):
             break
@@ -137,12 +137,12 @@ def lit_pixels_and_tables(
     low = np.maximum(low, seen_ab.min(axis=0) - moves.light_mm - _PAD_MM)
     high = np.minimum(high, seen_ab.max(axis=0) + moves.light_mm + _PAD_MM)
     lit = np.append(low, depth.min() - _PAD_MM), np.append(high, depth.max() + _PAD_MM)
-    camera, account.camera = camera_map(field, pose, *seen, march, error_mm)
-    laser, account.laser = laser_map(field, emitter.line, *lit, moves.laser_mm, march, error_mm)
-    account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
+    camera = forward_map(field, view, *seen, march, error_mm)
+    laser = inverse_map(field, sheet, *lit, march, error_mm)
     tables = Tables(camera, laser, emitter, SceneSurface(scene), march)
-
     sight, _ = tables.look(centre_rays(sensor, candidates))
+    account.camera, account.laser = camera.fineness, laser.fineness
+    account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
     pixel_mm = dr.opaque(mi.Float, places.pixel_mm)
     is_lit = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
     mask = np.zeros(height * width, bool)
@@ -189,14 +189,27 @@ class _Moves:
     march_px: float
 
 
+def _view(sensor: mi.Sensor) -> RayFamily:
+    """The camera's lines of sight: (p, q) name them, and no lens or film bends them."""
+    pose = pinhole(sensor)
+    if pose is None:
+        raise NoMapError("the camera is no pinhole")
+    return Pinhole(np.eye(3), pose, (1, 1))
+
+
+def _sheet(emitter: LaserLineEmitter) -> RayFamily:
+    line = emitter.line
+    return Sheet(line.pose, line.distance_mm, line.fan_per_mm)
+
+
 def _straight_candidates(
     scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter, margin_mm: Array
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
     """Pixels whose straight ray meets what the straight laser lights, or nearly; all distances."""
     ray = centre_rays(sensor)
     met = scene.ray_intersect_preliminary(ray)
-    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
-    a, b = frame.straight(mi.Array3f(ray(met.t)))
+    frame = FamilyFrame.of(_sheet(emitter), mi.Array3f)
+    a, b, _ = frame.coordinates(mi.Array3f(ray(met.t)))
     margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
     near = met.is_valid() & emitter.reaches(a, b, margin)
     distance = dr.select(met.is_valid(), met.t, dr.inf)
@@ -208,18 +221,15 @@ def _places(
     sensor: mi.Sensor,
     index: NDArray[np.uint32],
     distance: NDArray[np.float32],
-    pose: Pose,
-    emitter: LaserLineEmitter,
+    view: RayFamily,
+    sheet: RayFamily,
 ) -> _Places:
     """Where pixels look if light runs straight."""
     ray = centre_rays(sensor, index)
-    axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
-    x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
-    pitch = dr.max(dr.norm(ray.d_x - ray.d) / z)
+    camera, laser = (FamilyFrame.of(family, mi.Array3f) for family in (view, sheet))
+    pitch = dr.max(dr.norm(ray.d_x - ray.d) / dr.dot(mi.Array3f(ray.d), camera.z))
     point = mi.Array3f(ray(in_own_memory(distance, mi.Float)))
-    depth = dr.dot(point - dr.opaque(mi.Array3f(*map(float, pose.origin_mm))), axes[2])
-    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
-    numbers = [x / z, y / z, depth, *frame.straight(point), frame.coordinates(point)[2]]
+    numbers = [*camera.coordinates(point), *laser.coordinates(point)]
     dr.eval(numbers, ray)
     table = np.stack([n.numpy() for n in numbers], axis=1).astype(float)
     return _Places(table[:, :3], table[:, 3:], ray, float(pitch[0]))
@@ -228,8 +238,8 @@ def _places(
 def _probe(
     scene: mi.Scene,
     field: Field | None,
-    pose: Pose,
-    emitter: LaserLineEmitter,
+    view: RayFamily,
+    sheet: RayFamily,
     march: March,
     places: _Places,
 ) -> _Moves:
@@ -238,16 +248,17 @@ def _probe(
     if field is None:
         return _Moves(np.zeros(2), np.full(2, spare_mm), 0.0, 0.0)
     some = np.linspace(0, len(places.camera) - 1, _PROBES).astype(int)
+    seen_at, lit_at = places.camera[some], places.laser[some]
     (sideways, laser), finer = (
         (
-            sight_moved(field, steps, pose, *places.camera[some].T)[:, :2],
-            laser_moved(field, steps, emitter.line, *places.laser[some].T)[:, :2],
+            displaced(field, view, steps, seen_at)[:, :2],
+            displaced(field, sheet, steps, lit_at)[:, :2],
         )
         for steps in (march, replace(march, step_mm=march.step_mm / 2.0))
     )
     apart = (np.abs(one - two).max() for one, two in zip((sideways, laser), finer, strict=True))
     march_px = float(sum(apart)) / places.pixel_mm
-    seen = sideways @ pose.rotation[:, :2].T
+    seen = sideways @ view.pose.rotation[:, :2].T
     # On the surface's tangent plane, the point seen moves along the ray too.
     ray = rows(places.ray, some)
     normal = to_numpy(scene.ray_intersect(ray).n)
@@ -255,8 +266,8 @@ def _probe(
     lean = np.einsum("ij,ij->i", normal, heading)
     lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
     seen = seen - heading * (np.einsum("ij,ij->i", normal, seen) / lean)[:, None]
-    seen_mm = np.abs(seen @ emitter.line.pose.rotation[:, :2]).max(axis=0)
-    laser_mm = _SPARE * np.abs(laser).max(axis=0) + spare_mm
+    seen_mm = np.abs(seen @ sheet.pose.rotation[:, :2]).max(axis=0)
+    laser_mm = _SPARE * np.abs(in_coordinates(sheet, lit_at, laser)).max(axis=0) + spare_mm
     sight_px = float(np.abs(sideways).max()) / places.pixel_mm
     return _Moves(laser_mm, laser_mm + _SPARE * seen_mm, _SPARE * sight_px, march_px)
 
@@ -324,16 +335,15 @@ class Elsewhere:
     def __init__(
         self, scene: mi.Scene, sensor: mi.Sensor, field: Field | None, march: March
     ) -> None:
-        pose = pinhole(sensor)
-        if pose is None:
-            raise NoMapError("the camera is no pinhole")
+        view = _view(sensor)
         self._scene = scene
         ray = centre_rays(sensor)
         met = scene.ray_intersect_preliminary(ray)
-        axes = [dr.opaque(mi.Array3f(*map(float, pose.rotation[:, k]))) for k in range(3)]
+        frame = FamilyFrame.of(view, mi.Array3f)
+        axes = [frame.x, frame.y, frame.z]
         x, y, z = (dr.dot(mi.Array3f(ray.d), axis) for axis in axes)
-        ahead = mi.Array3f(ray.o) - dr.opaque(mi.Array3f(*map(float, pose.origin_mm)))
-        depth = dr.dot(ahead, axes[2]) + z * met.t
+        before = frame.local(mi.Array3f(ray.o))[2]
+        depth = before + z * met.t
         p, q = x / z, y / z
         valid = met.is_valid()
         dr.eval(p, q, depth, valid)
@@ -344,10 +354,10 @@ class Elsewhere:
         corners = [np.array([float(c[0]) for c in corner]) for corner in (low, high)]
         corners[1][2] += 1.0
         pixel_mm = float(dr.max(dr.norm(ray.d_x - ray.d))[0]) * corners[0][2]
-        camera, _ = camera_map(field, pose, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm)
+        camera = forward_map(field, view, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm)
         depth = dr.select(valid, depth, float(corners[1][2]))
-        across, along, by_x, by_y = camera.table.at(mi.Array3f(p, q, depth))
-        self._distance = (depth - dr.dot(ahead, axes[2])) / z
+        across, along, by_x, by_y = camera.linear.at(mi.Array3f(p, q, depth))
+        self._distance = (depth - before) / z
         self._moved = axes[0] * across + axes[1] * along
         self._turned = (axes[0] * by_x + axes[1] * by_y) * z
         dr.eval(self._distance, self._moved, self._turned)

@@ -8,7 +8,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.medium.broadening import blurred, widened
-from virtual_sensor.optics.tabulate import NoMapError
+from virtual_sensor.optics.ray_maps import NoMapError
 
 COARSE = {"width": 512, "height": 512, "spp": 4}
 

@@ -21,9 +21,10 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.optics.ray_families import Pinhole, Sheet
+from virtual_sensor.optics.ray_maps import NoMapError, displaced, in_coordinates
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.rays import Field, March
-from virtual_sensor.optics.tabulate import NoMapError, laser_moved, sight_moved
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -277,17 +278,16 @@ def _step(
         If a ray does not get to the line.
     """
     point = found.laser_point_mm[np.isfinite(found.pixel[:, 0])]
-    camera, laser, march = scene.sensor.camera, scene.sensor.laser, scene.transport.march
-    seen, lit = camera.pose.to_local(point), laser.pose.to_local(point)
-    depth = lit[:, 2] - laser.distance_mm
-    b = lit[:, 1] / (1.0 + laser.fan_per_mm * depth)
-    p, q = (seen[:, :2] / seen[:, 2:]).T
+    camera, line, march = scene.sensor.camera, scene.sensor.laser, scene.transport.march
+    view = Pinhole(camera.matrix, camera.pose, camera.size)
+    sheet = Sheet(line.pose, line.distance_mm, line.fan_per_mm)
+    seen, lit = view.coordinates(point), sheet.coordinates(point)
     pixel_mm = seen[:, 2] / camera.matrix[0, 0]
 
     def moved_px(march: March) -> Array:
-        camera_mm = sight_moved(field, march, camera.pose, p, q, seen[:, 2])
-        laser_mm = laser_moved(field, march, laser, lit[:, 0], b, depth)
-        return np.hstack([camera_mm[:, :2], laser_mm[:, :2]]) / pixel_mm[:, None]
+        camera_mm = displaced(field, view, march, seen)[:, :2]
+        laser_mm = in_coordinates(sheet, lit, displaced(field, sheet, march, lit)[:, :2])
+        return np.hstack([camera_mm, laser_mm]) / pixel_mm[:, None]
 
     best = moved_px(March(STEPS_MM[-1] / 4.0, "leapfrog", "double"))
     for step in STEPS_MM:

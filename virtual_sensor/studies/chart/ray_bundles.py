@@ -12,12 +12,12 @@ from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
-from virtual_sensor.optics.deflection_map import CameraMap
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
+from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.ray_maps import ForwardMap, forward_map
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
-from virtual_sensor.optics.tabulate import camera_map
 
 Array = NDArray[np.float64]
 
@@ -125,22 +125,22 @@ class Ends:
 
 def tabulated_ends(
     scene: Scene, bundle: Bundle, tolerance_px: float
-) -> tuple[Callable[[], Array], Callable[[], CameraMap]]:
-    """The same by tables, as functions to be timed: all of it, and making the table alone."""
-    pose = scene.sensor.camera.pose
-    local = pose.to_local(bundle.targets)
-    place = np.column_stack([local[:, :2] / local[:, 2:], local[:, 2]])
+) -> tuple[Callable[[], Array], Callable[[], ForwardMap]]:
+    """The same by maps, as functions to be timed: all of it, and making the map alone."""
+    camera = scene.sensor.camera
+    family = Pinhole(camera.matrix, camera.pose, camera.size)
+    place = family.coordinates(bundle.targets)
     low, high = place.min(axis=0) - _MARGIN, place.max(axis=0) + _MARGIN
     march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
 
-    def make() -> CameraMap:
-        return camera_map(scene.field, pose, low, high, march, error_mm)[0]
+    def make() -> ForwardMap:
+        return forward_map(scene.field, family, low, high, march, error_mm)
 
     def work() -> Array:
-        x, y, _, _ = make().table.at(to_vectors(place))
+        x, y, _, _ = make().linear.at(to_vectors(place))
         dr.eval(x, y)
         sideways = np.stack([np.array(x, float), np.array(y, float)], axis=1)
-        return bundle.targets + sideways @ pose.rotation[:, :2].T
+        return bundle.targets + sideways @ family.pose.rotation[:, :2].T
 
     return work, make
 

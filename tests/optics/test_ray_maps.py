@@ -1,4 +1,4 @@
-"""Tables of bent rays against closed forms, and against SciPy's integrator."""
+"""Maps of bent rays against closed forms, and against SciPy's integrator."""
 
 from dataclasses import dataclass
 
@@ -13,9 +13,18 @@ from virtual_sensor.medium import exact_fields
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.illumination import LightStatus, illuminate
-from virtual_sensor.optics.sensor_model import LaserLine, Pose
+from virtual_sensor.optics.ray_families import Pinhole, Pose, Sheet
+from virtual_sensor.optics.ray_maps import (
+    CausticError,
+    MapStatus,
+    NoMapError,
+    displaced,
+    forward_map,
+    inverse_map,
+)
+from virtual_sensor.optics.sensor_model import LaserLine
 from virtual_sensor.optics.surfaces import NoSurface
-from virtual_sensor.optics.tabulate import NoMapError, camera_map, displaced, laser_map
+from virtual_sensor.optics.tabulated_light import hits, light
 
 MARCH = March(step_mm=1.0, method="rk4", precision="double")
 
@@ -89,6 +98,11 @@ def frame(origin, target, up=(0.1, 1.0, 0.2)):
     return Pose(np.stack([x, np.cross(z, x), z], axis=-1), np.asarray(origin, float))
 
 
+def view(pose):
+    """Lines of sight of a camera."""
+    return Pinhole(np.eye(3), pose, (1, 1))
+
+
 CAMERA = frame([70.0, 20.0, 90.0], [1.0, 2.0, -1.0])
 CAMERA_BOX = np.array([-0.02, -0.05, 110.0]), np.array([0.08, 0.03, 123.0])
 SPOT = Spot()
@@ -134,36 +148,55 @@ CAMERA_CASES = {
 
 @pytest.mark.parametrize("case", CAMERA_CASES)
 @pytest.mark.parametrize("tolerance_mm", [2e-3, 2e-4, 2e-5])
-def test_lines_of_sight_are_told_to_the_tolerance_asked(case, tolerance_mm):
+def test_lines_of_sight_are_tabulated_to_the_tolerance_asked(case, tolerance_mm):
     """Rationale: the table's own estimate is all that a user has; it must be worth its word.
 
     It is pessimistic, for it allows the linear interpolation its whole share of the tolerance.
     """
     field, pose, box, seen = CAMERA_CASES[case]
-    camera, fineness = camera_map(field, pose, *box, MARCH, tolerance_mm)
-    places = around(camera.table.grid, 200)
-    truth, told = seen(*places.T), read(camera.table, places)
+    camera = forward_map(field, view(pose), *box, MARCH, tolerance_mm)
+    fineness, places = camera.fineness, around(camera.table.grid, 200)
+    truth, told = seen(*places.T), read(camera.linear, places)
     wrong = np.linalg.norm((told - truth)[:, :2], axis=1).max()
     assert np.abs(truth[:, :2]).max() > 0.1
     assert fineness.error_mm <= tolerance_mm
     assert wrong <= 1.5 * tolerance_mm
     assert wrong / 3.0 <= fineness.error_mm <= 6.0 * wrong
-    cell_mm = camera.table.grid.spacing * [places[:, 2].min(), places[:, 2].min(), 1.0]
+    cell_mm = camera.linear.grid.spacing * [places[:, 2].min(), places[:, 2].min(), 1.0]
     assert np.abs((told - truth)[:, 2:]).max() <= 10.0 * tolerance_mm / cell_mm.min()
+
+
+@pytest.mark.parametrize("case", CAMERA_CASES)
+@pytest.mark.parametrize("tolerance_mm", [2e-3, 2e-4, 2e-5])
+def test_splines_keep_their_own_error_and_give_points_on_the_rays(case, tolerance_mm):
+    """Rationale: who triangulates or projects reads these, not the linear table."""
+    field, pose, box, seen = CAMERA_CASES[case]
+    camera = forward_map(field, view(pose), *box, MARCH, tolerance_mm)
+    places = around(camera.table.grid, 200)
+    p, q, depth = places.T
+    truth = seen(p, q, depth)
+    wrong = np.linalg.norm((camera.at(places) - truth)[:, :2], axis=1).max()
+    assert wrong <= 1.5 * camera.error_mm
+    assert camera.error_mm <= 0.6 * tolerance_mm
+    found = camera.points(places)
+    np.testing.assert_array_equal(found.status, MapStatus.OK)
+    local = np.stack([p * depth + truth[:, 0], q * depth + truth[:, 1], depth], axis=1)
+    np.testing.assert_allclose(found.point_mm, pose.to_world(local), rtol=0, atol=tolerance_mm)
+    slope = np.stack([p + truth[:, 2], q + truth[:, 3], np.ones(len(p))], axis=1)
+    np.testing.assert_allclose(
+        found.direction, unit(slope @ pose.rotation.T), rtol=0, atol=3.0 * tolerance_mm
+    )
 
 
 def test_first_order_rays_are_tabulated_as_first_order_rays():
     """Rationale: a table must tell of the march that was asked for, not of a better one."""
     march = March(step_mm=1.0, method="rk4", first_order=True)
-    camera, _ = camera_map(SPOT.field, CAMERA, *CAMERA_BOX, march, 1e-4)
+    camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, march, 1e-4)
     places = around(camera.table.grid, 50)
-    p, q, depth = places.T
-    origins = np.broadcast_to(CAMERA.origin_mm, places.shape)
-    local = np.stack([p, q, np.ones(len(p))], axis=1)
-    marched = displaced(SPOT.field, march, CAMERA, origins, local, depth)
-    told = read(camera.table, places)
+    marched = displaced(SPOT.field, view(CAMERA), march, places)
+    told = read(camera.linear, places)
     np.testing.assert_allclose(told[:, :2], marched[:, :2], rtol=0, atol=1.5e-4)
-    assert np.abs(told[:, :2] - spot_seen(p, q, depth)[:, :2]).max() > 5e-4
+    assert np.abs(told[:, :2] - spot_seen(*places.T)[:, :2]).max() > 5e-4
 
 
 @dataclass(frozen=True)
@@ -182,14 +215,14 @@ class Plane:
 def test_bent_lines_of_sight_meet_a_leaning_plane_where_they_should():
     """Rationale: the depth at which the table is read is not known before the point is found."""
     normal, offset = unit([0.3, 0.2, 1.0]), 0.4
-    camera, _ = camera_map(SPOT.field, CAMERA, *CAMERA_BOX, MARCH, 2e-5)
+    camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, MARCH, 2e-5)
     low, high = CAMERA_BOX
     p, q = (low[:2] + np.random.default_rng(5).random((50, 2)) * (high - low)[:2]).T * 0.6
     local = np.stack([p, q, np.ones(len(p))], axis=1)
     direction = to_vectors(unit(local @ CAMERA.rotation.T))
     origin = to_vectors(np.tile(CAMERA.origin_mm, (len(p), 1)))
     ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction))
-    seen = camera.seen(Plane(tuple(normal), offset), ray, MARCH)
+    seen = hits(camera, Plane(tuple(normal), offset), ray, MARCH)
     assert np.all(numbers([seen.hit]))
     assert not np.any(numbers([seen.lost, seen.off]))
 
@@ -207,20 +240,26 @@ def test_bent_lines_of_sight_meet_a_leaning_plane_where_they_should():
 
 # ---------------------------------------------------------------------------------- the laser's
 
-LASER_LOW, LASER_HIGH = np.array([-3.0, -9.0, -12.0]), np.array([5.0, 8.0, 14.0])
-MOVED_MM = np.array([0.5, 0.5])
+REFERENCE_MM = 90.0  # the reference plane's distance
+LASER_LOW = np.array([-3.0, -9.0, REFERENCE_MM - 12.0])
+LASER_HIGH = np.array([5.0, 8.0, REFERENCE_MM + 14.0])
 LASER_TOLERANCE_MM = 1e-4
 
 
 @pytest.fixture(scope="module", params=[0.0, 6.0], ids=["telecentric", "fan"])
 def laser(request):
     pose = frame([-40.0, 15.0, 80.0], [1.0, -1.0, 0.5])
-    return LaserLine(pose, 90.0, 20.0, 0.15, 0.1, request.param, np.empty(0))
+    return LaserLine(pose, REFERENCE_MM, 20.0, 0.15, 0.1, request.param, np.empty(0))
+
+
+def sheet(laser):
+    """A laser's rays."""
+    return Sheet(laser.pose, laser.distance_mm, laser.fan_per_mm)
 
 
 @pytest.fixture(scope="module")
 def mapped(laser):
-    return laser_map(SPOT.field, laser, LASER_LOW, LASER_HIGH, MOVED_MM, MARCH, LASER_TOLERANCE_MM)
+    return inverse_map(SPOT.field, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
 
 
 def centre(laser):
@@ -230,21 +269,19 @@ def centre(laser):
 
 
 def sent(laser, a, b, depth):
-    """Places and slopes (N, 4) of laser rays (a, b) by SciPy, in the reference plane's frame."""
+    """Places and slopes (N, 4) of laser rays (a, b) by SciPy, in the laser's frame."""
+    depth = depth - laser.distance_mm
     slope = np.stack([np.zeros_like(b), laser.fan_per_mm * b], axis=1)
     return SPOT.rays(centre(laser), np.stack([a, b], axis=1), slope, depth)
 
 
 def test_the_ray_that_the_map_tells_passes_through_the_point(laser, mapped):
     """Rationale: to the tolerance, and with the slope told; sent off from the exit by SciPy."""
-    (laser_table, fineness), places = (
-        (mapped[0].table, mapped[1]),
-        around(mapped[0].table.grid, 150),
-    )
+    fineness, places = mapped.fineness, around(mapped.table.grid, 150)
     a0, b0, depth = places.T
-    told = read(laser_table, places)
+    told = read(mapped.linear, places)
     arrived = sent(laser, a0 + told[:, 0], b0 + told[:, 1], depth)
-    scale = 1.0 + laser.fan_per_mm * depth
+    scale = 1.0 + laser.fan_per_mm * (depth - laser.distance_mm)
     miss = np.hypot(arrived[:, 0] - a0, arrived[:, 1] / scale - b0)
     assert np.abs(told[:, :2]).max() > 0.1
     assert miss.max() <= 1.5 * LASER_TOLERANCE_MM
@@ -256,18 +293,24 @@ def test_the_ray_that_the_map_tells_passes_through_the_point(laser, mapped):
 
 def test_concentration_is_the_share_of_a_tube_of_independent_rays(laser, mapped):
     """Rationale: flux is conserved; the tube's area is by finite differences of SciPy's rays."""
-    laser_table = mapped[0].table
-    places, e = around(laser_table.grid, 60), 1e-3
+    places, e = around(mapped.table.grid, 60), 1e-3
     a0, b0, depth = places.T
-    told = read(laser_table, places)
+    told = read(mapped.linear, places)
     a, b = a0 + told[:, 0], b0 + told[:, 1]
     ends = [sent(laser, a + i * e, b + j * e, depth)[:, :2] for i, j in ((1, 0), (-1, 0))]
     ends += [sent(laser, a + i * e, b + j * e, depth)[:, :2] for i, j in ((0, 1), (0, -1))]
     by_a, by_b = (ends[0] - ends[1]) / (2 * e), (ends[2] - ends[3]) / (2 * e)
     area = by_a[:, 0] * by_b[:, 1] - by_a[:, 1] * by_b[:, 0]
-    expected = (1.0 + laser.fan_per_mm * depth) / area
+    expected = (1.0 + laser.fan_per_mm * (depth - laser.distance_mm)) / area
     np.testing.assert_allclose(1.0 + told[:, 4], expected, rtol=1e-3)
     assert np.ptp(expected) > 0.1
+
+
+def points_of(laser, places):
+    """World points (N, 3) of places (a0, b0, depth)."""
+    scaled = places - [0.0, 0.0, laser.distance_mm]
+    scaled[:, 1] *= 1.0 + laser.fan_per_mm * scaled[:, 2]
+    return centre(laser).to_world(scaled)
 
 
 class Open(NoSurface):
@@ -278,12 +321,8 @@ class Open(NoSurface):
 
 def test_light_is_that_of_newtons_marches(laser, mapped):
     """Rationale: a frame may mix the two; they must be the same light."""
-    places = around(mapped[0].table.grid, 200)
-    scaled = places.copy()
-    scaled[:, 1] *= 1.0 + laser.fan_per_mm * places[:, 2]
-    points = centre(laser).to_world(scaled)
-    vectors = to_vectors(points)
-    told, off = mapped[0].light(Open(), vectors, dr.full(mi.Mask, True, 200))
+    vectors = to_vectors(points_of(laser, around(mapped.table.grid, 200)))
+    told, off = light(mapped, Open(), vectors, dr.full(mi.Mask, True, 200))
     exact = illuminate(laser, SPOT.field, NoSurface(), vectors, MARCH)
     assert not np.any(numbers([off]))
     np.testing.assert_array_equal(np.array(told.status), np.array(exact.status))
@@ -301,12 +340,12 @@ def test_points_off_the_map_and_inactive_ones_are_told(laser, mapped):
     """Rationale: those are marched; a clamped table would give them a plausible wrong ray."""
     inside = 0.5 * (LASER_LOW + LASER_HIGH)
     places = np.tile(inside, (4, 1))
-    places[1, 0], places[2, 1], places[3, 2] = LASER_HIGH[0] + 0.1, LASER_LOW[1] - 0.1, 14.1
-    places[:, 1] *= 1.0 + laser.fan_per_mm * places[:, 2]
-    vectors = to_vectors(centre(laser).to_world(places))
-    told, off = mapped[0].light(Open(), vectors, dr.full(mi.Mask, True, 4))
+    beyond = LASER_HIGH[0] + 0.1, LASER_LOW[1] - 0.1, LASER_HIGH[2] + 0.1
+    places[1, 0], places[2, 1], places[3, 2] = beyond
+    vectors = to_vectors(points_of(laser, places))
+    told, off = light(mapped, Open(), vectors, dr.full(mi.Mask, True, 4))
     np.testing.assert_array_equal(np.array(off), [False, True, True, True])
-    told, off = mapped[0].light(Open(), vectors, mi.Mask(np.arange(4) == 0))
+    told, off = light(mapped, Open(), vectors, mi.Mask(np.arange(4) == 0))
     np.testing.assert_array_equal(np.array(off), [False] * 4)
     np.testing.assert_array_equal(np.array(told.status)[1:], LightStatus.NO_POINT)
     assert np.all(np.isnan(np.array(told.a)[1:]) & (np.array(told.concentration)[1:] == 0.0))
@@ -334,27 +373,30 @@ def slab(contrast):
     return ExactField(n_squared, box=np.array([[0.0, -20.0, -20.0], [200.0, 20.0, 20.0]]))
 
 
+BEAM = Sheet(
+    Pose(np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]).T, np.array([-50.0, 0, 0])),
+    50.0,
+)
+SLAB_BOX = np.array([-0.2, -1.0, 51.0]), np.array([0.2, 1.0, 50.0 + FOCUS_MM])
+
+
 def slab_map(contrast, tolerance_mm=1e-3, march=MARCH):
     """The map of a beam into that lens, from its face to 40 mm behind it."""
-    axes = [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]
-    pose = Pose(np.stack(axes, axis=-1), np.array([-50.0, 0.0, 0.0]))
-    beam = LaserLine(pose, 50.0, 20.0, 0.1, 0.1, 0.0, np.empty(0))
-    box = np.array([-0.2, -1.0, 1.0]), np.array([0.2, 1.0, FOCUS_MM])
-    return laser_map(slab(contrast), beam, *box, np.array([3.0, 0.1]), march, tolerance_mm)
+    return inverse_map(slab(contrast), BEAM, *SLAB_BOX, march, tolerance_mm)
 
 
 def test_a_caustic_in_the_box_is_refused_and_none_before_it():
     """Rationale: beyond a focus three rays may light a point; a table would give one of them."""
-    beam, _ = slab_map(0.85)
-    a0 = np.full(20, 0.15)
-    places = np.stack([a0, 0.5 + 0.0 * a0, np.linspace(2.0, FOCUS_MM, 20)], axis=1)
-    told = read(beam.table, places)
-    gain = 1.0 / np.cos(0.85 * np.pi / 2.0 * places[:, 2] / FOCUS_MM)
+    beam = slab_map(0.85)
+    a0, within_mm = np.full(20, 0.15), np.linspace(2.0, FOCUS_MM, 20)
+    places = np.stack([a0, 0.5 + 0.0 * a0, 50.0 + within_mm], axis=1)
+    told = read(beam.linear, places)
+    gain = 1.0 / np.cos(0.85 * np.pi / 2.0 * within_mm / FOCUS_MM)
     assert gain.max() > 4.0
     np.testing.assert_allclose((a0 + told[:, 0]) / gain, a0, rtol=0, atol=1e-3)
     np.testing.assert_allclose(1.0 + told[:, 4], gain, rtol=0.02)
     for contrast in (1.05, 1.5):
-        with pytest.raises(NoMapError, match="caustic"):
+        with pytest.raises(CausticError, match="caustic"):
             slab_map(contrast)
 
 
@@ -363,10 +405,10 @@ def test_rays_that_are_turned_away_leave_no_map(laser):
     against = tuple(map(float, -0.04 * laser.pose.rotation[:, 2]))  # light gets 25 mm deep
     wall = exact_fields.linear(1.0, against, box=np.array([[-40.0] * 3, [40.0] * 3]))
     with pytest.raises(NoMapError, match="turned away"):
-        laser_map(wall, laser, LASER_LOW, LASER_HIGH + 30.0, MOVED_MM, MARCH, 1e-3)
+        inverse_map(wall, sheet(laser), LASER_LOW, LASER_HIGH + 30.0, MARCH, 1e-3)
     low, high = np.array([-0.1, -0.1, 100.0]), np.array([0.1, 0.1, 160.0])
     with pytest.raises(NoMapError, match="turned away"):
-        camera_map(wall, laser.pose, low, high, MARCH, 1e-3)
+        forward_map(wall, view(laser.pose), low, high, MARCH, 1e-3)
 
 
 def test_a_tolerance_that_cannot_be_met_is_refused_with_the_error_reached():
@@ -375,7 +417,7 @@ def test_a_tolerance_that_cannot_be_met_is_refused_with_the_error_reached():
     field = ExactField(SPOT.field.n_squared, box=SPOT.field.box)
     reached = r"the table's error is \d\.\de-\d\d mm with \d+ x \d+ x \d+ nodes, above"
     with pytest.raises(NoMapError, match=reached):
-        camera_map(field, CAMERA, *CAMERA_BOX, march, 1e-9)
+        forward_map(field, view(CAMERA), *CAMERA_BOX, march, 1e-9)
     with pytest.raises(NoMapError, match=reached):
         slab_map(0.5, 1e-13)
 
@@ -384,17 +426,21 @@ def test_a_tolerance_that_is_not_refused_is_kept():
     """Rationale: the linear table is made no more than so much finer; what is left must be told."""
     field, pose, box, seen = CAMERA_CASES["fibre"]
     try:
-        camera, fineness = camera_map(field, pose, *box, MARCH, 5e-6)
+        camera = forward_map(field, view(pose), *box, MARCH, 5e-6)
+        linear = camera.linear
     except NoMapError:
         return
     places = around(camera.table.grid, 500)
-    wrong = np.linalg.norm((read(camera.table, places) - seen(*places.T))[:, :2], axis=1).max()
-    assert wrong <= 1.5 * fineness.error_mm
+    wrong = np.linalg.norm((read(linear, places) - seen(*places.T))[:, :2], axis=1).max()
+    assert wrong <= 1.5 * camera.fineness.error_mm
 
 
-def test_where_light_runs_straight_the_maps_are_of_nought(laser):
+def test_where_light_runs_straight_the_maps_are_zero(laser):
     """Rationale: cold frames are rendered by the same code; nothing may be moved by rounding."""
-    camera, _ = camera_map(None, CAMERA, *CAMERA_BOX, MARCH, 1e-3)
-    beam, _ = laser_map(None, laser, LASER_LOW, LASER_HIGH, MOVED_MM, MARCH, 1e-3)
-    assert np.all(read(camera.table, around(camera.table.grid, 50)) == 0.0)
-    assert np.all(read(beam.table, around(beam.table.grid, 50)) == 0.0)
+    camera = forward_map(None, view(CAMERA), *CAMERA_BOX, MARCH, 1e-3)
+    beam = inverse_map(None, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    for each in (camera, beam):
+        places = around(each.table.grid, 50)
+        assert np.all(read(each.linear, places) == 0.0)
+        assert np.all(each.at(places) == 0.0)
+        assert each.fineness.error_mm == 0.0

@@ -1,4 +1,4 @@
-"""Interpolation in tables of bent rays against SciPy's splines."""
+"""Interpolation in tables on grids against SciPy's splines."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from scipy.interpolate import NdBSpline, RegularGridInterpolator, make_interp_sp
 
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.deflection_map import Grid, LinearTable, Table
+from virtual_sensor.optics.grid_tables import Grid, LinearTable, SplineTable
 
 RNG = np.random.default_rng(5)
 NODES = (7, 5, 6)
@@ -40,7 +40,7 @@ def values():
 
 @pytest.fixture(scope="module")
 def table(values):
-    return Table(GRID, values.reshape(-1, 2))
+    return SplineTable(GRID, values.reshape(-1, 2))
 
 
 def spline(grid, values):
@@ -63,7 +63,7 @@ def test_a_table_is_scipys_cubic_spline(table, values):
 def test_slopes_are_the_splines_derivatives(table, values, axis):
     """Rationale: Newton's Jacobian and the light's concentration are made of them."""
     expected = spline(GRID, values)(GRID.nodes(), nu=np.eye(3, dtype=int)[axis])
-    np.testing.assert_allclose(table.slopes(axis), expected, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(table.slopes(GRID.nodes(), axis), expected, rtol=0, atol=1e-10)
 
 
 def test_a_linear_table_is_scipys_linear_interpolation_and_stays_as_at_its_border(values):
@@ -77,7 +77,7 @@ def test_a_linear_table_is_scipys_linear_interpolation_and_stays_as_at_its_borde
 @pytest.mark.parametrize("tolerance", [0.3, 0.1])
 def test_a_finer_linear_table_is_the_cubic_one_to_its_tolerance(table, values, tolerance):
     """Rationale: it is the linear one that the samples read; no finer than it need be."""
-    linear = table.linear(table.finer(tolerance))
+    linear = table.linear(table.finer(np.full(2, tolerance)))
     places = around(GRID, 5000)
     wrong = np.abs(read(linear, places) - spline(GRID, values)(places)).max()
     assert tolerance / 100.0 < wrong <= tolerance

@@ -1,0 +1,153 @@
+"""Smooth functions of three coordinates on regular grids: splines for NumPy, linear for Dr.Jit."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, NdBSpline
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.medium.lookups import in_own_memory
+from virtual_sensor.medium.spline import bspline_coefficients
+
+Array = NDArray[np.float64]
+
+_SLACK = 1e-3  # of a cell: places this far out of the grid are still in it, but for rounding
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A regular grid in three coordinates.
+
+    Attributes
+    ----------
+    low, high : ndarray of shape (3,)
+        First and last node.
+    shape : tuple of three int
+        Nodes along each.
+    """
+
+    low: Array
+    high: Array
+    shape: tuple[int, int, int]
+
+    @property
+    def spacing(self) -> Array:
+        """Distance of nodes, shape (3,)."""
+        return (self.high - self.low) / (np.array(self.shape) - 1.0)
+
+    def axes(self) -> list[Array]:
+        """The nodes along each coordinate."""
+        return [np.linspace(*x) for x in zip(self.low, self.high, self.shape, strict=True)]
+
+    def nodes(self) -> Array:
+        """All nodes, (N, 3), the last coordinate fastest."""
+        return np.stack(np.meshgrid(*self.axes(), indexing="ij"), axis=-1).reshape(-1, 3)
+
+    def holds(self, places: Array) -> NDArray[np.bool_]:
+        """Which places (N, 3) lie on the grid, but for rounding; NaN does not."""
+        slack = _SLACK * self.spacing
+        return np.all((places >= self.low - slack) & (places <= self.high + slack), axis=1)
+
+
+class SplineTable:
+    """Some functions of three coordinates: cubic B-splines through their values at nodes, float64.
+
+    Parameters
+    ----------
+    grid : Grid
+    values : ndarray of shape (N, C)
+        C functions at the grid's nodes.
+    """
+
+    def __init__(self, grid: Grid, values: Array) -> None:
+        self.grid = grid
+        shaped = values.reshape(*grid.shape, -1)
+        self._coefficients = bspline_coefficients(shaped, (False, False, False))
+        axes = zip(grid.low, grid.spacing, grid.shape, strict=True)
+        knots = tuple(low + step * (np.arange(n + 6) - 3.0) for low, step, n in axes)
+        self._spline = NdBSpline(knots, self._coefficients, 3, extrapolate=True)
+
+    def at(self, places: Array) -> Array:
+        """The functions at places (N, 3): (N, C)."""
+        return self._spline(places)
+
+    def slopes(self, places: Array, axis: int) -> Array:
+        """Derivatives of the functions by a coordinate at places (N, 3): (N, C)."""
+        order = [0, 0, 0]
+        order[axis] = 1
+        return self._spline(places, nu=order)
+
+    @property
+    def functions(self) -> int:
+        """How many they are."""
+        return self._coefficients.shape[-1]
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it takes."""
+        return self._coefficients.nbytes
+
+    def finer(self, tolerances: Array) -> list[int]:
+        """How many times finer along each axis a linear table must be to err by no more.
+
+        Parameters
+        ----------
+        tolerances : ndarray of shape (F,)
+            For the first F functions, each in the function's unit.
+        """
+        scaled = self._coefficients[..., : len(tolerances)] / tolerances
+        bends = (np.diff(scaled, 2, axis=k) for k in range(3))  # f'' h^2
+        return [max(int(np.ceil(np.sqrt(np.abs(b).max() * 3.0 / 8.0))), 1) for b in bends]
+
+    def linear(self, finer: list[int]) -> "LinearTable":
+        """The same functions for Dr.Jit, linear on a grid so many times finer along each axis."""
+        values, shape = self._coefficients.astype(np.float32), list(self.grid.shape)
+        for axis in np.argsort(shape):  # the longest last: the others stay short meanwhile
+            nodes = shape[axis]
+            at = np.linspace(0.0, nodes - 1.0, finer[axis] * (nodes - 1) + 1)
+            matrix = BSpline.design_matrix(at, np.arange(nodes + 6) - 3.0, 3).astype(np.float32)
+            along = np.moveaxis(values, axis, 0)
+            fine = matrix @ along.reshape(len(along), -1)
+            values = np.moveaxis(fine.reshape(-1, *along.shape[1:]), 0, axis)
+            shape[axis] = at.size
+        grid = Grid(self.grid.low, self.grid.high, (shape[0], shape[1], shape[2]))
+        return LinearTable(grid, values)
+
+
+class LinearTable:
+    """Some functions of three coordinates in Dr.Jit, linear between their values at nodes.
+
+    Cheaper than splines, and quick to compile.
+
+    Parameters
+    ----------
+    grid : Grid
+    values : ndarray of shape (n0, n1, n2, C)
+        C functions at the grid's nodes.
+    """
+
+    def __init__(self, grid: Grid, values: NDArray[np.floating]) -> None:
+        self.grid = grid
+        flat = in_own_memory(values, mi.Float)
+        tensor = mi.TensorXf(flat, values.shape)
+        self._texture = mi.Texture3f(tensor, use_accel=False, wrap_mode=dr.WrapMode.Clamp)
+        # Texel centres are at (i + 1/2) / N.  Opaque: one kernel for any grid.
+        nodes = np.array(grid.shape)
+        self._low, self._scale, self._first = (
+            dr.opaque(mi.Array3f(*np.asarray(v, float).tolist()))
+            for v in (grid.low, 1.0 / (nodes * grid.spacing), 0.5 / nodes)
+        )
+        self.bytes = 4 * values.size
+
+    def at(self, place: Any) -> list[Any]:
+        """The functions at places, float32; beyond the grid as at its border."""
+        u = dr.fma(mi.Array3f(place) - self._low, self._scale, self._first)
+        return self._texture.eval(mi.Point3f(u.z, u.y, u.x))
+
+    def holds(self, place: Any) -> Any:
+        """Which places lie on the grid."""
+        u = dr.fma(mi.Array3f(place) - self._low, self._scale, self._first)
+        slack = _SLACK * self._first
+        return dr.all((u >= self._first - slack) & (u <= 1.0 - self._first + slack))

@@ -1,0 +1,599 @@
+"""Ray maps: a family's bent rays through a medium, tabulated over a box of (s, t, depth).
+
+*Forward*: at a depth, the bent ray (s, t) is beside the straight one by a displacement (x, y) in mm
+of the family's frame, and runs at another slope.  *Inverse*: the bent ray through the point where
+the straight ray (s0, t0) is at a depth has the coordinates (s0, t0) + shift.  Both know nothing of
+any part's shape.  Only differences from straight rays are stored, so that float32 is exact to a
+nanometre.
+
+A map is made to a tolerance: rays are marched at the nodes of a grid and between them, and the grid
+is refined along the axes that need it.  The inverse is found at the nodes of its own grid from the
+forward map by Newton's method, and checked by marching.  Where a map folds (a caustic), two rays of
+the family pass through a point: there is no inverse map of such a box, and the forward one marks
+the places.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from virtual_sensor.arrays import to_scalars, to_vectors
+from virtual_sensor.engine import dr
+from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
+from virtual_sensor.optics.grid_tables import Grid, LinearTable, SplineTable
+from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.optics.ray_status import RayStatus
+from virtual_sensor.optics.surfaces import NoSurface
+
+Array = NDArray[np.float64]
+
+_SPLINE = 0.6  # of the tolerance is for the splines; the rest for linear interpolation of them
+_FORWARD = 0.75  # of an inverse map's share is for the forward one that it is made from
+_FEWEST = 4  # nodes of a cubic spline that ends in no knot
+_ALONG = 97, 97, 13  # rays of a line along s, t and depth: they tell how fine a grid to begin with
+_MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 30_000, 250_000, 10_000_000
+_LEVELS = 8
+_CHECKS = 96  # rays between the nodes of each axis, and as many anywhere
+_SETTLED = 0.03  # of the tolerance: what is left when a ray through a point is found
+_MOST_STEPS = 12
+_ROOM = 1.3  # times the shifts that were seen: an inverse map's forward one reaches so far beyond
+_MOST_PADS = 4
+
+
+class NoMapError(Exception):
+    """Why there is no map that can be trusted."""
+
+
+class CausticError(NoMapError):
+    """The map folds: two rays of the family pass through one point of its box."""
+
+
+class MapStatus(IntEnum):
+    """What a map says of a place."""
+
+    OK = 0
+    """The values are within the map's error."""
+    OFF = 1
+    """The place is not in the map's box, or the ray through it is not."""
+    FOLDED = 2
+    """At or beyond a caustic: more than one ray may pass there."""
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How fine a map's linear table is.
+
+    Attributes
+    ----------
+    nodes : tuple of three int
+        Of the splines that it interpolates.
+    error_mm : float
+        What its errors are at most, by rays marched between the nodes.
+    largest_mm : float
+        Largest displacement at the nodes.
+    """
+
+    nodes: tuple[int, int, int]
+    error_mm: float
+    largest_mm: float
+
+
+@dataclass(frozen=True)
+class RayPoints:
+    """Points on bent rays.
+
+    Attributes
+    ----------
+    point_mm, direction : ndarray of shape (N, 3)
+        World; unit vectors along the rays.  NaN where they are off the map.
+    status : ndarray of shape (N,)
+        `MapStatus`; a point beyond a caustic is on its ray none the less.
+    """
+
+    point_mm: Array
+    direction: Array
+    status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class PointRays:
+    """The bent rays through points.
+
+    Attributes
+    ----------
+    coordinates : ndarray of shape (N, 2)
+        (s, t) of the rays; NaN unless OK.
+    direction : ndarray of shape (N, 3)
+        Unit vectors along the rays in the points, world; NaN unless OK.
+    status : ndarray of shape (N,)
+        `MapStatus`.
+    """
+
+    coordinates: Array
+    direction: Array
+    status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class RayMap:
+    """What both directions have in common.
+
+    Attributes
+    ----------
+    family : RayFamily
+    table : SplineTable
+        Of (s, t, depth).
+    error_mm : float
+        Of `table`: the largest of all rays marched between its nodes.
+    linear_mm : float
+        What linear interpolation may add in `linear`.
+    largest_mm : float
+        Largest displacement at the nodes.
+    """
+
+    family: RayFamily
+    table: SplineTable
+    error_mm: float
+    linear_mm: float
+    largest_mm: float
+
+    @property
+    def nodes(self) -> tuple[int, int, int]:
+        """Nodes of the splines along s, t and depth."""
+        return self.table.grid.shape
+
+    def at(self, places: Array) -> Array:
+        """What is tabulated at places (N, 3) of (s, t, depth): (N, C); NaN off the box."""
+        held = self.table.grid.holds(places)
+        values = np.full((len(places), self.table.functions), np.nan)
+        values[held] = self.table.at(places[held])
+        return values
+
+    def _units(self) -> tuple[float, float]:
+        """What one mm of error is in the two first functions' units, at least."""
+        return 1.0, 1.0
+
+    @cached_property
+    def linear(self) -> LinearTable:
+        """The same for Dr.Jit, good to `error_mm` + `linear_mm`; made when first asked for.
+
+        Raises
+        ------
+        NoMapError
+            If it would have too many nodes.
+        """
+        finer = self.table.finer(self.linear_mm * np.array(self._units()))
+        shape = [k * (n - 1) + 1 for k, n in zip(finer, self.nodes, strict=True)]
+        if np.prod(shape, dtype=float) > _MOST_LINEAR_NODES:
+            raise NoMapError(
+                f"a table within {self.linear_mm:.1e} mm would have {' x '.join(map(str, shape))}"
+                " nodes"
+            )
+        return self.table.linear(finer)
+
+    @property
+    def fineness(self) -> Fineness:
+        """Of `linear`."""
+        straight = self.largest_mm == 0.0
+        error_mm = 0.0 if straight else self.error_mm + self.linear_mm
+        return Fineness(self.nodes, error_mm, self.largest_mm)
+
+
+@dataclass(frozen=True, eq=False)
+class ForwardMap(RayMap):
+    """Where a family's bent rays are at depths.
+
+    `table` has four functions: the displacement from the straight ray along the frame's x and y, in
+    mm, and its derivatives by the depth.
+    """
+
+    def points(self, places: Array) -> RayPoints:
+        """Points on the rays (s, t) at depths, of places (N, 3)."""
+        held = self.table.grid.holds(places)
+        s, t, depth = places[held].T
+        moved = self.table.at(places[held])
+        (x, y), (along_x, along_y) = self.family.place(s, t, depth), self.family.slope(s, t)
+        local = np.stack([x + moved[:, 0], y + moved[:, 1], depth], axis=1)
+        slope = np.stack([along_x + moved[:, 2], along_y + moved[:, 3], np.ones(len(s))], axis=1)
+        point, direction = np.full((2, len(places), 3), np.nan)
+        point[held] = self.family.pose.to_world(local)
+        direction[held] = _unit(slope @ self.family.pose.rotation.T)
+        status = np.full(len(places), MapStatus.OFF, np.uint8)
+        folded = self._area(places[held]) <= 0.0
+        status[held] = np.where(folded, MapStatus.FOLDED, MapStatus.OK)
+        return RayPoints(point, direction, status)
+
+    def rays(self, points_mm: Array) -> PointRays:
+        """The bent rays through world points (N, 3), by Newton's method on the splines.
+
+        It works beside a caustic too, where there is no `InverseMap`.
+        """
+        start, folded, missed = self._through(self.family.coordinates(points_mm))
+        off = ~self.table.grid.holds(start)
+        status = np.where(off, MapStatus.OFF, MapStatus.OK)
+        status = np.where(folded | (missed & ~off), MapStatus.FOLDED, status)
+        ok = status == MapStatus.OK
+        start = np.where(ok[:, None], start, np.nan)
+        return PointRays(start[:, :2], self.points(start).direction, status.astype(np.uint8))
+
+    def jacobian(self, places: Array) -> Array:
+        """d(x, y)/d(s, t) in mm of the bent rays at places (N, 3): (N, 2, 2)."""
+        by = np.stack([self.table.slopes(places, axis)[:, :2] for axis in (0, 1)], axis=2)
+        return by + _matrices(self.family.by_coordinates(*places.T), len(places))
+
+    def _area(self, places: Array) -> Array:
+        """Area of a tube of bent rays over that of straight ones; not positive beyond a fold."""
+        return _determinant(self.jacobian(places)) / self.family.spread(*places.T)
+
+    def _through(self, places: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Starts (s, t, depth) of the bent rays through where straight ones are.
+
+        Off the box they are guesses: splines extrapolate.  Also which of them met a fold on their
+        way, and which were not found.
+        """
+        start = places.copy()
+        settled_mm = _SETTLED * self.error_mm if self.error_mm else 1e-9
+        wanted = _straight(self.family, places)
+        folded = np.zeros(len(places), bool)
+        for _ in range(_MOST_STEPS):
+            held = self.table.grid.holds(start)
+            miss = wanted - _straight(self.family, start) - self.table.at(start)[:, :2]
+            missed = ~(np.abs(miss).max(axis=1) < settled_mm)
+            jacobian = self.jacobian(start)
+            folded |= held & (_determinant(jacobian) / self.family.spread(*start.T) <= 0.0)
+            go = missed & ~folded
+            if not go.any():
+                break
+            start[go, :2] += _solved(jacobian[go], miss[go])
+        return start, folded, missed
+
+
+@dataclass(frozen=True, eq=False)
+class InverseMap(RayMap):
+    """Which of a family's bent rays comes through a point.
+
+    `table` is of the coordinates (s0, t0, depth) of the straight ray through the point and has five
+    functions: the shifts of s and of t, the ray's slopes dx/dz and dy/dz beside those of the
+    straight one, and the determinant of d(s, t)/d(s0, t0), minus one.
+    """
+
+    def rays(self, points_mm: Array) -> PointRays:
+        """The bent rays through world points (N, 3)."""
+        places = self.family.coordinates(points_mm)
+        held = self.table.grid.holds(places)
+        s, t, _ = places[held].T
+        shift = self.table.at(places[held])
+        along_x, along_y = self.family.slope(s, t)
+        slope = np.stack([along_x + shift[:, 2], along_y + shift[:, 3], np.ones(len(s))], axis=1)
+        coordinates = np.full((len(places), 2), np.nan)
+        coordinates[held] = places[held, :2] + shift[:, :2]
+        direction = np.full((len(places), 3), np.nan)
+        direction[held] = _unit(slope @ self.family.pose.rotation.T)
+        status = np.where(held, MapStatus.OK, MapStatus.OFF).astype(np.uint8)
+        return PointRays(coordinates, direction, status)
+
+    def _units(self) -> tuple[float, float]:
+        corners = self.table.grid.nodes()
+        x_s, x_t, y_s, y_t = self.family.by_coordinates(*corners.T)
+        return 1.0 / float(np.max(np.hypot(x_s, y_s))), 1.0 / float(np.max(np.hypot(x_t, y_t)))
+
+
+def forward_map(
+    field: Field | None,
+    family: RayFamily,
+    low: Array,
+    high: Array,
+    march: March,
+    tolerance_mm: float,
+) -> ForwardMap:
+    """Tabulate where a family's bent rays are.
+
+    Parameters
+    ----------
+    field : Field or None
+        None: light runs straight, and the map is zero.
+    family : RayFamily
+    low, high : ndarray of shape (3,)
+        The box of (s, t, depth).
+    march : March
+    tolerance_mm : float
+        Largest error that the linear table's estimate may have; the splines have 0.6 of it.
+
+    Raises
+    ------
+    NoMapError
+        If a ray does not reach its depth, or the tolerance can't be met.
+    """
+    linear_mm = (1.0 - _SPLINE) * tolerance_mm
+    if field is None:
+        return ForwardMap(family, _zero(low, high, 4), 0.0, linear_mm, 0.0)
+
+    def marched(place: Array) -> Array:
+        return displaced(field, family, march, place)
+
+    spline_mm = _SPLINE * tolerance_mm
+    shape = _Lines.through(marched, low, high).shape(spline_mm, low, high)
+    table, error_mm, largest_mm = _refined(marched, low, high, spline_mm, shape)
+    return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
+
+
+def inverse_map(
+    field: Field | None,
+    family: RayFamily,
+    low: Array,
+    high: Array,
+    march: March,
+    tolerance_mm: float,
+) -> InverseMap:
+    """Tabulate which of a family's bent rays comes through a point; see `forward_map`.
+
+    Parameters
+    ----------
+    low, high : ndarray of shape (3,)
+        The box of the points' straight coordinates (s0, t0) and of the depth.
+
+    Raises
+    ------
+    NoMapError
+        Also, as CausticError, if the map folds.
+    """
+    linear_mm = (1.0 - _SPLINE) * tolerance_mm
+    if field is None:
+        return InverseMap(family, _zero(low, high, 5), 0.0, linear_mm, 0.0)
+
+    def marched(place: Array) -> Array:
+        return displaced(field, family, march, place)
+
+    spline_mm = _SPLINE * tolerance_mm
+    lines = _Lines.through(marched, low, high)
+    shift = in_coordinates(family, lines.places, lines.values[:, :2])
+    pad = _ROOM * np.append(np.abs(shift).max(axis=0), 0.0)
+    for _ in range(_MOST_PADS):
+        room = low - pad, high + pad
+        first = lines.shape(_FORWARD * spline_mm, *room)
+        table, error_mm, largest_mm = _refined(marched, *room, _FORWARD * spline_mm, first)
+        ahead = ForwardMap(family, table, error_mm, linear_mm, largest_mm)
+        grid = Grid(low, high, _shape_like(table.grid, low, high))
+        values, reach = _inverted(ahead, grid.nodes())
+        if np.all(table.grid.holds(reach)):
+            break
+        beyond = np.maximum(low - reach.min(axis=0), reach.max(axis=0) - high)
+        pad = _ROOM * np.maximum(pad, beyond)
+    else:
+        raise CausticError("rays through the box come from far off: a caustic may be near")
+    for _ in range(_LEVELS):
+        table = SplineTable(grid, values)
+        checks = _checks(grid)
+        start = checks.copy()
+        start[:, :2] += table.at(checks)[:, :2]
+        miss = _straight(family, checks) - _straight(family, start) - marched(start)[:, :2]
+        error_mm = float(np.linalg.norm(miss, axis=1).max())
+        if error_mm <= spline_mm:
+            return InverseMap(family, table, error_mm, linear_mm, ahead.largest_mm)
+        finer = [int(1.3 * n) for n in grid.shape]
+        grid = Grid(low, high, (finer[0], finer[1], finer[2]))
+        values, _ = _inverted(ahead, grid.nodes())
+    raise _too_coarse(grid.shape, error_mm, spline_mm)
+
+
+def displaced(field: Field, family: RayFamily, march: March, places: Array) -> Array:
+    """March rays of a family to depths.
+
+    Parameters
+    ----------
+    places : ndarray of shape (N, 3)
+        (s, t, depth).
+
+    Returns
+    -------
+    ndarray of shape (N, 4)
+        Displacement along the frame's x and y, mm, and slope by the depth, both beside the straight
+        ray's.
+
+    Raises
+    ------
+    NoMapError
+        If a ray does not get there.
+    """
+    s, t, depth = places.T
+    origins, directions = family.rays(s, t)
+    line = Straight.through(to_vectors(origins), to_vectors(directions), march)
+    rotation = family.pose.rotation
+    x, y, z = (dr.opaque(march.vector(*map(float, rotation[:, k]))) for k in range(3))
+    plane = march.scalar(to_scalars(depth + float(rotation[:, 2] @ family.pose.origin_mm)))
+    ray = bend(
+        field,
+        NoSurface(),
+        line,
+        march,
+        remaining=in_plane(z, plane - dr.dot(z, line.anchor)),
+    )
+    # Beside the straight ray in the same plane: free of the rounding of either's own place.
+    d, offset, tau = line.direction, ray.offset[0], ray.tau[0]
+    ahead = dr.dot(d, z)
+    moved = offset - d * (dr.dot(offset, z) / ahead)
+    turned = (tau - d * (dr.dot(tau, z) / ahead)) / (ahead + dr.dot(tau, z))
+    numbers = [dr.dot(moved, x), dr.dot(moved, y), dr.dot(turned, x), dr.dot(turned, y)]
+    dr.eval(*numbers, ray.status)
+    if not np.all(np.array(ray.status) == RayStatus.ENDED):
+        raise NoMapError("a ray did not reach its depth: it was turned away, or ran out of steps")
+    return np.stack([np.array(n, float) for n in numbers], axis=1)
+
+
+def _inverted(ahead: ForwardMap, places: Array) -> tuple[Array, Array]:
+    """From where rays go to which ray comes.
+
+    Returns
+    -------
+    values : ndarray of shape (N, 5)
+        The functions of `InverseMap.table`.
+    start : ndarray of shape (N, 3)
+        The rays; values of those that are off the map are guesses.
+    """
+    family = ahead.family
+    start, folded, missed = ahead._through(places)
+    if folded.any():
+        raise CausticError("the map folds: a caustic")
+    if missed.any():
+        raise CausticError("no single ray was found through each point: a caustic may be near")
+    bent, straight = (
+        np.stack(np.broadcast_arrays(*family.slope(*p.T[:2])), axis=1) for p in (start, places)
+    )
+    shift, slope = start[:, :2] - places[:, :2], bent - straight + ahead.table.at(start)[:, 2:]
+    more = family.spread(*places.T) / _determinant(ahead.jacobian(start)) - 1.0
+    return np.column_stack([shift, slope, more]), start
+
+
+def in_coordinates(family: RayFamily, places: Array, moved_mm: Array) -> Array:
+    """By how much straight coordinates change with displacements (N, 2) at places (N, 3)."""
+    return _solved(_matrices(family.by_coordinates(*places.T), len(places)), moved_mm)
+
+
+def _refined(
+    marched: Callable[[Array], Array],
+    low: Array,
+    high: Array,
+    tolerance_mm: float,
+    shape: tuple[int, int, int],
+) -> tuple[SplineTable, float, float]:
+    """A table refined along the axes that need it, its error between nodes and largest value."""
+    grid = Grid(low, high, shape)
+    for _ in range(_LEVELS):
+        if np.prod(grid.shape, dtype=float) > _MOST_NODES:
+            break
+        nodes, checks = grid.nodes(), _checks(grid)
+        values = marched(np.concatenate([nodes, checks]))
+        values, truth = values[: len(nodes)], values[len(nodes) :]
+        table = SplineTable(grid, values)
+        wrong = np.linalg.norm((table.at(checks) - truth)[:, :2], axis=1).reshape(4, -1)
+        by_axis = wrong.max(axis=1)
+        reached = grid.shape, float(by_axis.max())
+        if by_axis.max() <= tolerance_mm:
+            return table, float(by_axis.max()), float(np.abs(values[:, :2]).max())
+        factor = np.clip(_finer(by_axis[:3], tolerance_mm), 1.0, 4.0)
+        worst = int(np.argmax(by_axis[:3]))
+        factor[worst] = max(factor[worst], 1.2)
+        finer = [int(np.ceil((n - 1) * f)) + 1 for n, f in zip(grid.shape, factor, strict=True)]
+        grid = Grid(grid.low, grid.high, (finer[0], finer[1], finer[2]))
+    raise _too_coarse(*reached, tolerance_mm)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """Rays along lines through a box: about how fine a grid must be.
+
+    Three lines along each axis; `values` (N, 4) are the displacements at `places` (N, 3).
+    """
+
+    low: Array
+    high: Array
+    places: Array
+    values: Array
+
+    @staticmethod
+    def through(marched: Callable[[Array], Array], low: Array, high: Array) -> "_Lines":
+        lines = []
+        for axis, count in enumerate(_ALONG):
+            for share in (0.2, 0.5, 0.8):
+                place = np.full((count, 3), share)
+                place[:, axis] = np.linspace(0.0, 1.0, count)
+                lines.append(low + place * (high - low))
+        places = np.concatenate(lines)
+        return _Lines(low, high, places, marched(places))
+
+    def shape(self, tolerance_mm: float, low: Array, high: Array) -> tuple[int, int, int]:
+        """About how many nodes each axis of a box like this one needs."""
+        cells, first = [], 0
+        for axis, count in enumerate(_ALONG):
+            line = self.values[first : first + 3 * count, :2].reshape(3, count, 2)
+            along = line.transpose(1, 0, 2).reshape(count, 6)
+            larger = (high[axis] - low[axis]) / (self.high[axis] - self.low[axis])
+            cells.append(larger * _cells_for(along, tolerance_mm / 2.5))
+            first += 3 * count
+        # Where no grid will do, for noise, the error reached is to be known in no time.
+        most = (_MOST_FIRST / np.prod(np.maximum(cells, _FEWEST - 1.0))) ** (1.0 / 3.0)
+        s, t, depth = (max(int(np.ceil(n * min(most, 1.0))) + 1, _FEWEST) for n in cells)
+        return s, t, depth
+
+
+def _shape_like(grid: Grid, low: Array, high: Array) -> tuple[int, int, int]:
+    """Nodes of a box that has them as close as a grid."""
+    nodes = zip(high - low, grid.spacing, strict=True)
+    s, t, depth = (max(int(np.ceil(extent / step)) + 1, _FEWEST) for extent, step in nodes)
+    return s, t, depth
+
+
+def _cells_for(values: Array, tolerance_mm: float) -> float:
+    """How many cells a cubic spline through evenly spaced values (N, C) needs."""
+    cells = len(values) - 1
+    at, skip = np.arange(cells + 1.0), cells // (_FEWEST - 1)
+    skip = 1 << (skip.bit_length() - 1)  # the most whose cells are whole
+    while True:
+        spline = CubicSpline(at[::skip], values[::skip])
+        error_mm = float(np.abs(spline(at) - values).max())
+        if error_mm <= tolerance_mm or skip == 2:
+            break
+        skip //= 2
+    finer = (max(error_mm, 1e-12) / tolerance_mm) ** 0.25
+    return cells / skip * max(finer, 0.5)
+
+
+def _finer(error_mm: Array, tolerance_mm: float) -> Array:
+    """By how much to refine: a cubic spline's error falls with the fourth power of the spacing."""
+    return (2.5 * np.maximum(error_mm, 1e-12) / tolerance_mm) ** 0.25
+
+
+def _checks(grid: Grid) -> Array:
+    """Places midway between nodes along each axis, on nodes along the others; and anywhere."""
+    random = np.random.default_rng(grid.shape)
+    last = np.array(grid.shape) - 1
+    places = []
+    for axis in range(3):
+        place = random.integers(0, last + 1, (_CHECKS, 3)).astype(float)
+        place[:, axis] = random.integers(0, last[axis], _CHECKS) + 0.5
+        places.append(grid.low + place * grid.spacing)
+    anywhere = grid.low + random.random((_CHECKS, 3)) * (grid.high - grid.low)
+    return np.concatenate([*places, anywhere])
+
+
+def _too_coarse(shape: tuple[int, int, int], error_mm: float, tolerance_mm: float) -> NoMapError:
+    return NoMapError(
+        f"the table's error is {error_mm:.1e} mm with {' x '.join(map(str, shape))} nodes, above"
+        f" the tolerance of {tolerance_mm:.1e} mm"
+    )
+
+
+def _straight(family: RayFamily, places: Array) -> Array:
+    """X and y (N, 2) of straight rays at places (N, 3)."""
+    return np.stack(np.broadcast_arrays(*family.place(*places.T)), axis=1)
+
+
+def _zero(low: Array, high: Array, functions: int) -> SplineTable:
+    grid = Grid(low, high, (_FEWEST, _FEWEST, _FEWEST))
+    return SplineTable(grid, np.zeros((_FEWEST**3, functions)))
+
+
+def _matrices(entries: tuple[Array, ...], count: int) -> Array:
+    """Matrices (N, 2, 2) of four entries by rows, of shape (N,) or numbers."""
+    return np.stack([np.broadcast_to(e, count) for e in entries], axis=1).reshape(count, 2, 2)
+
+
+def _determinant(m: Array) -> Array:
+    return m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
+
+
+def _solved(m: Array, right: Array) -> Array:
+    """Cramer's rule for matrices (N, 2, 2) and right sides (N, 2)."""
+    x, y = right.T
+    columns = m[:, 1, 1] * x - m[:, 0, 1] * y, m[:, 0, 0] * y - m[:, 1, 0] * x
+    return np.stack(columns, axis=1) / _determinant(m)[:, None]
+
+
+def _unit(vectors: Array) -> Array:
+    unit: Array = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return unit
