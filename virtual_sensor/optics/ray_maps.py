@@ -38,6 +38,10 @@ _FEWEST = 4  # nodes of a cubic spline that ends in no knot
 _ALONG = 97, 97, 13  # rays of a line along s, t and depth: they tell how fine a grid to begin with
 _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 30_000, 250_000, 10_000_000
 _LEVELS = 8
+_PATIENCE = 2.5  # grids are refined as if errors were so many times larger than was seen
+_STRETCH = (
+    3e-4  # error of derivatives by the coordinates, in mm per mm: light's concentration has it
+)
 _CHECKS = 96  # rays between the nodes of each axis, and as many anywhere
 _SETTLED = 0.03  # of the tolerance: what is left when a ray through a point is found
 _MOST_STEPS = 12
@@ -317,7 +321,7 @@ def forward_map(
         return displaced(field, family, march, place)
 
     spline_mm = _SPLINE * tolerance_mm
-    shape = _Lines.through(marched, low, high).shape(spline_mm, low, high)
+    shape = _Lines.through(marched, family, low, high).shape(spline_mm, low, high)
     table, error_mm, largest_mm = _refined(marched, low, high, spline_mm, shape)
     return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
 
@@ -350,7 +354,7 @@ def inverse_map(
         return displaced(field, family, march, place)
 
     spline_mm = _SPLINE * tolerance_mm
-    lines = _Lines.through(marched, low, high)
+    lines = _Lines.through(marched, family, low, high)
     shift = in_coordinates(family, lines.places, lines.values[:, :2])
     pad = _ROOM * np.append(np.abs(shift).max(axis=0), 0.0)
     for _ in range(_MOST_PADS):
@@ -487,24 +491,30 @@ def _refined(
 class _Lines:
     """Rays along lines through a box: about how fine a grid must be.
 
-    Three lines along each axis; `values` (N, 4) are the displacements at `places` (N, 3).
+    Three lines along each axis; `values` (N, 4) are the displacements at `places` (N, 3), and
+    `spacing_mm` (3,) is how far places next to each other are apart along s, t and depth.
     """
 
     low: Array
     high: Array
     places: Array
     values: Array
+    spacing_mm: Array
 
     @staticmethod
-    def through(marched: Callable[[Array], Array], low: Array, high: Array) -> "_Lines":
-        lines = []
+    def through(
+        marched: Callable[[Array], Array], family: RayFamily, low: Array, high: Array
+    ) -> "_Lines":
+        lines, spacing = [], []
         for axis, count in enumerate(_ALONG):
             for share in (0.2, 0.5, 0.8):
                 place = np.full((count, 3), share)
                 place[:, axis] = np.linspace(0.0, 1.0, count)
                 lines.append(low + place * (high - low))
+            apart = np.diff(_straight(family, lines[-1]), axis=0)
+            spacing.append(np.linalg.norm(apart, axis=1).max() if axis < 2 else np.inf)
         places = np.concatenate(lines)
-        return _Lines(low, high, places, marched(places))
+        return _Lines(low, high, places, marched(places), np.array(spacing))
 
     def shape(self, tolerance_mm: float, low: Array, high: Array) -> tuple[int, int, int]:
         """About how many nodes each axis of a box like this one needs."""
@@ -513,7 +523,8 @@ class _Lines:
             line = self.values[first : first + 3 * count, :2].reshape(3, count, 2)
             along = line.transpose(1, 0, 2).reshape(count, 6)
             larger = (high[axis] - low[axis]) / (self.high[axis] - self.low[axis])
-            cells.append(larger * _cells_for(along, tolerance_mm / 2.5))
+            slope_mm = _STRETCH * self.spacing_mm[axis]
+            cells.append(larger * _cells_for(along, tolerance_mm / _PATIENCE, slope_mm))
             first += 3 * count
         # Where no grid will do, for noise, the error reached is to be known in no time.
         most = (_MOST_FIRST / np.prod(np.maximum(cells, _FEWEST - 1.0))) ** (1.0 / 3.0)
@@ -528,24 +539,29 @@ def _shape_like(grid: Grid, low: Array, high: Array) -> tuple[int, int, int]:
     return s, t, depth
 
 
-def _cells_for(values: Array, tolerance_mm: float) -> float:
-    """How many cells a cubic spline through evenly spaced values (N, C) needs."""
+def _cells_for(values: Array, tolerance_mm: float, slope_mm: float) -> float:
+    """How many cells a cubic spline through evenly spaced values (N, C) needs.
+
+    Its error is to keep a tolerance, and that of its slope another, per space between the values.
+    """
     cells = len(values) - 1
     at, skip = np.arange(cells + 1.0), cells // (_FEWEST - 1)
     skip = 1 << (skip.bit_length() - 1)  # the most whose cells are whole
+    slopes = CubicSpline(at, values)(at, 1)
     while True:
         spline = CubicSpline(at[::skip], values[::skip])
-        error_mm = float(np.abs(spline(at) - values).max())
-        if error_mm <= tolerance_mm or skip == 2:
+        wrong = float(np.abs(spline(at) - values).max()) / tolerance_mm
+        turned = float(np.abs(spline(at, 1) - slopes).max()) / slope_mm
+        if max(wrong, turned) <= 1.0 or skip == 2:
             break
         skip //= 2
-    finer = (max(error_mm, 1e-12) / tolerance_mm) ** 0.25
+    finer = max(wrong ** (1.0 / 4.0), turned ** (1.0 / 3.0))  # as the errors fall with the spacing
     return cells / skip * max(finer, 0.5)
 
 
 def _finer(error_mm: Array, tolerance_mm: float) -> Array:
     """By how much to refine: a cubic spline's error falls with the fourth power of the spacing."""
-    return (2.5 * np.maximum(error_mm, 1e-12) / tolerance_mm) ** 0.25
+    return (_PATIENCE * np.maximum(error_mm, 1e-12) / tolerance_mm) ** 0.25
 
 
 def _checks(grid: Grid) -> Array:
