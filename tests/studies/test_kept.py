@@ -1,10 +1,16 @@
 """Finished work is found again, other work is not taken for it, and nothing is kept by half."""
 
-import json
+import importlib
+import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
 import threading
+import tomllib
+from dataclasses import replace
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +19,18 @@ import pytest
 from virtual_sensor.errors import InputError
 from virtual_sensor.studies import kept as module
 from virtual_sensor.studies.kept import (
+    by_other_programs,
     file_hash,
     fingerprint,
     found,
     kept,
     key_of,
     own_folder,
-    sources,
+    program,
+    requirements,
 )
+
+ROOT = Path(__file__).parents[2]
 
 INPUTS = {"beta": 15.0, "airs": ["resolved", "blurred"], "field": Path("air.nc"), "time": None}
 
@@ -79,58 +89,151 @@ def test_keys_are_the_same_in_another_process():
     assert (ended.stdout.strip(), ended.stderr) == (key_of(INPUTS), "")
 
 
-CHANGED = ["optics/eikonal.py", "studies/measure.py", "engine.py", "studies/notes.py"]
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """Copies of the folders of the program, which are then hashed in their place."""
+    folders = {tmp_path / folder.name: folder for folder in program()}
+    for copy, folder in folders.items():
+        shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("fields", "meshes"))
+    patterns = dict(zip(folders, program().values(), strict=True))
+    monkeypatch.setattr(module, "program", lambda: patterns)
+    return list(folders)
 
 
-@pytest.mark.parametrize("source", CHANGED)
-def test_a_changed_program_keeps_nothing(source, monkeypatch):
-    """Rationale: after a bug is mended its results must go."""
-    before = fingerprint.__wrapped__()
-    assert before == fingerprint()
-    read = Path.read_bytes
-
-    def changed(path):
-        return read(path) + (b"#" if path.as_posix().endswith(f"virtual_sensor/{source}") else b"")
-
-    monkeypatch.setattr(Path, "read_bytes", changed)
-    assert fingerprint.__wrapped__() != before
+def now():
+    """The program's hash, which a process else makes only once."""
+    return fingerprint.__wrapped__()
 
 
-MEASURED = """
-import json, sys
-from pathlib import Path
-import virtual_sensor as vs
-from virtual_sensor.studies.measure import measure, summary
-from virtual_sensor.studies.results import save
-result = measure(vs.load_scene("cold_cylinder", width=64, height=64, spp=1, line_radius=2))
-save(result, summary(result), Path(sys.argv[1]))
-ours = {n: m.__file__ for n, m in sys.modules.items() if n.startswith("virtual_sensor")}
-print(json.dumps(ours))
-"""
+def test_the_program_lies_where_it_is_imported_from():
+    """Rationale: beside a checkout another version may be installed."""
+    names = ("virtual_sensor", "virtual_sensor_plugins", "virtual_sensor_scenes")
+    imported = [Path(importlib.import_module(name).__file__).parent for name in names]
+    assert list(program()) == imported
 
 
-def test_the_program_is_all_that_a_measurement_imports(tmp_path):
-    """Rationale: of a list that is written by hand a new helper is missing: old results stay."""
-    line = [sys.executable, "-c", MEASURED, str(tmp_path / "out")]
-    # Not where the sources lie beside: what is installed measures.
-    ended = subprocess.run(line, capture_output=True, text=True, check=True, cwd=tmp_path)
-    imported = {name: Path(file) for name, file in json.loads(ended.stdout).items()}
-    imported.pop("virtual_sensor_scenes")  # data: their files are among the inputs
-    program = sources("virtual_sensor.studies.sweep")
-    assert len(imported) > 40
-    assert imported.items() <= program.items()
-    assert not any(".cli" in name or ".chart" in name for name in program)
+def test_a_changed_byte_of_any_file_is_another_program(copied):
+    """Rationale: after a bug is mended its results must go, wherever it was."""
+    before = now()
+    files = [file for folder in copied for file in folder.rglob("*.py")]
+    files += [file for file in (copied[0] / "medium/heat_flow/case").rglob("*") if file.is_file()]
+    assert len(files) > 190
+    for file in files[::9]:
+        whole = file.read_bytes()
+        file.write_bytes(bytes([whole[0] ^ 1]) + whole[1:] if whole else b"#")
+        assert now() != before, file
+        file.write_bytes(whole)
+    assert now() == before
 
 
-@pytest.mark.parametrize("package", ["mitsuba", "numpy", "OpenEXR"])
+def test_a_file_that_is_moved_gone_or_new_is_another_program(copied):
+    """Rationale: an import finds another one then."""
+    hashes = [now()]
+    (copied[0] / "medium/air.py").rename(copied[0] / "optics/air.py")
+    hashes.append(now())
+    (copied[0] / "optics/air.py").unlink()
+    hashes.append(now())
+    (copied[0] / "optics/new.py").touch()
+    hashes.append(now())
+    assert len(set(hashes)) == len(hashes)
+
+
+def test_place_times_and_compiled_files_make_no_other_program(copied):
+    """Rationale: none of them changes what is computed."""
+    assert now() == fingerprint()
+    for folder in copied:
+        for file in folder.rglob("*.py"):
+            os.utime(file, (1e9, 1e9))
+        (folder / "__pycache__").mkdir(exist_ok=True)
+        (folder / "__pycache__/errors.cpython-399.pyc").write_bytes(b"new")
+        (folder / "errors.pyc").write_bytes(b"new")
+        (folder / ".errors.py.swp").write_text("an editor's")
+    assert now() == fingerprint()
+
+
+def test_what_is_installed_is_the_same_program_as_its_checkout(copied):
+    """Rationale: of what lies in a checkout only some is shipped, and all of that counts."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    settings = settings["tool"]["setuptools"]
+    tops = list(settings["package-dir"])
+    shipped = set()
+    for package in settings["packages"]:
+        top, *rest = package.split(".")
+        folder = copied[tops.index(top)].joinpath(*rest)
+        patterns = ["*.py", *settings["package-data"].get(package, [])]
+        shipped.update(file for pattern in patterns for file in folder.glob(pattern))
+    assert len(shipped) > 190
+    for folder in copied:
+        for file in [file for file in folder.rglob("*") if file.is_file()]:
+            if file not in shipped:
+                file.unlink()
+    assert now() == fingerprint()
+
+
+@pytest.mark.parametrize("package", ["mitsuba", "numpy", "OpenEXR", "dask"])
 def test_other_versions_are_another_program(package, monkeypatch):
     """Rationale: another renderer's last bits are not this one's."""
-    before = fingerprint.__wrapped__()
+    before = now()
     version = module.metadata.version
     monkeypatch.setattr(
         module.metadata, "version", lambda name: "0" if name == package else version(name)
     )
-    assert fingerprint.__wrapped__() != before
+    assert now() != before
+
+
+def test_all_that_pyproject_requires_counts():
+    """Rationale: a package that is new under the program must not be forgotten in a list."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [re.match(r"[\w-]+", text)[0] for text in settings["dependencies"]]
+    found = [text.split("==") for text in requirements()]
+    assert sorted(name for name, _ in found) == sorted(names)
+    assert all(version == metadata.version(name) for name, version in found)
+
+
+@pytest.mark.parametrize("change", ["python", "variant", "llvm"])
+def test_another_engine_is_another_program(change, monkeypatch):
+    """Rationale: each compiles its own kernels, whose last bits are its own."""
+    before = now()
+    running = module.engine.activate()
+    if change == "python":
+        monkeypatch.setattr(module.platform, "python_version", lambda: "3.99.0")
+    elif change == "variant":
+        running = replace(running, variant="cuda_ad_mono")
+    else:
+        running = replace(running, llvm=replace(running.llvm, version="99.1.0"))
+    monkeypatch.setattr(module.engine, "activate", lambda: running)
+    assert now() != before
+
+
+def test_a_program_that_is_not_installed_is_told(monkeypatch):
+    """Rationale: nobody knows then which packages it stands on."""
+
+    def absent(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(module.metadata, "requires", absent)
+    with pytest.raises(InputError, match=r"not installed.*pip install \."):
+        now()
+
+
+WORK = {"a": INPUTS, "b": {}}
+
+
+def test_work_of_another_program_is_replaced_by_the_same_inputs_work(tmp_path, monkeypatch):
+    """Rationale: a disk must not fill with what nobody reads, nor lose what is not made again."""
+    first, other = (kept(tmp_path, name, inputs, write("old")) for name, inputs in WORK.items())
+    assert by_other_programs(tmp_path) == []
+    monkeypatch.setattr(module, "fingerprint", lambda: "f" * 8)
+    assert sorted(by_other_programs(tmp_path)) == [first, other]
+    assert by_other_programs(tmp_path, key_of(INPUTS)) == [first]
+    with pytest.raises(InputError):
+        kept(tmp_path, "c", INPUTS, fails)
+    assert sorted(tmp_path.iterdir()) == [first, other]
+    again = kept(tmp_path, "c", INPUTS, write("new"))
+    assert sorted(tmp_path.iterdir()) == [other, again]
+    assert (again / "work.txt").read_text() == "new"
+    (tmp_path / "c-0123456789abcdef").mkdir()  # a key as version 0.5 had them
+    assert sorted(by_other_programs(tmp_path)) == [other, tmp_path / "c-0123456789abcdef"]
 
 
 def test_a_file_that_changes_has_another_hash(tmp_path):
@@ -146,13 +249,14 @@ def test_a_file_that_changes_has_another_hash(tmp_path):
         file_hash(tmp_path / "none.nc")
 
 
+def fails(folder):
+    """A maker of work that ends halfway."""
+    write("half")(folder)
+    raise InputError("no light")
+
+
 def test_work_that_fails_leaves_nothing(tmp_path):
     """Rationale: half of it would be taken for the whole."""
-
-    def fails(folder):
-        write("half")(folder)
-        raise InputError("no light")
-
     with pytest.raises(InputError, match="no light"):
         kept(tmp_path, "nine", INPUTS, fails)
     assert list(tmp_path.iterdir()) == []

@@ -14,7 +14,7 @@ import pytest
 from command_line import command
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies import cluster
+from virtual_sensor.studies import cluster, kept, sweep_results
 from virtual_sensor.studies.sweep import MARK, CaseStatus, cases, plan, run
 
 FILM = {"width": ["256"], "height": ["256"], "spp": ["1"], "line_radius": ["0.5"]}
@@ -189,6 +189,26 @@ def test_an_extended_sweep_makes_only_what_is_new(swept):
     assert "3 cases: 0 measured, 3 kept, 0 failed" in out
     assert (folder / "sweep.csv").read_bytes() == table_before
     assert marks(folder) == after
+
+
+def test_results_of_another_program_are_told_and_make_room(tmp_path, monkeypatch):
+    """Rationale: after an update they must be made again, not used, and not fill the disk."""
+    words = ["cold_cylinder", *OPTIONS, "-o", tmp_path / "swept"]
+    assert command("sweep", *words, "-D", "alpha=60,50")[0] == 0
+    earlier = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
+    for module in (kept, sweep_results):
+        monkeypatch.setattr(module, "fingerprint", lambda: "0" * 8)
+    status, out, _ = command("sweep", *words, "-D", "alpha=60")
+    assert status == 0
+    assert "1 cases: 1 measured, 0 kept, 0 failed" in out
+    notes = json.loads((tmp_path / "swept/summary.json").read_text())["notes"]
+    assert notes[0].startswith("1 cases were measured again, since this program or a package")
+    assert notes[1].startswith("cases/ holds 1 results of another version of this program")
+    assert all(f"Note: {note}" in out for note in notes)
+    later = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
+    [again] = [name for name in later if name.endswith("-00000000")]
+    assert later == sorted([earlier[0], again])
+    assert earlier[0].startswith("alpha=50-")
 
 
 def test_values_with_commas_are_parted_by_semicolons(tmp_path):

@@ -49,7 +49,7 @@ def sweep(
     there are some, or some have found nothing.
     """
     from virtual_sensor.studies.sweep import CaseStatus, differing, plan, run
-    from virtual_sensor.studies.sweep_results import save_sweep, sweep_notes
+    from virtual_sensor.studies.sweep_results import program_notes, save_sweep, sweep_notes
 
     choices = {name: _values(text) for name, text in definitions(define).items()}
     if len(choices) < len(define or []):
@@ -66,6 +66,7 @@ def sweep(
     failed = [end for end in finished if end.status == CaseStatus.FAILED]
     for end in failed:
         console.print(f"{end.case.name}: {end.message}", style="red", soft_wrap=True)
+    print_notes(program_notes(finished, output))
     notes = sweep_notes(finished, columns)
     print_notes(notes[:_SHOWN])
     if len(notes) > _SHOWN:

@@ -1,10 +1,15 @@
-"""Finished work is kept in folders that are named by a hash of all that went into it."""
+"""Finished work is kept in folders that are named by hashes of all that went into it.
 
-import ast
+``name-INPUTS-PROGRAM``: a hash of the inputs and one of the program. Work that another program has
+made of the same inputs is not used; it is removed when this one has made it again.
+"""
+
 import hashlib
 import importlib.util
 import json
-from collections.abc import Callable, Iterator, Mapping
+import platform
+import re
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -14,76 +19,79 @@ import numpy as np
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import folder_written_whole, settle, written_whole
+from virtual_sensor.files import discard, folder_written_whole, settle, written_whole
 
-_PACKAGE, _PLUGINS = "virtual_sensor", "virtual_sensor_plugins"
-_HOUSE = Path(engine.__file__).parent
-_MEASURING = f"{_PACKAGE}.studies.sweep"
-_IMPORTS = ast.Import | ast.ImportFrom
-_PACKAGES = (
-    *("mitsuba", "drjit", "numpy", "scipy", "matplotlib"),
-    *("opencv-contrib-python-headless", "OpenEXR", "trimesh"),
-)
-_DIGITS = 16
+_DISTRIBUTION = "virtual-sensor"
+_PACKAGES = {  # and what of their files belongs to the program: a scene's are inputs of its case
+    "virtual_sensor": "*",
+    "virtual_sensor_plugins": "*",
+    "virtual_sensor_scenes": "*.py",
+}
+_INPUT_DIGITS, _PROGRAM_DIGITS = 16, 8
 
 
 @cache
 def fingerprint() -> str:
-    """Hash of the program that measures: its sources, the packages it stands on, the variant.
+    """Hash of the program: its packages' files, what it requires, Python, and the engine.
 
     What another version might compute otherwise must not be taken for this one's.
+
+    Raises
+    ------
+    InputError
+        If the program is not installed, so that nobody knows what it requires.
+    """
+    running = engine.activate()
+    llvm = f"LLVM {running.llvm.version}" if running.llvm else "no LLVM"
+    python = f"Python {platform.python_version()}"
+    parts = [content_of(program()), *requirements(), python, running.variant, llvm]
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:_PROGRAM_DIGITS]
+
+
+def program() -> dict[Path, str]:
+    """The folders that the program lies in, and the patterns of the files in them."""
+    return {_folder_of(package): pattern for package, pattern in _PACKAGES.items()}
+
+
+def content_of(folders: Mapping[Path, str]) -> str:
+    """Hash of the files in folders that match a pattern each: their names there, and their bytes.
+
+    Where the folders lie, when a file was written, and what Python compiled does not matter.
     """
     digest = hashlib.sha256()
-    for name, file in sources(_MEASURING).items():
-        digest.update(f"{name}\0".encode())
-        digest.update(hashlib.sha256(file.read_bytes()).digest())
-    for package in _PACKAGES:
-        digest.update(f"{package} {_version(package)}\0".encode())
-    digest.update(engine.activate().variant.encode())
+    for folder, pattern in folders.items():
+        names = {file.relative_to(folder).as_posix(): file for file in folder.rglob(pattern)}
+        for name, file in sorted(names.items()):
+            if file.is_file() and not re.search(r"(^|/)(\.|__pycache__/)|\.pyc$", name):
+                digest.update(f"{name}\0".encode())
+                digest.update(hashlib.sha256(file.read_bytes()).digest())
+        digest.update(b"\0")
     return digest.hexdigest()
 
 
-@cache
-def sources(module: str) -> dict[str, Path]:
-    """Files of a module and of all of ours that it imports, inside functions too, by their names.
+def requirements() -> list[str]:
+    """Names and versions of the packages that the program requires, its extras left out.
 
-    Mitsuba asks for the plugins by name, and so all of them belong to every module.
+    Raises
+    ------
+    InputError
+        If the program is not installed.
     """
-    plugins = _file_of(_PLUGINS).parent
-    open_names = [module, *(f"{_PLUGINS}.{file.stem}" for file in plugins.glob("[!_]*.py"))]
-    files: dict[str, Path] = {}
-    while open_names:
-        name = open_names.pop()
-        file = _file_of(name)
-        if name not in files and file.is_file():
-            files[name] = file
-            open_names += _imported(file)
-    return dict(sorted(files.items()))
+    try:
+        required = metadata.requires(_DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        raise InputError(
+            f"{_DISTRIBUTION} is not installed, so that nobody knows with which packages finished"
+            " work was made; install it: pip install ."
+        ) from None
+    names = [
+        re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required if "extra ==" not in text
+    ]
+    return sorted(f"{name}=={_version(name)}" for name in names)
 
 
-def _imported(file: Path) -> Iterator[str]:
-    """Names that may be modules of ours among what a file imports, and the packages they lie in."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        names = [alias.name for alias in node.names] if isinstance(node, _IMPORTS) else []
-        if isinstance(node, ast.ImportFrom):
-            names = [f"{node.module}.{name}" for name in names]
-        for name in names:
-            parts = name.split(".")
-            if parts[0] in (_PACKAGE, _PLUGINS):
-                yield from (".".join(parts[: n + 1]) for n in range(len(parts)))
-
-
-def _file_of(module: str) -> Path:
-    """Where a module of ours lies, if it is one."""
-    package, *parts = module.split(".")
-    folder = _HOUSE if package == _PACKAGE else _plugins_folder()
-    place = folder.joinpath(*parts)
-    return place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
-
-
-@cache
-def _plugins_folder() -> Path:
-    found = importlib.util.find_spec(_PLUGINS)
+def _folder_of(package: str) -> Path:
+    found = importlib.util.find_spec(package)
     assert found is not None
     assert found.submodule_search_locations is not None
     return Path(found.submodule_search_locations[0])
@@ -98,7 +106,7 @@ def _version(package: str) -> str:
 
 
 def key_of(inputs: Mapping[str, Any]) -> str:
-    """Short hexadecimal key of inputs and program: equal if, and only if, all of it is equal.
+    """Key of inputs and program, two hashes: equal if, and only if, all of it is equal.
 
     Parameters
     ----------
@@ -111,7 +119,7 @@ def key_of(inputs: Mapping[str, Any]) -> str:
         If there is something else in it, whose text might differ from one process to the next.
     """
     text = json.dumps(inputs, sort_keys=True, separators=(",", ":"), default=_plain)
-    return hashlib.sha256(f"{fingerprint()}{text}".encode()).hexdigest()[:_DIGITS]
+    return f"{hashlib.sha256(text.encode()).hexdigest()[:_INPUT_DIGITS]}-{fingerprint()}"
 
 
 def _plain(value: object) -> object:
@@ -145,7 +153,13 @@ def file_hash(path: Path) -> str:
 
 def found(folder: Path, key: str) -> Path | None:
     """The finished work of this key, under whatever name it was kept; None if there is none."""
-    return min(folder.glob(f"*-{key}"), default=None)
+    return min(folder.glob(f"[!.]*-{key}"), default=None)
+
+
+def by_other_programs(folder: Path, key: str | None = None) -> list[Path]:
+    """Finished work that another program has made: of a key's inputs, or by default of any."""
+    pattern = f"[!.]*-{key.partition('-')[0]}-*" if key else "[!.]*"
+    return [work for work in folder.glob(pattern) if not work.name.endswith(f"-{fingerprint()}")]
 
 
 def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]) -> Path:
@@ -166,7 +180,8 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
     Returns
     -------
     Path
-        Of a folder.  Of two processes that make the same at once, the first one's stays.
+        Of a folder.  Of two processes that make the same at once, the first one's stays; what
+        another program has made of the same inputs goes.
 
     Raises
     ------
@@ -184,6 +199,8 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
         except InputError:
             if not place.is_dir():  # else another process was faster
                 raise
+        for old in by_other_programs(folder, key):
+            discard(old)
     return place
 
 

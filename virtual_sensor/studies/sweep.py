@@ -15,7 +15,14 @@ from typing import Any
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.studies.cluster import completed
-from virtual_sensor.studies.kept import file_hash, found, kept, key_of, own_folder
+from virtual_sensor.studies.kept import (
+    by_other_programs,
+    file_hash,
+    found,
+    kept,
+    key_of,
+    own_folder,
+)
 
 Report = Callable[[str, float], None]
 Told = tuple[str, str]
@@ -57,7 +64,7 @@ class Case:
     name : str
         For people and for files, of the parameters that are swept.
     key : str
-        Hash of the scene, of the files that it refers to, of `values`, `y_mm` and the program.
+        Hashes of the scene, the files that it refers to, `values` and `y_mm`; and of the program.
     y_mm : tuple of float or None
         Positions of the probe rays along the line; None: the scene's own.
     """
@@ -84,6 +91,8 @@ class Finished:
         Why it failed; else what a user should know of the scene.
     was_kept : bool
         It was there before.
+    made_again : bool
+        Another version of the program had made it before; its results are removed.
     """
 
     case: Case
@@ -91,6 +100,7 @@ class Finished:
     status: CaseStatus
     message: str
     was_kept: bool
+    made_again: bool = False
 
 
 def plan(
@@ -230,6 +240,7 @@ def run(
     place = folder.absolute() / CASES
     there = {case.key: found(place, case.key) for case in cases}
     missing = list({case.key: case for case in cases if not there[case.key]}.values())
+    outdated = {case.key for case in missing if by_other_programs(place, case.key)}
     ended: dict[str, Told] = {}
     if missing:
         report(f"{len(cases) - len(missing)} of {len(cases)} cases are kept", 0.0)
@@ -240,13 +251,19 @@ def run(
             here = _here(missing, place, report)
             ended = {case.key: told for case, told in here}
     report("done", 1.0)
-    return [_finished(case, place, there[case.key], ended.get(case.key)) for case in cases]
+    return [
+        _finished(case, place, there[case.key], ended.get(case.key), case.key in outdated)
+        for case in cases
+    ]
 
 
-def _finished(case: Case, place: Path, earlier: Path | None, told: Told | None) -> Finished:
+def _finished(
+    case: Case, place: Path, earlier: Path | None, told: Told | None, outdated: bool
+) -> Finished:
     status, message = told or (CaseStatus.OK, "")
     made = earlier or found(place, case.key)
-    return Finished(case, made, CaseStatus(status), message, earlier is not None)
+    again = outdated and made is not None
+    return Finished(case, made, CaseStatus(status), message, earlier is not None, again)
 
 
 def _make(

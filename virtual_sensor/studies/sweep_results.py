@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, written_whole
-from virtual_sensor.studies.kept import fingerprint
+from virtual_sensor.studies.kept import by_other_programs, fingerprint
 from virtual_sensor.studies.notes import TRUTH, WRONG
-from virtual_sensor.studies.sweep import CaseStatus, Finished, differing
+from virtual_sensor.studies.sweep import CASES, CaseStatus, Finished, differing
 from virtual_sensor.studies.tables import write_csv, write_json
 
 STATES = ("cold", "hot")
@@ -54,11 +54,26 @@ def save_sweep(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any
             for name, status in zip(names, columns["status"], strict=True)
             if status == CaseStatus.NOTHING_FOUND
         ],
-        "notes": sweep_notes(finished, columns),
+        "notes": [*program_notes(finished, folder), *sweep_notes(finished, columns)],
         "program": fingerprint(),
     }
     write_json(folder / RESULTS_SIGN, summary)
     return columns
+
+
+def program_notes(finished: Sequence[Finished], folder: Path) -> list[str]:
+    """What has become of results of another version of the program, or of a package under it."""
+    again = sum(end.made_again for end in finished)
+    others = len(by_other_programs(folder / CASES))
+    replaced = (
+        f"{again} cases were measured again, since this program or a package under it has changed;"
+        " their earlier results are removed"
+    )
+    unused = (
+        f"{CASES}/ holds {others} results of another version of this program, or of a package under"
+        f" it, that were not used; delete what does not end with -{fingerprint()}"
+    )
+    return [note for count, note in ((again, replaced), (others, unused)) if count]
 
 
 def sweep_notes(finished: Sequence[Finished], columns: dict[str, list[Any]]) -> list[str]:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from virtual_sensor.studies.kept import file_hash, kept, sources
+from virtual_sensor.studies.kept import kept
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.beta_map import LINE_MM, BetaMap, beta_map
 from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, Fit, fit_broadening
@@ -43,8 +43,7 @@ class Shelf:
         self, name: str, inputs: Mapping[str, Any], make: Callable[[], T], kind: type[T]
     ) -> T:
         """A dataclass of arrays: made, and kept as a file of NumPy's; or taken from there."""
-        made_by = {name: file_hash(file) for name, file in sources(__name__).items()}
-        whole = {"piece": name, "sources": made_by, "scene": self.scenes.inputs(), **inputs}
+        whole = {"piece": name, "scene": self.scenes.inputs(), **inputs}
         place = kept(self.folder, name, whole, lambda new: _write(new / f"{name}.npz", make()))
         return _read(place / f"{name}.npz", kind)
 
