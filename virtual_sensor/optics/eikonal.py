@@ -19,7 +19,7 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import BentRays, Field, March, Straight
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
-from virtual_sensor.optics.surfaces import Surface
+from virtual_sensor.optics.surfaces import NoSurface, Surface
 
 LAST_PIECE_MM = 0.05
 """The last, straight piece of a ray onto a surface: so short that Mitsuba's float32 is exact."""
@@ -155,29 +155,36 @@ def _march(
         stride = dr.select(cut, pace.stride, dr.minimum(stride, longest))
         return _ahead(ray, h, taken), good, _Pace(stride, dr.select(good, last, pace.slope))
 
-    def body(ray: BentRays, moving: Any, chord: Any, count: Any, pace: Any) -> tuple[Any, ...]:
-        _, out = _slab(ray.position(line), ray.tangent(line), box)
+    def ahead_of(ray: BentRays) -> tuple[Any, Any]:
+        """Signed dt to the place where a ray is asked to end; dt to the border, above 0 inside."""
+        return remaining(line, ray), _slab(ray.position(line), ray.tangent(line), box)[1]
+
+    def body(
+        ray: BentRays, moving: Any, chord: Any, count: Any, pace: Any, left: Any, out: Any
+    ) -> tuple[Any, ...]:
         stride = pace.stride if controlled else longest
         h = dr.minimum(stride, out + 2.0 * _BORDER_MM)
-        left = remaining(line, ray)
         h = dr.select(left < h, dr.maximum(left, -stride), h)
         if controlled:
             ahead, good, pace = controlled_step(ray, h, pace)
         else:
             ahead, good = step(ray, h), True
-        secant = line.direction * h + (ahead.offset[0] - ray.offset[0])
-        length = dr.norm(secant)
-        met = surface.distance(
-            ray.position(line), secant / length, length + _OVERLAP_MM, moving & good & (h > 0.0)
-        )
-        hit = moving & good & (h > 0.0) & (met <= length + _OVERLAP_MM)
-        chord = dr.select(hit, h * met / length, chord)
-        ray = dr.select(moving & good & ~hit, ahead, ray)
-        arrived = moving & ~hit & (dr.abs(remaining(line, ray)) <= close)
-        ray.status = dr.select(hit, int(RayStatus.HIT), ray.status)
+        if not isinstance(surface, NoSurface):  # a tenth of a step, where nothing can be met
+            secant = line.direction * h + (ahead.offset[0] - ray.offset[0])
+            length = dr.norm(secant)
+            forward = moving & good & (h > 0.0)
+            met = surface.distance(
+                ray.position(line), secant / length, length + _OVERLAP_MM, forward
+            )
+            hit = forward & (met <= length + _OVERLAP_MM)
+            chord = dr.select(hit, h * met / length, chord)
+            ray.status = dr.select(hit, int(RayStatus.HIT), ray.status)
+            moving = moving & ~hit
+        ray = dr.select(moving & good, replace(ahead, status=ray.status), ray)
+        left, out = ahead_of(ray)
+        arrived = moving & (dr.abs(left) <= close)
         ray.status = dr.select(arrived, int(RayStatus.ENDED), ray.status)
-        moving = moving & ~hit & ~arrived & _within(ray.position(line), ray.tangent(line), box)
-        return ray, moving, chord, count + 1, pace
+        return ray, moving & ~arrived & ~(out <= 0.0), chord, count + 1, pace, left, out
 
     f, g = field.lookup(march.precision).delta_and_gradient(ray.position(line))
     f, g = f / (1.0 + field.ambient), g / (1.0 + field.ambient)
@@ -192,11 +199,12 @@ def _march(
     ray = dr.select(active, replace(ray, tau=tuple(at_start)), ray)
     pace = _Pace(longest + 0.0 * ray.t, rhs(ray.t, ray.offset)) if controlled else ()
     most = dr.opaque(mi.UInt32, march.max_steps)
+    chord = dr.zeros(march.scalar, dr.width(active))
     ray, moving, chord, *_ = dr.while_loop(
-        (ray, active, dr.zeros(march.scalar, dr.width(active)), mi.UInt32(0), pace),
-        lambda ray, moving, chord, count, pace: moving & (count < most),
+        (ray, active, chord, mi.UInt32(0), pace, *ahead_of(ray)),
+        lambda ray, moving, chord, count, *_: moving & (count < most),
         body,
-        labels=("ray", "moving", "chord", "count", "pace"),
+        labels=("ray", "moving", "chord", "count", "pace", "left", "out"),
     )
     ray.status[moving] = int(RayStatus.OUT_OF_STEPS)
     hit = active & (ray.status == int(RayStatus.HIT))
@@ -305,9 +313,3 @@ def _slab(p: Any, direction: Any, box: tuple[Any, Any]) -> tuple[Any, Any]:
     inverse = dr.rcp(dr.select(direction == 0.0, 1e-30, direction))
     one, two = (box[0] - p) * inverse, (box[1] - p) * inverse
     return dr.max(dr.minimum(one, two)), dr.min(dr.maximum(one, two))
-
-
-def _within(p: Any, heading: Any, box: tuple[Any, Any]) -> Any:
-    """Not out of the box: beyond a face and heading outward, so that none can hover at a border."""
-    out = ((p <= box[0]) & (heading < 0.0)) | ((p >= box[1]) & (heading > 0.0))
-    return ~dr.any(out)
