@@ -1,6 +1,7 @@
 """The `refractive` integrator: what a camera sees through air of varying refractive index."""
 
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -100,34 +101,16 @@ class Refractive(mi.SamplingIntegrator):
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
         self.glows = True
-        try:
-            self.field = self.air.read()
-        except InputError as error:
-            raise InputError(f"refractive: {error}") from None
-        _ = self._refracting  # a march that can't get through the air is refused on loading
 
-    def at(self, time_s: float) -> "Refractive":
-        """The same integrator in the air of another instant of its field's file, as broad."""
-        try:
-            air = self.air.at(time_s)
-            other = self.with_field(air.read())
-        except InputError as error:
-            raise InputError(f"refractive: {error}") from None
-        other.air = air
-        return other
+    @cached_property
+    def field(self) -> IndexField | None:
+        """The air: what was given, else what the scene's file says."""
+        return self.air.read()
 
-    def with_field(self, field: IndexField | None) -> "Refractive":
-        """The same integrator in other air, taken as it is; None: a cold part, straight light."""
-        other = self.with_transport(self.transport)
-        other.field, other.air = field, self.air.without_file()
-        other.glows = self.glows and field is not None
-        return other
-
-    def with_transport(self, transport: Transport) -> "Refractive":
-        """Another transport through the same air."""
+    def given(self, field: IndexField | None, transport: Transport, glows: bool) -> "Refractive":
+        """An integrator for this air and transport; `glows`: whether what can glow does."""
         other = mi.load_dict({"type": "refractive"})
-        other.field, other.air, other.glows = self.field, self.air, self.glows
-        other.transport = transport
+        other.field, other.transport, other.glows = field, transport, glows
         return other
 
     @property

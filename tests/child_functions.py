@@ -65,3 +65,10 @@ def report_and_hang(*, report):
 
 def large(size):
     return b"x" * size
+
+
+def pixels_and_radiance(scene):
+    """What is searched and what is rendered of a scene."""
+    import virtual_sensor as vs
+
+    return vs.ray_search(scene, [0.0, -4.0], "newton").pixel, vs.render(scene)

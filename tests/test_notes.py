@@ -1,7 +1,6 @@
 """What a reader ignored or assumed, every command says once and keeps in its summary."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from virtual_sensor import cli
-from virtual_sensor.imaging import scene as scenes
+from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 
 NOTE = "scene.xml: <made up> is ignored"
@@ -19,13 +18,8 @@ FILM = ["-D", "width=256", "-D", "height=256", "-D", "spp=1"]
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder of one's own, and scenes of which something is to be noted."""
-    load = scenes.load_scene
-
-    def noting(*names, **parameters):
-        loaded = load(*names, **parameters)
-        return replace(loaded, notes=(*loaded.notes, NOTE))
-
-    monkeypatch.setattr(scenes, "load_scene", noting)
+    noted = vars(Scene)["notes"].fget
+    monkeypatch.setattr(Scene, "notes", property(lambda scene: (*noted(scene), NOTE)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -133,7 +133,7 @@ def test_a_camera_on_the_part_is_refused(tmp_path):
         at = (on[0], on[1].format(f"0, 0, {height}") + ' up="1, 0, 0"')
         path = edited(tmp_path, at)
         if refused:
-            with pytest.raises(vs.InputError, match="<sensor>: the camera stands on a surface"):
+            with pytest.raises(vs.InputError, match='<sensor id="camera">: the camera stands on'):
                 vs.load_scene(path, **SMALL)
         else:
             assert vs.render(vs.load_scene(path, **SMALL)).max() == 0.0

@@ -218,7 +218,10 @@ FAULTS = {
     ),
     "no direction": (changed(LASER_PLACE, LASER_PLACE.replace("0, 1, 0", "0, 0, 1")), "lookat"),
     "no shape": (changed(SHAPES, ""), "its shapes have no finite size"),
-    "two cameras": (added('<sensor type="perspective"/>'), "2 sensors; the scene must have one"),
+    "camera on the part": (
+        added('<sensor type="perspective"/>'),
+        '<sensor id="camera_2">: the camera stands on a surface',
+    ),
     "id missing": (changed('<ref id="steel"/>', '<ref id="steal"/>'), "no element has this id"),
     "id twice": (changed('id="end_minus"', 'id="end_plus"'), 'two elements have the id "end_plus"'),
     "no id": (changed('<ref id="steel"/>', "<ref/>"), '<ref> lacks its attribute "id"'),

@@ -323,7 +323,7 @@ def test_the_detected_line_follows_too():
     ends = {
         "beta": [vs.load_scene("hot_cylinder", beta=5 + s * e["beta"], **options) for s in (1, -1)],
         "field_scale": [
-            at_5.with_field(scaled(field, 1.0 + s * e["field_scale"])) for s in (1, -1)
+            at_5.with_medium(scaled(field, 1.0 + s * e["field_scale"])) for s in (1, -1)
         ],
     }
     columns = np.arange(270, 760)

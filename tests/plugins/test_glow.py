@@ -50,7 +50,7 @@ def test_the_glow_does_not_move_the_line(glowing):
 def test_the_cold_part_does_not_glow(glowing):
     """In homogeneous air the part is taken as cold; another transport changes nothing."""
     assert np.mean(render(glowing.cold()) > 0.0) < 0.1
-    assert glowing.with_transport(glowing.transport.by("straight")).integrator.glows
+    assert glowing.with_transport(glowing.transport.by("straight")).hot
 
 
 def test_beside_a_lamp_the_cold_part_does_not_glow_either():

@@ -54,8 +54,7 @@ def screened(folder, other_light="", **parameters):
     path.write_text(SCREENED.replace("OTHER_LIGHT", other_light), encoding="utf-8")
     scene = vs.load_scene(path, **parameters)
     nothing = np.zeros((12, 12, 12))
-    scene.integrator.field = vs.IndexField.from_arrays(nothing, [-44.0] * 3, [8.0] * 3)
-    return scene
+    return scene.with_medium(vs.IndexField.from_arrays(nothing, [-44.0] * 3, [8.0] * 3))
 
 
 def image_by(integrator, scene, **options):
@@ -219,7 +218,7 @@ def test_another_blur_runs_the_same_kernels():
     scene = vs.load_scene("hot_cylinder")
 
     def seen(sigma_mm):
-        air = scene.with_field(blurred(scene.field, sigma_mm))
+        air = scene.with_medium(blurred(scene.field, sigma_mm))
         return vs.ray_search(air, [0.0, -8.0], "newton").pixel
 
     seen(5.0)
@@ -237,8 +236,8 @@ def test_another_blur_runs_the_same_kernels():
 @pytest.mark.parametrize(
     ("parameters", "expected"),
     [
-        ({"blur": -1}, "refractive: blur: the standard deviation is -1 mm"),
-        ({"widen": 0}, "refractive: widen: the factor is 0"),
+        ({"blur": -1}, r"quarter\.nc: blur: the standard deviation is -1 mm"),
+        ({"widen": 0}, r"quarter\.nc: widen: the factor is 0"),
         ({"field": "", "blur": 7}, "'widen' and 'blur' are of a field; give the 'field'"),
         ({"field": "", "widen": 2}, "'widen' and 'blur' are of a field; give the 'field'"),
     ],
@@ -253,11 +252,10 @@ def test_air_that_cannot_be_broadened_is_refused(parameters, expected):
 def test_another_transport_keeps_the_air_and_what_is_said_of_it():
     """Rationale: of a burst by --tolerance the file was unknown, and another instant less broad."""
     scene = vs.load_scene("hot_cylinder", widen=1.2, blur=3)
-    given = scene.integrator
-    other = given.with_transport(given.transport.by("marched"))
-    assert other.field is given.field
-    assert other.air == given.air
+    other = scene.with_transport(scene.transport.by("marched"))
+    assert other.medium is scene.medium
+    assert other.air == scene.air
     assert (other.air.widen, other.air.blur_mm) == (1.2, 3.0)
     assert other.air.path.is_file()
-    straight = given.with_field(None)
+    straight = scene.with_medium(None)
     assert (straight.air.widen, straight.air.blur_mm, straight.air.path) == (1.0, 0.0, None)

@@ -28,7 +28,7 @@ def stronger(scene, contrast):
     """The scene in air whose refractivity differs from the surroundings' by so much more."""
     field = scene.field
     nodes = field.ambient + contrast * (field.nodes - field.ambient)
-    return scene.with_field(replace(field, nodes=nodes, _lookups={}))
+    return scene.with_medium(replace(field, nodes=nodes, _lookups={}))
 
 
 def nodes(account):

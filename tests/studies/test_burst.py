@@ -74,7 +74,7 @@ def oracle(swaying):
     """The same instants from the formula alone: no file, no packing, no picture; scenes."""
     n_air = air_refractivity()
     return [
-        swaying.with_field(
+        swaying.with_medium(
             IndexField.from_arrays(
                 n_air * 293.15 / plume_kelvin(shift_mm(t)), ORIGIN, SPACING, ambient=n_air
             )

@@ -163,7 +163,7 @@ def test_no_fold_goes_untold(name):
 
     def runs_back(factor):
         air = frame_failures.contrasted(scene.field, factor)
-        y = incidence_points(scene.with_field(air), np.linspace(-11.0, 11.0, 701))[:, 1]
+        y = incidence_points(scene.with_medium(air), np.linspace(-11.0, 11.0, 701))[:, 1]
         return bool(np.any(np.diff(y[np.isfinite(y)]) < 0.0))
 
     true = float(re.search(r"runs back over itself from ([\d.]+) times on", found.note)[1])

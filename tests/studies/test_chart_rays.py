@@ -43,7 +43,7 @@ def coarse(scene):
         ambient=field.ambient,
         mirror=field.mirror,
     )
-    return scene.with_field(thin)
+    return scene.with_medium(thin)
 
 
 @pytest.fixture(scope="module")

@@ -210,7 +210,7 @@ def test_a_jumps_effect_is_that_of_rays_traced_with_and_without_it(stored):
     faded = air((133, 4, 4), with_fade, high=np.array([144.0, 48.0, 300.0]))
     scene = load_scene("hot_cylinder")
     y = probe_rays(scene)
-    pixels = [ray_search(scene.with_field(f), y, "newton").pixel for f in (cut, faded)]
+    pixels = [ray_search(scene.with_medium(f), y, "newton").pixel for f in (cut, faded)]
     traced = np.linalg.norm(pixels[1] - pixels[0], axis=1).max()
 
     info = field_info(stored(cut))
@@ -253,7 +253,7 @@ def test_the_effect_on_the_probe_rays_is_that_of_the_search(stored):
     scene = load_scene("hot_cylinder", beta=15)
     hot, cold = (
         ray_search(s, probe_rays(scene), "newton").pixel
-        for s in (scene.with_field(field), scene.cold())
+        for s in (scene.with_medium(field), scene.cold())
     )
     np.testing.assert_allclose(info.effect_px, hot - cold, atol=1e-6)
     assert np.abs(info.effect_px).max() > 0.01

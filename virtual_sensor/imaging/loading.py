@@ -2,8 +2,10 @@
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -81,13 +83,33 @@ _COMPLAINTS = (
 )
 
 
+@dataclass(frozen=True)
+class Loaded:
+    """What Mitsuba made of a scene.
+
+    Attributes
+    ----------
+    scene : mitsuba.Scene
+    cameras : dict
+        Its sensors by their names: their `id`s, or made up where they have none.
+    lasers : dict
+        Likewise its emitters of type `laser_line`.
+    notes : tuple of str
+    """
+
+    scene: Any
+    cameras: dict[str, Any]
+    lasers: dict[str, Any]
+    notes: tuple[str, ...]
+
+
 @contextmanager
-def _among(folder: Path) -> Iterator[Any]:
-    """Let Mitsuba find files in a folder, and where one stands now: it knows where it was begun."""
+def _among(folder: Path, here: Path) -> Iterator[Any]:
+    """Let Mitsuba find files in a folder, and in the one where a scene was loaded."""
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
     with suppress(FileNotFoundError):  # a working folder that is gone
-        resolver.prepend(str(Path.cwd()))
+        resolver.prepend(str(here.absolute()))
         resolver.prepend(str(folder.absolute()))
     mi.set_file_resolver(resolver)
     try:
@@ -141,34 +163,124 @@ def warnings_of(main: Path, heard: list[str]) -> list[str]:
 
 
 def load(
-    files: list[SceneFile], given: dict[str, str], values: dict[str, str]
-) -> tuple[Any, list[str]]:
-    """Load with Mitsuba, and put its complaint in a user's terms; and notes."""
+    files: list[SceneFile],
+    given: dict[str, str],
+    values: dict[str, str],
+    here: Path,
+    poses: Mapping[str, NDArray[np.float64]],
+) -> Loaded:
+    """Load with Mitsuba, and put its complaint in a user's terms.
+
+    Parameters
+    ----------
+    files : list of SceneFile
+        The scene's, and those that it includes.
+    given, values : dict
+        Parameters as given, and as used.
+    here : Path
+        Folder from which relative paths start, beside the scene's own.
+    poses : Mapping
+        By the names of cameras and lasers: matrices (4, 4) in place of their `to_world`.
+    """
     main = files[0].elements[0].file
     config = mi.parser.ParserConfig(mi.variant())
     # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
     config.merge_equivalent = config.merge_meshes = False
-    with _among(main.parent), ExitStack() as temporary, _listening() as heard:
+    with _among(main.parent, here), ExitStack() as temporary, _listening() as heard:
         try:
             state = mi.parser.parse_string(config, files[0].text, **given)
+            names = _named(state)
+            _place(state, poses)
             notes = [
                 note for node in state.nodes for note in _check_node(main, state, node, values)
             ]
             notes += _prepare_parts(main, state, temporary)
-            if mi.ObjectType.Film not in [node.type for node in state.nodes]:
-                notes.append(f"{main}: <sensor> has no <film>; Mitsuba's of 768 x 576 px is taken")
+            notes += _check_films(main, state)
+            samples = _samples(main, state)
             for node in state.nodes:  # reading marks as used, and what nothing uses is a fault
                 for name in list(node.props.keys()):
                     node.props.mark_queried(name, False)
             mi.parser.transform_all(config, state)
-            loaded = mi.parser.instantiate(config, state)
-            return loaded, notes + warnings_of(main, heard)
+            scene = mi.parser.instantiate(config, state)
+            notes += warnings_of(main, heard)
+            cameras, lasers = (
+                {name: each for each in found if (name := each.id()) in names}
+                for found in (scene.sensors(), scene.emitters())
+            )
+            _check_samples(cameras, samples)
+            return Loaded(scene, cameras, lasers, tuple(notes))
         except InputError:
             raise
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
             text = str(error)
     interrupts.raised_again(text)
     raise _complaint(text, main, [e for file in files for e in file.elements], values)
+
+
+def _named(state: Any) -> list[str]:
+    """Names of a scene's sensors and lasers; those without an `id` get one."""
+    taken = {node.props.id() for node in state.nodes}
+    names = []
+    for node in state.nodes:
+        kind = "camera" if node.type == mi.ObjectType.Sensor else "laser"
+        if kind == "laser" and node.props.plugin_name() != "laser_line":
+            continue
+        name = node.props.id()
+        if not name:
+            numbered = (f"{kind}_{number}" for number in count(2))
+            name = next(each for each in chain([kind], numbered) if each not in taken)
+            node.props.set_id(name)
+            taken.add(name)
+        names.append(name)
+    return names
+
+
+def _parts(state: Any, node: Any, kind: Any) -> list[Any]:
+    """Nodes of a kind that stand in a node."""
+    props, resolved = node.props, mi.Properties.Type.ResolvedReference
+    inner = [props[name].index() for name in props.keys() if props.type(name) == resolved]  # noqa: SIM118
+    return [state.nodes[index] for index in inner if state.nodes[index].type == kind]
+
+
+def _check_films(main: Path, state: Any) -> list[str]:
+    """Notes of sensors without a film."""
+    return [
+        f"{_where(main, state, node)} has no <film>; Mitsuba's of 768 x 576 px is taken"
+        for node in state.nodes
+        if node.type == mi.ObjectType.Sensor and not _parts(state, node, mi.ObjectType.Film)
+    ]
+
+
+def _samples(main: Path, state: Any) -> dict[str, tuple[str, int]]:
+    """Samples a pixel that sensors' samplers are asked for, by the sensors' names, and where."""
+    return {
+        node.props.id(): (_where(main, state, sampler), int(sampler.props["sample_count"]))
+        for node in state.nodes
+        if node.type == mi.ObjectType.Sensor
+        for sampler in _parts(state, node, mi.ObjectType.Sampler)
+        if "sample_count" in sampler.props
+    }
+
+
+def _check_samples(cameras: dict[str, Any], samples: dict[str, tuple[str, int]]) -> None:
+    """Samplers round a number that they can't do, and the frame is not of the number given."""
+    for name, (where, asked) in samples.items():
+        taken = int(cameras[name].sampler().sample_count())
+        if asked != taken or not taken:
+            raise InputError(
+                f"{where}: a sample_count of {asked}: it would take {taken}; give a number that it"
+                " has (spp), such as 1, 4, 9 or 16"
+            )
+
+
+def _place(state: Any, poses: Mapping[str, NDArray[np.float64]]) -> None:
+    """Give named elements other places."""
+    for node in state.nodes:
+        if node.props.id() not in poses:
+            continue
+        if "to_world" in node.props:
+            del node.props["to_world"]
+        node.props["to_world"] = mi.ScalarAffineTransform4d(poses[node.props.id()])
 
 
 def _complaint(

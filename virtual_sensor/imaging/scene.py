@@ -20,21 +20,27 @@ lengths                          in mm; a scene that seems to be in metres gets 
 `virtual_sensor.imaging.scene_file` says what becomes of the XML itself.
 """
 
+from __future__ import annotations
+
+import hashlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 import virtual_sensor_plugins as plugins
 from numpy.typing import NDArray
 
+from virtual_sensor import engine
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists, readable
-from virtual_sensor.imaging.loading import load
+from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
     SceneFile,
     filled,
@@ -44,87 +50,328 @@ from virtual_sensor.imaging.scene_file import (
 )
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.optics.sensor_model import Camera, Pose, SensorModel
+from virtual_sensor.optics.sensor_model import Camera, LaserLine, Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 from virtual_sensor.optics.transports import Transport
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
 
 # Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
 _OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
+_ELEMENTS = {  # that a scene may lack
+    "camera": '<sensor type="perspective">',
+    "source": '<emitter type="laser_line">',
+}
 _METRES_MM = 2.0, 5.0  # a part no larger, and a camera no farther: scenes in metres are so
 
 
 @dataclass(frozen=True)
+class _Origin:
+    """What a scene was loaded from: its file, parameters, the folder of relative paths, all files.
+
+    `digests` are of the scene's file and of all that it refers to.
+    """
+
+    path: Path
+    given: dict[str, str]
+    here: Path
+    digests: tuple[tuple[Path, str], ...] = ()
+
+    def check(self) -> None:
+        """Raise InputError if a file is not what it was."""
+        for file, digest in self.digests:
+            if not exists(file) or _digest(file) != digest:
+                raise InputError(
+                    f"{self.path}: can't be loaded again, since {file} was changed; load the scene"
+                    " anew (load_scene)"
+                )
+
+
+@dataclass(frozen=True)
+class _Stage:
+    """What Mitsuba holds of a scene; `poses` are those that were changed, as matrices (4, 4)."""
+
+    origin: _Origin
+    poses: dict[str, Array]
+    parameters: dict[str, str]
+    loaded: Loaded
+    surface: Surface
+    cameras: dict[str, Camera]
+    sources: dict[str, LaserLine]
+    notes: tuple[str, ...]
+    where: str  # its integrator stands, for messages
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Scene:
-    """A loaded scene.
+    """A loaded scene: a part in its air, the cameras that see it, the sources that light it.
+
+    It never changes; `with_medium`, `with_pose` and their kin give other ones.  Two are equal if
+    they were loaded from the same files with the same parameters, and changed alike.  A scene can
+    be pickled: where it is unpickled its files are read again, which must not have changed.
 
     Attributes
     ----------
     path : Path
     parameters : dict
         The scene's ``$parameters`` as used, defaults included.
-    mitsuba : mitsuba.Scene
-    integrator : Refractive
-    sensor : SensorModel
-    surface : Surface
-        Of the part, in float64 where it is the analytic cylinder.
-    notes : tuple of str
-        What was ignored, converted or assumed when it was loaded.
+    medium : IndexField or None
+        The air; None where light runs straight.
+    air : MediumDescription
+        The medium's file, if it has one, and what is made of it.
+    cameras : Mapping
+        `Camera` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
+    sources : Mapping
+        `LaserLine` by name: likewise, or "laser", "laser_2", ...
+    transport : Transport
+        How frames find bent rays.
+    hot : bool
+        Whether its surfaces glow, those that can.
     """
 
     path: Path
     parameters: dict[str, str]
-    mitsuba: Any
-    integrator: Any
-    sensor: SensorModel
-    surface: Surface
-    notes: tuple[str, ...] = ()
+    medium: IndexField | None
+    air: MediumDescription
+    cameras: Mapping[str, Camera]
+    sources: Mapping[str, LaserLine]
+    transport: Transport
+    hot: bool
+    _stage: _Stage
+
+    def __post_init__(self) -> None:
+        for name in ("cameras", "sources"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def mitsuba(self) -> Any:
+        """Mitsuba's scene, with all its cameras and sources."""
+        return self._stage.loaded.scene
+
+    @property
+    def surface(self) -> Surface:
+        """The part's, in float64 where it is the analytic cylinder."""
+        return self._stage.surface
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was ignored, converted or assumed when it was loaded."""
+        return self._stage.notes + (self.medium.notes if self.medium else ())
 
     @property
     def field(self) -> IndexField | None:
-        """The air; None where light runs straight."""
-        return self.integrator.field
+        """Another name of the medium."""
+        return self.medium
 
     @property
-    def air(self) -> MediumDescription:
-        """Where the field comes from: its file, and what is made of it."""
-        description: MediumDescription = self.integrator.air
-        return description
+    def camera(self) -> Camera:
+        """The only camera; an InputError where there are several."""
+        return self.cameras[self._one("camera", self.cameras)]
 
     @property
-    def transport(self) -> Transport:
-        """How bent rays are found."""
-        transport: Transport = self.integrator.transport
-        return transport
+    def source(self) -> LaserLine:
+        """The only source; an InputError where there is none, or several."""
+        return self.sources[self._one("source", self.sources)]
 
-    def with_transport(self, transport: Transport) -> "Scene":
-        """The same scene by another transport of light."""
-        return replace(self, integrator=self.integrator.with_transport(transport))
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """Where the cameras and the sources stand, by name."""
+        cameras = {name: camera.pose for name, camera in self.cameras.items()}
+        return cameras | {name: source.pose for name, source in self.sources.items()}
 
-    def cold(self) -> "Scene":
-        """The same scene in homogeneous air."""
-        return self.with_field(None)
+    @property
+    def sensor(self) -> SensorModel:
+        """The only camera with the only source."""
+        return SensorModel(self.camera, self.source)
 
-    def with_field(self, field: IndexField | None) -> "Scene":
-        """The same scene in other air; None: homogeneous, where light runs straight."""
-        return replace(self, integrator=self.integrator.with_field(field))
+    @property
+    def mitsuba_camera(self) -> Any:
+        """Mitsuba's sensor of the only camera."""
+        return self._stage.loaded.cameras[self._one("camera", self.cameras)]
 
-    def at(self, time_s: float) -> "Scene":
+    @property
+    def mitsuba_sources(self) -> dict[str, Any]:
+        """Mitsuba's emitters of the sources, by name; others of the scene's do not shine."""
+        return {name: self._stage.loaded.lasers[name] for name in self.sources}
+
+    @property
+    def integrator(self) -> Any:
+        """Mitsuba's integrator, with the scene's air and transport."""
+        integrator = self.mitsuba.integrator()
+        return integrator.given(self.medium, self.transport, self.hot)
+
+    def only(self, camera: str | None = None, source: str | None = None) -> Scene:
+        """The same scene with one camera or one source: the others neither see nor shine.
+
+        Raises
+        ------
+        InputError
+            If there is none of that name; it says which there are.
+        """
+        cameras, sources = self.cameras, self.sources
+        if camera is not None:
+            cameras = {camera: self._named("camera", cameras, camera)}
+        if source is not None:
+            sources = {source: self._named("source", sources, source)}
+        return replace(self, cameras=cameras, sources=sources)
+
+    def with_medium(self, medium: IndexField | None) -> Scene:
+        """The same scene in other air; None: in homogeneous air, its part cold."""
+        return replace(self, medium=medium, air=self.air.without_file(), hot=medium is not None)
+
+    def cold(self) -> Scene:
+        """The same scene in homogeneous air, its part cold."""
+        return self.with_medium(None)
+
+    def at(self, time_s: float) -> Scene:
         """The same scene in the air of another instant, s, of its field's file.
 
         Raises
         ------
         InputError
-            If it has no field file, or the file does not hold that instant.
+            If its air comes from no file, or the file does not hold that instant.
         """
         try:
-            integrator = self.integrator.at(time_s)
+            air = self.air.at(time_s)
+            medium = air.read()
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
         time = {"time": f"{time_s:.9g}"} if "time" in self.parameters else {}
-        return replace(self, integrator=integrator, parameters=self.parameters | time)
+        return replace(self, medium=medium, air=air, parameters=self.parameters | time)
+
+    def with_transport(self, transport: Transport) -> Scene:
+        """The same scene by another transport of light."""
+        return replace(self, transport=transport)
+
+    def with_pose(self, name: str, pose: Pose) -> Scene:
+        """The same scene with one of its cameras or sources at another place.
+
+        The scene is loaded again and its air kept.  What stands there then is what Mitsuba holds:
+        the pose in float32.
+
+        Parameters
+        ----------
+        name : str
+            The camera's or the source's.
+        pose : Pose
+            Of a camera x along u, y along v, z forward; of a laser x across the sheet, y along the
+            line, z forward.  It may mirror.
+
+        Raises
+        ------
+        InputError
+            If there is no such element, it can't stand so, or a file of the scene was changed since
+            it was loaded.
+        """
+        is_camera = name in self.cameras
+        self._named("camera or source", self.poses, name)
+        stage = self._stage
+        stage.origin.check()
+        matrix = np.eye(4)
+        try:
+            matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
+        except ValueError:
+            raise InputError(
+                f"{self.path}: {name}: a pose has a rotation (3, 3) and an origin (3,), not"
+                f" {np.shape(pose.rotation)} and {np.shape(pose.origin_mm)}"
+            ) from None
+        if is_camera:
+            matrix[:3, :3] = matrix[:3, :3] @ _OURS_FROM_MITSUBAS
+        stage = _staged(stage.origin, {**stage.poses, name: matrix})
+        return replace(
+            self,
+            cameras={each: stage.cameras[each] for each in self.cameras},
+            sources={each: stage.sources[each] for each in self.sources},
+            _stage=stage,
+        )
+
+    def _one(self, kind: str, named: Mapping[str, Any]) -> str:
+        """The only name."""
+        if len(named) == 1:
+            return next(iter(named))
+        if not named:
+            raise InputError(
+                f"{self.path}: the scene has no {kind}, and this needs one; add {_ELEMENTS[kind]}"
+            )
+        raise InputError(
+            f"{self.path}: the scene has {len(named)} {kind}s: {_listed(named)}; say which"
+            f" ({kind}=, or --{kind} on the command line)"
+        )
+
+    def _named(self, kind: str, named: Mapping[str, T], name: str) -> T:
+        """What has a name."""
+        if name not in named:
+            raise InputError(
+                f"{self.path}: no {kind} '{shortened(str(name))}'; the scene has:"
+                f" {_listed(named) or 'none'}"
+            )
+        return named[name]
+
+    def __repr__(self) -> str:
+        air = self.air.path.name if self.air.path else "homogeneous"
+        air = "given" if self.medium and not self.air.path else air
+        return (
+            f"Scene({self.path.name}: camera {_listed(self.cameras)}; source"
+            f" {_listed(self.sources) or 'none'}; air {air}; {self.transport.name})"
+        )
+
+    def _values(self) -> tuple[object, ...]:
+        """What makes it equal to others."""
+        stage = self._stage
+        return (
+            stage.origin.path,
+            stage.origin.digests,
+            tuple(sorted(self.parameters.items())),
+            tuple((name, matrix.tobytes()) for name, matrix in sorted(stage.poses.items())),
+            self.air,
+            self.medium if self.air.path is None else None,  # equal if it is the same
+            tuple(self.cameras),
+            tuple(self.sources),
+            self.transport,
+            self.hot,
+        )
+
+    def __eq__(self, other: object) -> bool:
+        return self._values() == other._values() if isinstance(other, Scene) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._values())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        stage, medium = self._stage, self.medium if self.air.path is None else None
+        chosen = tuple(self.cameras), tuple(self.sources)
+        changes = self.parameters, self.air, medium, self.transport, self.hot
+        return _unpickled, (mi.variant(), stage.origin, stage.poses, chosen, *changes)
+
+
+def _unpickled(
+    variant: str,
+    origin: _Origin,
+    poses: dict[str, Array],
+    chosen: tuple[tuple[str, ...], tuple[str, ...]],
+    parameters: dict[str, str],
+    air: MediumDescription,
+    medium: IndexField | None,
+    transport: Transport,
+    hot: bool,
+) -> Scene:
+    """A scene that was pickled, loaded again."""
+    engine.activate(variant)
+    origin.check()
+    stage = _staged(origin, poses)
+    cameras = {name: stage.cameras[name] for name in chosen[0]}
+    sources = {name: stage.sources[name] for name in chosen[1]}
+    return Scene(
+        origin.path, parameters, medium or air.read(), air, cameras, sources, transport, hot, stage
+    )
+
+
+def _listed(named: Mapping[str, Any]) -> str:
+    return shortened(", ".join(named))
 
 
 def shipped_scenes() -> Path:
@@ -162,25 +409,45 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
         Naming the file, the element and the remedy.
     """
     path = find_scene(name)
-    given = {key: str(value) for key, value in parameters.items()}
-    files, values = _read(path, given)
-    loaded, notes = load(files, given, values)
-    integrator = loaded.integrator()
-    if not isinstance(integrator, plugins.refractive.Refractive):
+    origin = _Origin(path, {key: str(value) for key, value in parameters.items()}, Path())
+    stage = _staged(origin, {})
+    integrator = stage.loaded.scene.integrator()
+    air, transport = integrator.air, integrator.transport
+    try:
+        medium = air.read()
+    except InputError as error:
+        raise InputError(f"{stage.where}: {error}") from None
+    try:
+        transport.march.check(None if transport.name == "straight" else medium)
+    except InputError as error:
+        raise InputError(f"{stage.where}: refractive: {error} (step)") from None
+    return Scene(
+        path, stage.parameters, medium, air, stage.cameras, stage.sources, transport, True, stage
+    )
+
+
+def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
+    """Have Mitsuba load a scene."""
+    path = origin.path
+    files, values, folders = _read(path, origin.given, origin.here)
+    loaded = load(files, origin.given, values, origin.here, poses)
+    if not isinstance(loaded.scene.integrator(), plugins.refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
             ' type="refractive"/> in its place'
         )
-    try:
-        emitter = plugins.refractive.laser_of(loaded)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    sensor = SensorModel(_camera(path, loaded), emitter.line)
-    _check_samples(files, values, loaded)
-    notes = [*(note for file in files for note in file.notes), *notes]
-    notes += _places(path, loaded, sensor)
-    notes += integrator.field.notes if integrator.field else ()
-    return Scene(path, values, loaded, integrator, sensor, _surface(loaded), tuple(notes))
+    cameras = {name: _camera(path, name, each) for name, each in loaded.cameras.items()}
+    if not cameras:
+        raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
+    sources = {name: emitter.line for name, emitter in loaded.lasers.items()}
+    notes = [*(note for file in files for note in file.notes), *loaded.notes]
+    notes += _places(path, loaded.scene, cameras)
+    surface = _surface(loaded.scene)
+    used = [path.absolute(), *_referred(files, folders, values)]
+    digests = tuple((file, _digest(file)) for file in used)
+    origin = replace(origin, path=path.absolute(), here=origin.here.absolute(), digests=digests)
+    where = next(e.where for f in files for e in f.elements if e.tag == "integrator")
+    return _Stage(origin, poses, values, loaded, surface, cameras, sources, tuple(notes), where)
 
 
 def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
@@ -191,11 +458,13 @@ def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:
     InputError
         If the file is no scene, or has no such parameter.
     """
-    return _read(path, given)[1]
+    return _read(path, given, Path())[1]
 
 
-def _read(path: Path, given: dict[str, str]) -> tuple[list[SceneFile], dict[str, str]]:
-    """A scene file with those that it includes, and the values of its parameters."""
+def _read(
+    path: Path, given: dict[str, str], here: Path
+) -> tuple[list[SceneFile], dict[str, str], list[Path]]:
+    """A scene file with those that it includes, its parameters' values, and where its files are."""
     file = read_scene_file(path)
     root = file.elements[0]
     if root.tag != "scene":
@@ -203,7 +472,8 @@ def _read(path: Path, given: dict[str, str]) -> tuple[list[SceneFile], dict[str,
             f"{path}: its root element is <{shortened(root.tag)}>; a scene's is <scene>"
         )
     files, values = [file], _values([file], given)
-    for inner, _ in included(file, _folders(path), values, (path.resolve(),)):
+    folders: dict[Path, None] = {here: None, path.parent: None}
+    for inner, _ in included(file, folders, values, (path.resolve(),)):
         files.append(inner)
         values = _values(files, given)
     defaults = {e.attributes["name"] for file in files for e in file.elements if e.tag == "default"}
@@ -221,7 +491,7 @@ def _read(path: Path, given: dict[str, str]) -> tuple[list[SceneFile], dict[str,
         raise InputError(f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}")
     if "temperature" in values:
         _check_temperature(path, values["temperature"])
-    return files, values
+    return files, values, list(folders)
 
 
 def _values(files: list[SceneFile], given: dict[str, str]) -> dict[str, str]:
@@ -269,32 +539,36 @@ def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
     InputError
         If the file, or a scene that it includes, can't be read.
     """
+    files, values, folders = _read(path, values, Path())
+    return _referred(files, folders, values)
+
+
+def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str]) -> list[Path]:
+    """The files that attributes of scene files name."""
     found: dict[Path, None] = {}
-    folders, parents = _folders(path), (path.resolve(),)
-    file = read_scene_file(path)
-    for inner, _ in [(file, parents), *included(file, folders, values, parents)]:
-        for element in inner.elements:
-            texts = [filled(text, values) for text in element.attributes.values()]
-            for place in (folder / text for folder in folders for text in texts):
-                if exists(place) and place.is_file():
-                    found[place.resolve()] = None
+    for element in (e for file in files for e in file.elements):
+        texts = [filled(text, values) for text in element.attributes.values()]
+        for place in (folder / text for folder in folders for text in texts):
+            if exists(place) and place.is_file():
+                found[place.resolve()] = None
     return list(found)
 
 
-def _folders(path: Path) -> dict[Path, None]:
-    """Where the files that a scene refers to may be."""
-    return {Path(): None, path.parent: None}
+def _digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _places(path: Path, loaded: Any, sensor: SensorModel) -> list[str]:
+def _places(path: Path, loaded: Any, cameras: dict[str, Camera]) -> list[str]:
     """Notes of a scene whose lengths seem to be in metres."""
     box = loaded.bbox()
     corners = np.array([box.min, box.max], float)
     if not (np.isfinite(corners).all() and np.all(corners[0] <= corners[1])):
         raise InputError(f"{path}: its shapes have no finite size; give the scene a part")
-    _check_clearance(path, loaded, sensor.camera.pose.origin_mm)
+    for name, camera in cameras.items():
+        _check_clearance(f"{path}: {_sensor(name)}", loaded, camera.pose.origin_mm)
     size, middle = np.max(corners[1] - corners[0]), corners.mean(axis=0)
-    distance = np.linalg.norm(sensor.camera.pose.origin_mm - middle)
+    distance = max(np.linalg.norm(c.pose.origin_mm - middle) for c in cameras.values())
     if size > _METRES_MM[0] or distance > _METRES_MM[1]:
         return []
     return [
@@ -303,7 +577,7 @@ def _places(path: Path, loaded: Any, sensor: SensorModel) -> list[str]:
     ]
 
 
-def _check_clearance(path: Path, loaded: Any, place_mm: NDArray[np.float64]) -> None:
+def _check_clearance(where: str, loaded: Any, place_mm: Array) -> None:
     """A camera that touches a shape sees nothing but that, at no distance."""
     steps = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1.0
     unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
@@ -313,45 +587,34 @@ def _check_clearance(path: Path, loaded: Any, place_mm: NDArray[np.float64]) -> 
     )
     if np.isfinite(np.array(met)).any():
         raise InputError(
-            f"{path}: <sensor>: the camera stands on a surface; move it away from it (to_world)"
+            f"{where}: the camera stands on a surface; move it away from it (to_world)"
         )
 
 
-def _check_samples(files: list[SceneFile], values: dict[str, str], loaded: Any) -> None:
-    """Samplers round a number that they can't do, and the frame is not of the number given."""
-    taken = str(loaded.sensors()[0].sampler().sample_count())
-    for element in (e for file in files for e in file.elements):
-        if element.tag != "integer" or element.attributes.get("name") != "sample_count":
-            continue
-        asked = filled(element.attributes.get("value", ""), values).strip()
-        if asked != taken or not int(taken):
-            raise InputError(
-                f"{element.where}: a sample_count of {shortened(asked)}: this <sampler> would take"
-                f" {taken}; give a number that it has (spp), such as 1, 4, 9 or 16"
-            )
+def _sensor(name: str) -> str:
+    """A camera's element, for messages."""
+    return f'<sensor id="{shortened(name)}">'
 
 
-def _camera(path: Path, loaded: Any) -> Camera:
-    """K and pose of the scene's only camera, from what Mitsuba holds."""
-    sensors = loaded.sensors()
-    if len(sensors) != 1:
-        raise InputError(f"{path}: {len(sensors)} sensors; the scene must have one")
-    held = mi.traverse(sensors[0])
+def _camera(path: Path, name: str, sensor: Any) -> Camera:
+    """K and pose of a camera, from what Mitsuba holds."""
+    held = mi.traverse(sensor)
+    where = f"{path}: {_sensor(name)}"
     if "x_fov" not in held or "aperture_radius" in held:
-        raise InputError(f'{path}: its camera must be <sensor type="perspective">, a pinhole')
-    film = sensors[0].film()
+        raise InputError(f'{where}: must be <sensor type="perspective">, a pinhole')
+    film = sensor.film()
     width, height = (int(n) for n in film.size())
     if min(width, height) < 1:
-        raise InputError(f"{path}: <film> of {width} x {height} px; give a width and a height")
+        raise InputError(f"{where}: <film> of {width} x {height} px; give a width and a height")
     if [int(n) for n in film.crop_size()] != [width, height]:
-        raise InputError(f"{path}: the film is cropped; give the whole film")
+        raise InputError(f"{where}: the film is cropped; give the whole film")
     focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
     shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
     shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
     # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
     centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
     matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
-    to_world = np.array(sensors[0].world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
+    to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     pose = Pose.from_matrix(to_world)
     pose = replace(pose, rotation=pose.rotation @ _OURS_FROM_MITSUBAS)
     return Camera(matrix, pose, (width, height))
@@ -359,7 +622,7 @@ def _camera(path: Path, loaded: Any) -> Camera:
 
 def _surface(loaded: Any) -> Surface:
     """The analytic cylinder, if the part is one along x with end faces; else Mitsuba's shapes."""
-    places: dict[str, list[NDArray[np.float64]]] = {}
+    places: dict[str, list[Array]] = {}
     for shape in loaded.shapes():
         held = mi.traverse(shape)
         if "to_world" not in held:

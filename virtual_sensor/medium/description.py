@@ -10,6 +10,7 @@ import numpy as np
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.netcdf import naming
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,10 @@ class MediumDescription:
         if self.path is None:
             return None
         air = IndexField.read(self.path, wavelength_nm=self.wavelength_nm, time_s=self.time_s)
-        broad = blurred(widened(air, self.widen), self.blur_mm)
-        return replace(broad.simplified(self.interpolation, self.dimensions), notes=air.notes)
+        with naming(self.path):
+            broad = blurred(widened(air, self.widen), self.blur_mm)
+            simple = broad.simplified(self.interpolation, self.dimensions)
+        return replace(simple, notes=air.notes)
 
     def at(self, time_s: float) -> MediumDescription:
         """The same of another instant, s, of the file.

@@ -166,6 +166,10 @@ class IndexField:
             )
         return replace(made, notes=f.notes)
 
+    def __getstate__(self) -> dict[str, object]:
+        """What is pickled: all but Dr.Jit's memory."""
+        return vars(self) | {"_lookups": {}}
+
     def write(self, path: str | Path) -> None:
         """Write the field as a NetCDF-3 file that `read` takes back, all of it or nothing.
 

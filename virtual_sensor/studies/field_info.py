@@ -181,7 +181,7 @@ def field_info(
         time_s = float(contents.times_s[-1])
 
     report("following the light", 0.1)
-    in_it = loaded.with_field(field)
+    in_it = loaded.with_medium(field)
     line, probes, effect, pixels, notes = None, np.zeros(0), None, None, [*field.notes]
     try:
         line = lit_line(in_it)
@@ -245,7 +245,7 @@ def _node_places(field: IndexField) -> Array:
 
 def searched_pixels(scene: Scene, y_mm: Array, field: IndexField | None) -> Array:
     """Pixels (N, 2) that see laser rays at y_mm (N,) through a field."""
-    return ray_search(scene.with_field(field), y_mm, "newton").pixel
+    return ray_search(scene.with_medium(field), y_mm, "newton").pixel
 
 
 def _contents(path: Path) -> Contents:

@@ -194,7 +194,7 @@ def fineness(
         grid = SampleGrid.of(flows[choice.cell_mm], (1.0, *choice.grid_mm))
         case = cases[choice.cell_mm]
         air = sample(flows[choice.cell_mm], case, (choice.time_s,), grid)
-        seen[choice] = look(scene.with_field(as_field(air)))
+        seen[choice] = look(scene.with_medium(as_field(air)))
 
     def change(choice: Choice, against: Choice) -> Change:
         flow = flows[choice.cell_mm]

@@ -56,7 +56,7 @@ def coarse_grid(scene: Scene) -> list[str]:
     if solid is not None and solid.shape != field.shape:
         solid = None
     loss = pixel_loss(
-        field, solid, lambda other: ray_search(scene.with_field(other), y, "newton").pixel
+        field, solid, lambda other: ray_search(scene.with_medium(other), y, "newton").pixel
     )
     name = file.name if file else "the field"
     if np.isnan(loss.twice):

@@ -247,7 +247,7 @@ def cropped(air: HotAir) -> Failure:
         "rk4",
         f"cut off at z = {top:g} mm",
         "the plume cut off at a fifth of its height",
-        refusal(air.scene.with_field(field)) or "not refused",
+        refusal(air.scene.with_medium(field)) or "not refused",
         int(np.sum(~(errors <= TOO_MUCH_PX))),
         len(errors),
         f"largest error {errors.max():.2g} px",

@@ -126,15 +126,15 @@ def folding(transport: str, contrasts: Sequence[float], doubt: float = 1.05) -> 
     usual = told_by(scene)
 
     def folds(factor: float) -> bool:
-        status = _statuses(scene.with_field(contrasted(air, factor)))
+        status = _statuses(scene.with_medium(contrasted(air, factor)))
         lit = int(np.sum(status == LightStatus.LIT))
         # Where all is folded, no pixel is taken for one that the laser may reach.
         return bool(np.any(status == LightStatus.FOLDED)) or lit < 0.1 * usual.counts[LIT]
 
     first = _first(folds, contrasts, doubt)
     true = _first(lambda factor: bool(_back(_heights(scene, air, factor))), contrasts, doubt)
-    told = told_by(scene.with_field(contrasted(air, first or contrasts[-1])))
-    last = told_by(scene.with_field(contrasted(air, contrasts[-1])))
+    told = told_by(scene.with_medium(contrasted(air, first or contrasts[-1])))
+    last = told_by(scene.with_medium(contrasted(air, contrasts[-1])))
     pieces = [
         f"{told.hidden} of the unlit pixels have a truth all the same",
         f"{told.centres} columns with a line, {usual.centres} at the usual contrast",
@@ -145,7 +145,7 @@ def folding(transport: str, contrasts: Sequence[float], doubt: float = 1.05) -> 
     ]
     if true:
         beyond = 1.25 * true
-        y = told_by(scene.with_field(contrasted(air, beyond))).lit_y_mm
+        y = told_by(scene.with_medium(contrasted(air, beyond))).lit_y_mm
         twice = np.zeros(y.shape, bool)
         for low, high in _back(_heights(scene, air, beyond)):
             twice |= (y > low) & (y < high)
@@ -182,7 +182,7 @@ def _first(fails: Callable[[float], bool], values: Sequence[float], doubt: float
 def _heights(scene: Scene, air: IndexField, factor: float) -> NDArray[np.float64]:
     """Where the laser line's rays meet the part: y in mm, from one end of the line to the other."""
     half = 0.5 * scene.sensor.laser.length_mm
-    hotter = scene.with_field(contrasted(air, factor))
+    hotter = scene.with_medium(contrasted(air, factor))
     return incidence_points(hotter, np.linspace(-half, half, 2001))[:, 1]
 
 

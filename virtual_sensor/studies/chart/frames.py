@@ -203,7 +203,7 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
 
 def frame_anew(scene: Scene) -> NDArray[np.float32]:
     """The whole work of a frame: tables are made and lit pixels looked for as if it were new."""
-    return render_frame(scene.with_field(scene.field)).radiance
+    return render_frame(scene.with_medium(scene.field)).radiance
 
 
 def frame_direct(scene: Scene) -> NDArray[np.float32]:

@@ -111,7 +111,7 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
             done = (number + i / len(factors)) / len(TRANSPORTS)
             report(f"{name} frames in finer and coarser fields", done)
             air = resampled(field, factor)
-            other = scene.with_field(air)
+            other = scene.with_medium(air)
             seconds = timed(partial(frame_anew, other), runs=1 if quick else 3)
             points.append((float(np.prod(air.shape)), seconds))
         found.append(power(f"{name} frame, nodes of the field", points, "4 samples a pixel"))

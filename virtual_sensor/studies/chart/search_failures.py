@@ -6,7 +6,6 @@ What a search calls FOUND is checked: its pixel must be Newton's to within r_max
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
-from virtual_sensor.optics.sensor_model import Pose, SensorModel
+from virtual_sensor.optics.sensor_model import Pose
 from virtual_sensor.studies.chart.rung import Failure, Report
 from virtual_sensor.studies.chart.searches import HALF_LINE_MM, SCENE, UM_PER_PX
 
@@ -182,10 +181,9 @@ def moved(scene: Scene, beta_deg: float, along_mm: float) -> Scene:
         origin = turn @ (pose.origin_mm - axis) + axis + [along_mm, 0.0, 0.0]
         return Pose(rotation=turn @ pose.rotation, origin_mm=origin)
 
-    sensor = scene.sensor
-    camera = replace(sensor.camera, pose=there(sensor.camera.pose))
-    laser = replace(sensor.laser, pose=there(sensor.laser.pose))
-    return replace(scene, sensor=SensorModel(camera, laser))
+    for name, pose in scene.poses.items():
+        scene = scene.with_pose(name, there(pose))
+    return scene
 
 
 def _halved(first: float, last: float) -> list[float]:

@@ -68,7 +68,7 @@ class Scenes:
 
     def scene(self, temperature_c: float, beta_deg: float, broadening: Broadening) -> Scene:
         """The cylinder of a temperature, seen from a pose through an air."""
-        return self.pose(beta_deg).with_field(self.air(temperature_c, broadening))
+        return self.pose(beta_deg).with_medium(self.air(temperature_c, broadening))
 
     def pose(self, beta_deg: float) -> Scene:
         """The cylinder seen from a pose, without air: no field is read for it."""

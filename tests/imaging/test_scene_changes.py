@@ -1,0 +1,286 @@
+"""Scenes never change: `with_medium` and its kin give others, and all of them can be pickled."""
+
+import multiprocessing
+import os
+import pickle
+import shutil
+from dataclasses import FrozenInstanceError, replace
+from functools import partial
+from pathlib import Path
+
+import child_functions
+import cloudpickle
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import virtual_sensor as vs
+from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.medium.description import MediumDescription
+from virtual_sensor.optics.sensor_model import Pose
+from virtual_sensor.optics.transports import Transport
+
+FILM = {"width": 128, "height": 128, "spp": 1, "line_radius": 0.5}
+Y = [0.0, -4.0]
+
+
+@pytest.fixture(scope="module")
+def hot():
+    return vs.load_scene("hot_cylinder", **FILM)
+
+
+def turned(pose, degrees=2.0, shift_mm=(1.0, -2.0, 3.0), mirror=(1.0, 1.0, 1.0)):
+    """A pose turned about the world's y axis, shifted, and mirrored along its own axes."""
+    turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    return Pose(turn @ pose.rotation * mirror, turn @ pose.origin_mm + shift_mm)
+
+
+def assert_same(one, other):
+    """Two scenes see the same: to the bit, by what is read of them, marched and rendered."""
+    assert list(one.cameras) == list(other.cameras)
+    assert list(one.sources) == list(other.sources)
+    assert one.parameters == other.parameters
+    assert one.transport == other.transport
+    assert one.notes == other.notes
+    for name, camera in one.cameras.items():
+        np.testing.assert_array_equal(other.cameras[name].pose.rotation, camera.pose.rotation)
+        np.testing.assert_array_equal(other.cameras[name].matrix, camera.matrix)
+    for name, source in one.sources.items():
+        np.testing.assert_array_equal(other.sources[name].pose.origin_mm, source.pose.origin_mm)
+    assert (one.medium is None) == (other.medium is None)
+    if one.medium:
+        np.testing.assert_array_equal(other.medium.nodes, one.medium.nodes)
+        np.testing.assert_array_equal(other.medium.box, one.medium.box)
+    np.testing.assert_array_equal(vs.render(other), vs.render(one))
+
+
+def test_a_scene_knows_its_cameras_and_sources_by_their_ids(hot):
+    """What the shipped scenes call them, and the one of each."""
+    assert list(hot.cameras) == ["camera"]
+    assert list(hot.sources) == ["laser"]
+    assert hot.camera is hot.cameras["camera"]
+    assert hot.source is hot.sources["laser"]
+    assert (hot.sensor.camera, hot.sensor.laser) == (hot.camera, hot.source)
+    assert hot.mitsuba_camera.id() == "camera"
+    assert hot.mitsuba_sources["laser"].id() == "laser"
+
+
+def test_elements_without_an_id_get_a_name_that_no_other_has(tmp_path):
+    """Rationale: "camera" may be a shape's or the laser's name, and a scene may name nothing."""
+    text = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    path = tmp_path / "scene.xml"
+    for changes, camera, source in (
+        ([(' id="camera"', ""), (' id="laser"', "")], "camera", "laser"),
+        ([(' id="camera"', ""), ('"laser"', '"camera"')], "camera_2", "camera"),
+        (
+            [(' id="laser"', ""), ('"part"', '"laser"'), ('"steel"', '"laser_2"')],
+            "camera",
+            "laser_3",
+        ),
+        ([('id="camera"', 'id="on the left, 60°"')], "on the left, 60°", "laser"),
+    ):
+        changed = text
+        for before, after in changes:
+            changed = changed.replace(before, after)
+        path.write_text(changed, encoding="utf-8")
+        scene = vs.load_scene(path)
+        assert (list(scene.cameras), list(scene.sources)) == ([camera], [source])
+
+
+def test_a_scene_does_not_change(hot):
+    """Nor do the mappings that it shows."""
+    with pytest.raises(FrozenInstanceError):
+        hot.medium = None
+    for named in (hot.cameras, hot.sources):
+        with pytest.raises(TypeError, match="does not support item assignment"):
+            named["other"] = None
+    before = hot.medium
+    hot.cold(), hot.with_medium(before), hot.with_pose("camera", turned(hot.camera.pose))
+    assert hot.medium is before
+
+
+def test_with_pose_moves_one_element_and_keeps_the_rest(hot):
+    """To float32's resolution, camera and laser alike; the air is the very same."""
+    for name in ("camera", "laser"):
+        pose = turned(hot.poses[name])
+        moved = hot.with_pose(name, pose)
+        there = moved.poses[name]
+        np.testing.assert_allclose(there.rotation, pose.rotation, atol=2e-7)
+        np.testing.assert_allclose(there.origin_mm, pose.origin_mm, atol=2e-5)
+        assert moved.medium is hot.medium
+        assert moved.air == hot.air
+        (other,) = {"camera", "laser"} - {name}
+        kept, before = moved.poses[other], hot.poses[other]
+        np.testing.assert_array_equal(kept.rotation, before.rotation)
+        np.testing.assert_array_equal(kept.origin_mm, before.origin_mm)
+
+
+def test_a_sensor_moved_by_its_poses_is_one_moved_by_its_parameters(hot):
+    """Rationale: `to_world` is made of parameters; what is rendered and searched must follow."""
+    there = vs.load_scene("hot_cylinder", **FILM, beta=7, along=3)
+    moved = hot
+    for name, pose in there.poses.items():
+        moved = moved.with_pose(name, pose)
+    expected, found = (vs.ray_search(s, Y, "newton") for s in (there, moved))
+    np.testing.assert_allclose(found.pixel, expected.pixel, atol=1e-4)
+    frames = [vs.render(s) for s in (there, moved)]
+    np.testing.assert_allclose(frames[1], frames[0], atol=1e-3 * frames[0].max())
+
+
+def test_a_mirrored_pose_is_heeded_and_noted(hot):
+    """As a mirrored to_world of the file is: the image is mirrored, and so it says."""
+    pose = turned(hot.camera.pose, 0.0, (0, 0, 0), mirror=(-1.0, 1.0, 1.0))
+    mirrored = hot.with_pose("camera", pose)
+    np.testing.assert_allclose(mirrored.camera.pose.rotation, pose.rotation, atol=2e-7)
+    assert any("to_world mirrors it" in note for note in mirrored.notes)
+    image = vs.render(hot)
+    np.testing.assert_allclose(vs.render(mirrored), image[:, ::-1], atol=1e-4 * image.max())
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("sphere", {}, "no camera or source 'sphere'; the scene has: camera, laser"),
+        ("camera", {"rotation": 2.0 * np.eye(3)}, "scales or shears"),
+        ("laser", {"rotation": np.diag([1.0, 1.0, 0.5])}, "scales or shears"),
+        ("camera", {"origin_mm": np.array([0.0, 0.0, np.nan])}, "not a finite number"),
+        ("laser", {"origin_mm": np.array([0.0, 0.0, 2e6])}, "from the origin"),
+        ("camera", {"origin_mm": np.zeros(3)}, "stands on a surface"),
+        ("camera", {"rotation": np.eye(2)}, "rotation (3, 3)"),
+    ],
+)
+def test_a_pose_that_can_not_be_is_refused(hot, name, change, words):
+    """With the file and the element, as for any other."""
+    with pytest.raises(vs.InputError) as refusal:
+        hot.with_pose(name, replace(hot.camera.pose, **change))
+    assert words in str(refusal.value)
+    assert "hot_cylinder.xml" in str(refusal.value)
+
+
+def test_changes_add_up_whatever_their_order(hot):
+    """Rationale: a change that loads the scene again must not lose those before it."""
+    pose, marched = turned(hot.camera.pose), hot.transport.by("marched", step_mm=4.0)
+    one = hot.with_pose("camera", pose).cold().with_transport(marched)
+    other = hot.cold().with_transport(marched).with_pose("camera", pose)
+    assert one == other
+    assert hash(one) == hash(other)
+    assert_same(one, other)
+    assert not one.hot
+    assert one.with_medium(hot.medium).hot
+
+
+def test_scenes_are_equal_if_they_are_loaded_and_changed_alike(hot):
+    """By value; air that comes from no file is the same if it is the same object."""
+    assert hot == vs.load_scene("hot_cylinder", **FILM)
+    assert len({hot, hot.cold(), hot.cold().cold(), vs.load_scene("hot_cylinder", **FILM)}) == 2
+    air = replace(hot.medium)
+    others = [
+        hot.cold(),
+        hot.with_medium(air),
+        hot.with_transport(hot.transport.by("straight")),
+        hot.with_pose("laser", turned(hot.source.pose)),
+        vs.load_scene("hot_cylinder", **FILM, beta=1),
+        vs.load_scene("stepped_shaft", **FILM),
+    ]
+    for other in others:
+        assert hot != other
+    assert hot.with_medium(air) == hot.with_medium(air)
+    assert hot.with_medium(air) != hot.with_medium(replace(air))
+    assert hot != "hot_cylinder"
+
+
+def test_a_scene_says_what_it_is_in_a_line(hot):
+    assert repr(hot) == (
+        "Scene(hot_cylinder.xml: camera camera; source laser; air"
+        " hot_cylinder_1250C_quarter.nc; tabulated)"
+    )
+
+
+def changed_scenes(hot):
+    """A scene in each of its forms, by name."""
+    weaker = replace(hot.medium, nodes=0.5 * (hot.medium.nodes + hot.medium.ambient), _lookups={})
+    return {
+        "as loaded": hot,
+        "cold": hot.cold(),
+        "other air": hot.with_medium(weaker),
+        "posed": hot.with_pose("camera", turned(hot.camera.pose)),
+        "cold and posed": hot.with_pose("laser", turned(hot.source.pose, 1.0)).cold(),
+        "marched": hot.with_transport(hot.transport.by("marched", step_mm=3.0)),
+        "only": hot.only(camera="camera", source="laser"),
+    }
+
+
+def test_scenes_travel_by_pickle_and_cloudpickle(hot):
+    """Multiprocessing's and Dask's; small, but for air that comes from no file."""
+    for name, scene in changed_scenes(hot).items():
+        for module in (pickle, cloudpickle):
+            data = module.dumps(scene)
+            assert (len(data) < 20_000) == (name != "other air"), name
+            assert_same(scene, pickle.loads(data))
+        if name != "other air":
+            assert pickle.loads(data) == scene
+
+
+def test_another_process_sees_the_same(hot, tmp_path):
+    """Rationale: a spawned process shares no memory, and stands elsewhere."""
+    scenes = list(changed_scenes(hot).values())
+    with multiprocessing.get_context("spawn").Pool(1, os.chdir, (tmp_path,)) as pool:
+        there = pool.map(child_functions.pixels_and_radiance, scenes)
+    for scene, (pixel, radiance) in zip(scenes, there, strict=True):
+        np.testing.assert_array_equal(pixel, vs.ray_search(scene, Y, "newton").pixel)
+        np.testing.assert_array_equal(radiance, vs.render(scene))
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A shipped scene of one's own in the working folder, with its field elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(shipped_scenes() / "hot_cylinder.xml", "own.xml")
+    Path("air").mkdir()
+    shutil.copy(shipped_scenes() / "fields" / "hot_cylinder_1250C_quarter.nc", "air/own.nc")
+    return vs.load_scene("own.xml", field="air/own.nc", **FILM)
+
+
+def test_a_scene_of_relative_paths_can_be_loaded_again_from_elsewhere(copied, monkeypatch):
+    """Pickled, posed and at another place: paths start where the scene was loaded."""
+    data, image = pickle.dumps(copied), vs.render(copied)
+    monkeypatch.chdir("/")
+    again = pickle.loads(data)
+    assert again == copied
+    np.testing.assert_array_equal(vs.render(again), image)
+    for scene in (copied, again):
+        moved = scene.with_pose("camera", copied.camera.pose)
+        np.testing.assert_allclose(vs.render(moved), image, atol=1e-3 * image.max())
+
+
+@pytest.mark.parametrize("file", ["own.xml", "air/own.nc"])
+def test_a_scene_whose_files_were_changed_since_is_refused(copied, file):
+    """Rationale: half of it would be of one file and half of another."""
+    data = pickle.dumps(copied)
+    with Path(file).open("ab") as stream:
+        stream.write(b"\n")
+    for load in (
+        partial(pickle.loads, data),
+        partial(copied.with_pose, "laser", copied.source.pose),
+    ):
+        with pytest.raises(vs.InputError, match=rf"can't be loaded again.*{file} was changed"):
+            load()
+    assert vs.render(copied).max() > 0.0  # what is loaded stays
+    Path(file).unlink()
+    with pytest.raises(vs.InputError, match="was changed"):
+        pickle.loads(data)
+
+
+def test_air_and_transport_are_plain_values(hot):
+    """They can be compared, hashed, printed and given."""
+    assert hot.air == MediumDescription(hot.air.path)
+    assert hot.air.path.name == "hot_cylinder_1250C_quarter.nc"
+    assert hot.cold().air == MediumDescription()
+    assert isinstance(hot.transport, Transport)
+    assert hot.transport.name == "tabulated"
+
+
+def test_at_is_of_the_fields_file_only(hot):
+    """After other air there are no instants to choose from."""
+    with pytest.raises(vs.InputError, match="there is no 'field' to have instants"):
+        hot.with_medium(hot.medium).at(1.0)
