@@ -4,7 +4,7 @@ import logging
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import kurtosis, norm
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.camera_noise import (
@@ -115,18 +115,36 @@ def test_noise_grows_with_the_signal_as_the_standard_says():
         assert grey.mean() == pytest.approx(camera.black_level + camera.gain * mean_e, rel=2e-3)
 
 
-@pytest.mark.parametrize("bits", [8, 12])
-def test_seeds_repeat_to_the_bit(bits):
-    """The same seed, the same frame; another seed, other noise on the same fixed pattern."""
-    camera = CameraNoise(bit_depth=bits, gain=0.02 if bits == 8 else 0.37, dsnu_e=60.0)
-    light = np.full((60, 70), 2000.0)
+KINDS = [{"bit_depth": 8, "gain": 0.02, "dsnu_e": 60.0}, {"dsnu_e": 60.0}]
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=["8 bits", "12 bits"])
+def test_seeds_repeat_to_the_bit(kind):
+    """The same seed, the same frame; another seed, other noise."""
+    camera, light = CameraNoise(**kind), np.full((60, 70), 2000.0)
     first, again, other = (record(light, camera, seed) for seed in (5, 5, 6))
-    assert first.dtype == (np.uint8 if bits == 8 else np.uint16)
+    assert first.dtype == (np.uint8 if camera.bit_depth == 8 else np.uint16)
     assert first.tobytes() == again.tobytes()
     assert np.any(first != other)
-    mean = np.mean([record(0 * light, camera, seed).astype(float) for seed in range(200)], axis=0)
-    pattern = np.random.default_rng((0, 60, 70)).standard_normal((60, 70), np.float32)
-    assert np.corrcoef(mean.ravel(), pattern.ravel())[0, 1] > 0.95
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=["8 bits", "12 bits"])
+def test_the_fixed_pattern_is_the_cameras_own(kind):
+    """What is left of the dark when noise is averaged out: equal in all frames of one camera."""
+
+    def pattern(seeds, pattern_seed=0):
+        camera = CameraNoise(**kind, pattern_seed=pattern_seed)
+        dark = np.zeros((60, 70))
+        mean = np.mean([record(dark, camera, seed).astype(float) for seed in seeds], axis=0)
+        return (mean - camera.black_level).ravel() / camera.gain
+
+    early, late, others = pattern(range(200)), pattern(range(200, 400)), pattern(range(200), 1)
+    assert np.corrcoef(early, late)[0, 1] > 0.95
+    assert abs(np.corrcoef(early, others)[0, 1]) < 0.06  # 4 of 4200 pixels' sigmas
+    for found in (early, others):  # normally distributed, in electrons
+        assert found.std() == pytest.approx(60.0, rel=0.05)
+        assert abs(found.mean()) < 4.0
+        assert abs(kurtosis(found)) < 0.3  # 4 sigmas; a uniform one has -1.2
 
 
 def test_a_bright_pixel_is_clipped_and_the_detectors_are_told_where():

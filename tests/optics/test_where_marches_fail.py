@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from oracles import integrate
 
 import virtual_sensor as vs
 from virtual_sensor import IndexField, RayStatus
@@ -50,9 +51,33 @@ def test_no_ray_both_meets_and_misses_the_silhouette(march):
     assert miss_px < TOO_MUCH_PX
 
 
-def test_the_layer_moves_the_silhouette():
-    """By much more than the bound above: the test of the silhouette can fail."""
-    assert 13.5 * (1.0 - np.sqrt(1.0 - 5e-4)) / 0.022 > 10 * TOO_MUCH_PX
+def test_straight_rays_do_not_find_the_silhouette(monkeypatch):
+    """They miss it by much more than is allowed above: there, the layer must bend them."""
+    cold = ray_failures.layer_round_a_cylinder(1e-12)
+    monkeypatch.setattr(ray_failures, "layer_round_a_cylinder", lambda depth: cold)
+    for march in METHODS[1:3]:
+        miss_px, unfit, _ = silhouette(march, 3)
+        assert unfit == 0
+        assert miss_px > 10 * TOO_MUCH_PX
+
+
+def test_scipys_ray_grazes_the_cylinder_where_bouguer_says():
+    """The silhouette's n(R) R, by another integrator in the same layer of hot air."""
+    radius_mm, depth, width_mm, axis_z_mm = 13.5, 5e-4, 8.0, -13.5
+
+    def layer(p):
+        across = p * [0.0, 1.0, 1.0] - [0.0, 0.0, axis_z_mm]
+        rho2 = np.sum(across**2, axis=1)
+        dip = depth * np.exp((radius_mm**2 - rho2) / (2.0 * width_mm**2))
+        n = np.sqrt(1.0 - dip)
+        return n, across * (dip / (2.0 * width_mm**2 * n))[:, None]
+
+    start = [0.0, -100.0, axis_z_mm + radius_mm * np.sqrt(1.0 - depth)]
+    ray = integrate(layer, [start], [[0.0, 1.0, 0.0]], 200.0)
+    arcs = np.linspace(90.0, 110.0, 2001)
+    path = np.array([ray.position(arc)[0] for arc in arcs])
+    nearest = np.hypot(path[:, 1], path[:, 2] - axis_z_mm).min()
+    assert nearest == pytest.approx(radius_mm, abs=1e-5)
 
 
 def test_a_ray_out_of_steps_says_so():
