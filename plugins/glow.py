@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.devices.planck import band_radiance
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.planck import band_radiance
 
 
 class Glow(mi.Emitter):

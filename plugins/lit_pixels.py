@@ -8,13 +8,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.laser_line import SourceEmitter
 
 from virtual_sensor.arrays import at_least, in_own_memory
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.illumination import Illumination, LaserFrame, LightStatus
+from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.illumination import Illumination, LightStatus
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_maps import Fineness
-from virtual_sensor.optics.sensor_model import Pose
 
 _LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
 _FAR_MM = 2.0  # refraction is taken to move no light further than this
@@ -154,7 +155,7 @@ def rows(tree: Any, index: Any) -> Any:
 def find_lit_pixels(
     scene: mi.Scene,
     sensor: mi.Sensor,
-    emitter: LaserLineEmitter,
+    emitter: SourceEmitter,
     look: Callable[[Any], Sight],
     account: Account,
 ) -> LitPixels:
@@ -173,8 +174,8 @@ def find_lit_pixels(
     margin = (_FAR_MM, _FAR_MM)
     if near.size:
         light = look(centre_rays(sensor, near)).light
-        moved_a, margin_a = _spread(light.a.numpy() - a[near], near, width, height)
-        moved_b, margin_b = _spread(light.b.numpy() - b[near], near, width, height)
+        moved_a, margin_a = _spread(light.s.numpy() - a[near], near, width, height)
+        moved_b, margin_b = _spread(light.t.numpy() - b[near], near, width, height)
         a, b = a + moved_a, b + moved_b
         margin = (pixel_mm + margin_a, pixel_mm + margin_b)
     # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
@@ -183,19 +184,20 @@ def find_lit_pixels(
     dr.eval(sight)
     account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
     lit = np.zeros(width * height, bool)
-    lit[candidates] = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm)).numpy()
+    near = emitter.source.reaches(sight.light.s, sight.light.t, (pixel_mm, pixel_mm))
+    lit[candidates] = near.numpy()
     keep = at_least(1, np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32))
     return LitPixels(candidates[keep], rows(sight, keep), account)
 
 
 def _straight_coordinates(
-    scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter
+    scene: mi.Scene, sensor: mi.Sensor, emitter: SourceEmitter
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Straight laser coordinates (a, b) in mm at all pixels' centres, and a pixel's size there."""
     ray = centre_rays(sensor)
     met = scene.ray_intersect_preliminary(ray)
-    frame = LaserFrame.of(emitter.line, mi.Array3f).opaque()
-    a, b = frame.straight(mi.Array3f(ray(met.t)))
+    frame = FamilyFrame.of(emitter.source.family, mi.Array3f)
+    a, b, _ = frame.coordinates(mi.Array3f(ray(met.t)))
     missed = ~met.is_valid()
     a[missed], b[missed] = dr.nan, dr.nan
     spread = dr.norm(ray.d_x - ray.d) * dr.select(missed, 0.0, met.t)
@@ -223,7 +225,7 @@ def _spread(
 
 
 def reached(
-    emitter: LaserLineEmitter,
+    emitter: SourceEmitter,
     a: NDArray[np.floating],
     b: NDArray[np.floating],
     margin_mm: Sequence[float],
@@ -232,7 +234,7 @@ def reached(
     # Opaque, since it is another number for any air, and the kernel is to serve them all.
     margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
     a, b = (in_own_memory(x, mi.Float) for x in (a, b))
-    return np.asarray(emitter.reaches(a, b, margin).numpy(), bool)
+    return np.asarray(emitter.source.reaches(a, b, margin).numpy(), bool)
 
 
 def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:
@@ -243,7 +245,7 @@ def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]
 
 def guess_from(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
     """What is known near samples, from the light at their pixels' centres; straight if nothing."""
-    sound = dr.isfinite(light.a)
+    sound = dr.isfinite(light.s)
     identity = (1.0, 0.0, 0.0, 1.0)
     known = light.jacobian or identity
     jacobian = (dr.select(sound, j, i) for j, i in zip(known, identity, strict=True))

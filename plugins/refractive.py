@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME, Exposure, own_sampler
 from virtual_sensor_plugins.glow import Glow
-from virtual_sensor_plugins.laser_line import LaserLineEmitter, laser_of
+from virtual_sensor_plugins.laser_line import SourceEmitter, laser_of
 from virtual_sensor_plugins.lit_pixels import (
     Account,
     LitPixels,
@@ -133,8 +133,8 @@ class Refractive(mi.SamplingIntegrator):
         hit = active & (bent.status == int(RayStatus.HIT))
         point, heading = bent.position(line), dr.normalize(bent.tangent(line))
         dr.eval(point, heading, hit)  # else what uses them would march again
-        line_laser = laser_of(scene).line
-        light = illuminate(line_laser, field, surface, point, march, guess=guess, active=hit)
+        family = laser_of(scene).source.family
+        light = illuminate(family, field, surface, point, march, guess=guess, active=hit)
         return Sight(point, heading, hit, light)
 
     def sample(
@@ -171,7 +171,7 @@ class Refractive(mi.SamplingIntegrator):
         for emitter in [laser_of(scene), *others]:
             if isinstance(emitter, Glow):  # it is seen, and lights nothing else
                 continue
-            if isinstance(emitter, LaserLineEmitter):
+            if isinstance(emitter, SourceEmitter):
                 if light is None:
                     continue
                 toward, lit = -mi.Vector3f(light.heading), valid
@@ -186,7 +186,7 @@ class Refractive(mi.SamplingIntegrator):
 
     def irradiance(self, scene: mi.Scene, light: Illumination) -> Any:
         """The laser's, square to its light, W/mm^2; nil where it does not arrive."""
-        return laser_of(scene).irradiance(light.a, light.b, light.concentration)
+        return laser_of(scene).irradiance(light.s, light.t, light.concentration)
 
     def glow(self, scene: mi.Scene) -> float:
         """Radiance of the scene's brightest glowing surface, W/(mm^2 sr); 0 if none glows."""
@@ -283,7 +283,7 @@ class Refractive(mi.SamplingIntegrator):
             sight = self.look(scene, ray, guess_from(centre))
             # A guess from a dark centre beside a step leads astray; a folded one stays dark.
             folded = centre.status == int(LightStatus.FOLDED)
-            sure = dr.isfinite(centre.a) & (sight.light.status == int(LightStatus.LIT))
+            sure = dr.isfinite(centre.s) & (sight.light.status == int(LightStatus.LIT))
             doubtful = sight.hit & ~sure & ~folded
             dr.eval(sight, doubtful)
             sight = self._marched_again(scene, ray, sight, doubtful)

@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.laser_line import SourceEmitter
 from virtual_sensor_plugins.lit_pixels import (
     Account,
     LitPixels,
@@ -22,7 +22,7 @@ from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_maps import (
     ForwardMap,
     InverseMap,
@@ -58,14 +58,14 @@ class Tables:
     ----------
     camera : ForwardMap
     laser : InverseMap
-    emitter : LaserLineEmitter
+    emitter : SourceEmitter
     surface : SceneSurface
     march : March
     """
 
     camera: ForwardMap
     laser: InverseMap
-    emitter: LaserLineEmitter
+    emitter: SourceEmitter
     surface: SceneSurface
     march: March
 
@@ -77,7 +77,7 @@ class Tables:
         dr.eval(ray)
         seen = hits(self.camera, self.surface, ray, self.march)
         lit, off = light(self.laser, self.surface, seen.point, seen.hit)
-        near = self.emitter.reaches(lit.a, lit.b, (_PAD_MM, _PAD_MM))
+        near = self.emitter.source.reaches(lit.s, lit.t, (_PAD_MM, _PAD_MM))
         doubtful = seen.lost | (seen.hit & near & (seen.off | off))
         sight = Sight(seen.point, seen.heading, seen.hit, lit)
         dr.eval(sight, doubtful)
@@ -87,7 +87,7 @@ class Tables:
 def lit_pixels_and_tables(
     scene: mi.Scene,
     sensor: mi.Sensor,
-    emitter: LaserLineEmitter,
+    emitter: SourceEmitter,
     field: Field | None,
     march: March,
     tolerance_px: float,
@@ -106,7 +106,7 @@ def lit_pixels_and_tables(
     NoMapError
         If there is no map that can be trusted.
     """
-    view, sheet = _view(sensor), _sheet(emitter)
+    view, sheet = _view(sensor), emitter.source.family
     width, height = (int(n) for n in sensor.film().crop_size())
     margin = np.full(2, _FIRST_MARGIN_MM)
     for _ in range(_MOST_TRIALS):
@@ -132,7 +132,8 @@ def lit_pixels_and_tables(
     seen = places.camera.min(axis=0) - pad, places.camera.max(axis=0) + pad
     depth = places.laser[:, 2]
     pad_ab, seen_ab = moves.laser_mm + _PAD_MM, places.laser[:, :2]
-    low, high = (ends + side * pad_ab for ends, side in zip(emitter.extent, (-1, 1), strict=True))
+    first, last = emitter.source.extent
+    low, high = first - pad_ab, last + pad_ab
     # A line may be much longer than what of it is seen.
     low = np.maximum(low, seen_ab.min(axis=0) - moves.light_mm - _PAD_MM)
     high = np.minimum(high, seen_ab.max(axis=0) + moves.light_mm + _PAD_MM)
@@ -144,7 +145,7 @@ def lit_pixels_and_tables(
     account.camera, account.laser = camera.fineness, laser.fineness
     account.error_px = (account.camera.error_mm + account.laser.error_mm) / places.pixel_mm
     pixel_mm = dr.opaque(mi.Float, places.pixel_mm)
-    is_lit = emitter.reaches(sight.light.a, sight.light.b, (pixel_mm, pixel_mm))
+    is_lit = emitter.source.reaches(sight.light.s, sight.light.t, (pixel_mm, pixel_mm))
     mask = np.zeros(height * width, bool)
     mask[candidates[np.array(is_lit)]] = True
     keep = np.flatnonzero(grown(mask, height, width)[candidates]).astype(np.uint32)
@@ -197,21 +198,16 @@ def _view(sensor: mi.Sensor) -> RayFamily:
     return Pinhole(np.eye(3), pose, (1, 1))
 
 
-def _sheet(emitter: LaserLineEmitter) -> RayFamily:
-    line = emitter.line
-    return Sheet(line.pose, line.distance_mm, line.fan_per_mm)
-
-
 def _straight_candidates(
-    scene: mi.Scene, sensor: mi.Sensor, emitter: LaserLineEmitter, margin_mm: Array
+    scene: mi.Scene, sensor: mi.Sensor, emitter: SourceEmitter, margin_mm: Array
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
     """Pixels whose straight ray meets what the straight laser lights, or nearly; all distances."""
     ray = centre_rays(sensor)
     met = scene.ray_intersect_preliminary(ray)
-    frame = FamilyFrame.of(_sheet(emitter), mi.Array3f)
+    frame = FamilyFrame.of(emitter.source.family, mi.Array3f)
     a, b, _ = frame.coordinates(mi.Array3f(ray(met.t)))
     margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
-    near = met.is_valid() & emitter.reaches(a, b, margin)
+    near = met.is_valid() & emitter.source.reaches(a, b, margin)
     distance = dr.select(met.is_valid(), met.t, dr.inf)
     dr.eval(near, distance)
     return np.array(dr.compress(near)), distance.numpy()
@@ -272,7 +268,7 @@ def _probe(
     return _Moves(laser_mm, laser_mm + _SPARE * seen_mm, _SPARE * sight_px, march_px)
 
 
-def _near(emitter: LaserLineEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
+def _near(emitter: SourceEmitter, places: _Places, margin_mm: Array) -> NDArray[np.bool_]:
     near = reached(emitter, places.laser[:, 0], places.laser[:, 1], margin_mm.tolist())
     return near if near.any() else ~near
 

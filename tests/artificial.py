@@ -4,7 +4,9 @@ import numpy as np
 from scipy.special import erf
 from scipy.stats import norm
 
-from virtual_sensor.optics.sensor_model import Camera, LaserLine, Pose, SensorModel
+from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.optics.ray_families import Pinhole, Pose, Sheet
 
 
 def line_image(centre, sigma, amplitude=1.0, background=0.0, height=64):
@@ -57,18 +59,20 @@ def dot_image(centres, sigma, flux=1.0, shape=(64, 64), background=0.0):
 def paper_sensor(alpha_deg=60.0, fan_deg=0.0):
     """Sensor of Beermann et al. 2018, table 1: laser and camera at +-alpha/2 to the vertical."""
     return SensorModel(
-        camera=Camera(
+        camera=Pinhole(
             matrix=np.array([[75 / 5.5e-3, 0, 1023.5], [0, 75 / 5.5e-3, 1023.5], [0, 0, 1]]),
             pose=_looking_at_origin(alpha_deg / 2.0, x_axis=(0.0, 1.0, 0.0)),
             size=(2048, 2048),
         ),
         laser=LaserLine(
-            pose=_looking_at_origin(-alpha_deg / 2.0, y_axis=(0.0, 1.0, 0.0)),
-            distance_mm=300.0,
+            Sheet(
+                pose=_looking_at_origin(-alpha_deg / 2.0, y_axis=(0.0, 1.0, 0.0)),
+                distance_mm=300.0,
+                fan_per_mm=2.0 * np.tan(np.radians(fan_deg) / 2.0) / 20.0,
+            ),
             length_mm=20.0,
             radius_mm=0.15,
             power_w=0.1,
-            fan_deg=fan_deg,
             dots_mm=np.array([]),
         ),
     )

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 from artificial import paper_sensor
 
-from virtual_sensor.optics.sensor_model import Pose, SensorModel
+from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.studies.reproduction.curves import (
     BLURRED,
     DOTS,
@@ -29,7 +30,7 @@ def turned_sensor(beta_deg):
 
     def turned(part):
         pose = Pose(turn @ part.pose.rotation, turn @ (part.pose.origin_mm - axis) + axis)
-        return dataclasses.replace(part, pose=pose)
+        return part.with_pose(pose)
 
     sensor = paper_sensor()
     return SensorModel(turned(sensor.camera), turned(sensor.laser))

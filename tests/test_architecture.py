@@ -55,11 +55,10 @@ METROLOGY_KNOWS = (
     "virtual_sensor.files",
     "virtual_sensor.metrology",
     "virtual_sensor.optics.ray_families",
-    "virtual_sensor.optics.sensor_model",
 )
 METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
 # Rooms without a renderer in them, where the engine is only started.
-WITHOUT_DRJIT = ("virtual_sensor.optics.ray_families", "virtual_sensor.optics.sensor_model")
+WITHOUT_DRJIT = ("virtual_sensor.optics.ray_families", "virtual_sensor.devices")
 SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))
 
 

@@ -36,8 +36,8 @@ EMPTY = {
     "misses": lambda: misses(HOT, POINTS, PIXELS),
     "newton_along_line": lambda: newton_along_line(HOT, NONE),
     "inside_part": lambda: inside_part(HOT, POINTS),
-    "Camera.project": lambda: HOT.sensor.camera.project(POINTS),
-    "Camera.lines_of_sight": lambda: HOT.sensor.camera.lines_of_sight(PIXELS),
+    "Pinhole.project": lambda: HOT.sensor.camera.project(POINTS),
+    "Pinhole.lines_of_sight": lambda: HOT.sensor.camera.lines_of_sight(PIXELS),
 }
 # What takes a name, a scene or an image: an image has pixels.
 OTHERS = {"load_scene", "render", "render_frame", "record", "line_centres"}

@@ -189,3 +189,24 @@ def _numpy_type(scalar: Any) -> Any:
         dr.VarType.Float64: np.float64,
         dr.VarType.UInt32: np.uint32,
     }[dr.type_v(scalar)]
+
+
+# -------------------------------------------------------- formulas for NumPy's and Dr.Jit's arrays
+
+
+def exp(x: Any) -> Any:
+    """The exponential of an array of either."""
+    if isinstance(x, float | np.ndarray):
+        return np.exp(x)
+    from virtual_sensor.engine import dr
+
+    return dr.exp(x)
+
+
+def where(mask: Any, x: Any, y: Any) -> Any:
+    """As `numpy.where`, of arrays of either."""
+    if isinstance(x, float | np.ndarray):
+        return np.where(mask, x, y)
+    from virtual_sensor.engine import dr
+
+    return dr.select(mask, x, y)

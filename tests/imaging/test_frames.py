@@ -131,6 +131,7 @@ def in_beam(scene, margin_mm):
     widens the beam, or narrows it.
     """
     camera, laser, radius = scene.sensor.camera, scene.sensor.laser, 13.5
+    sheet = laser.family
     width, height = camera.size
     v, u = np.mgrid[:height, :width]
     sight = camera.lines_of_sight(np.stack([u, v], axis=-1).reshape(-1, 2))
@@ -140,9 +141,9 @@ def in_beam(scene, margin_mm):
     t = (-a - np.sqrt(np.where(inside > 0.0, inside, np.nan))) / b
     point = camera.pose.origin_mm + t[:, None] * sight
     across, along, depth = laser.pose.to_local(point).T
-    along /= 1.0 + laser.fan_per_mm * (depth - laser.distance_mm)
+    along /= 1.0 + sheet.fan_per_mm * (depth - sheet.distance_mm)
     normal = point[:, 1:] + [0.0, radius]
-    faces = normal @ laser.pose.rotation[1:, 2] + laser.fan_per_mm * along * normal[:, 0] < 0.0
+    faces = normal @ laser.pose.rotation[1:, 2] + sheet.fan_per_mm * along * normal[:, 0] < 0.0
     out = np.sqrt(np.log(1e6) / 2.0) * laser.radius_mm + margin_mm
     if laser.dots_mm.size:
         on = np.min(np.abs(along[:, None] - laser.dots_mm), axis=1) <= out

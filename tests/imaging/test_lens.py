@@ -9,7 +9,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
 from virtual_sensor.imaging.lens import defocus_blur, distorted, gaussian_blur
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.ray_families import Pinhole
 
 SIZE = (200, 160)
 MILD = [-0.2, 0.1, 0.0, 0.0]
@@ -17,7 +17,7 @@ MILD = [-0.2, 0.1, 0.0, 0.0]
 
 def camera(coefficients):
     matrix = np.array([[400.0, 0, 99.5], [0, 400.0, 79.5], [0, 0, 1]])
-    return Camera(matrix, paper_sensor().camera.pose, SIZE, np.array(coefficients, float))
+    return Pinhole(matrix, paper_sensor().camera.pose, SIZE, np.array(coefficients, float))
 
 
 def test_gaussian_blur_adds_its_variance_to_the_lines():

@@ -107,7 +107,7 @@ def test_a_laser_can_only_be_turned_and_moved():
     """Rationale: a scale or a shear was left out in silence; a turn and a move are taken."""
     turned = mi.ScalarTransform4f().look_at([0, 0, 300], [40, 0, 0], [0, 1, 0])
     size = {"type": "laser_line", "length": 22.0, "radius": 0.15}
-    axis = mi.load_dict(size | {"to_world": turned}).line.pose.rotation[:, 2]
+    axis = mi.load_dict(size | {"to_world": turned}).source.pose.rotation[:, 2]
     np.testing.assert_allclose(axis, np.array([40.0, 0.0, -300.0]) / np.hypot(40, 300), atol=1e-6)
     shear = mi.ScalarTransform4f([[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
     scale = mi.ScalarTransform4f().scale

@@ -13,6 +13,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
+from virtual_sensor.optics.ray_families import Sheet
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
@@ -47,7 +48,9 @@ def test_sensor_model_is_the_papers(name):
     # u runs along +y, and so does the laser line.
     np.testing.assert_allclose(camera.pose.rotation[:, 0], [0, 1, 0], atol=1e-6)
     np.testing.assert_allclose(laser.pose.rotation[:, 1], [0, 1, 0], atol=1e-6)
-    assert (laser.distance_mm, laser.length_mm, laser.power_w) == (300.0, 22.0, pytest.approx(0.1))
+    assert isinstance(laser.family, Sheet)
+    assert (laser.family.distance_mm, laser.length_mm) == (300.0, 22.0)
+    assert laser.power_w == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("beta", [15.0, -30.0])
@@ -86,7 +89,8 @@ def test_parameters_reach_the_scene():
     assert tilt == pytest.approx(-20.0, abs=1e-4)
     assert sensor.laser.length_mm == pytest.approx(8.0)
     assert sensor.laser.radius_mm == pytest.approx(0.2)
-    assert sensor.laser.fan_deg == pytest.approx(1.0)
+    ends = sensor.laser.family.rays(0.0, [-4.0, 4.0])[1]
+    assert np.degrees(np.arcsin(np.linalg.norm(np.cross(*ends)))) == pytest.approx(1.0)
     np.testing.assert_allclose(sensor.laser.dots_mm, [0.0, -1.5])
     assert sensor.camera.size == (400, 300)
     assert sensor.camera.matrix[0, 0] == pytest.approx(75.0 / 5.5e-3 * 400 / 2048, rel=1e-6)

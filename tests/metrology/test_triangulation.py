@@ -1,14 +1,13 @@
 """Plane-line intersection against points whose place is known."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from artificial import paper_sensor
 
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.triangulation import check_geometry, triangulate
-from virtual_sensor.optics.sensor_model import Pose, SensorModel
+from virtual_sensor.optics.ray_families import Pose
 
 
 def turned(sensor, rotation, origin_mm=(0.0, 0.0, 0.0)):
@@ -18,8 +17,8 @@ def turned(sensor, rotation, origin_mm=(0.0, 0.0, 0.0)):
         return Pose(rotation @ pose.rotation, rotation @ pose.origin_mm + np.array(origin_mm))
 
     return SensorModel(
-        camera=dataclasses.replace(sensor.camera, pose=move(sensor.camera.pose)),
-        laser=dataclasses.replace(sensor.laser, pose=move(sensor.laser.pose)),
+        camera=sensor.camera.with_pose(move(sensor.camera.pose)),
+        laser=sensor.laser.with_pose(move(sensor.laser.pose)),
     )
 
 
@@ -29,7 +28,7 @@ def side_by_side():
     normal, _ = sensor.laser.plane
     pose = sensor.camera.pose
     beside = Pose(pose.rotation, pose.origin_mm + 20.0 * normal)
-    return SensorModel(dataclasses.replace(sensor.camera, pose=beside), sensor.laser)
+    return SensorModel(sensor.camera.with_pose(beside), sensor.laser)
 
 
 @pytest.mark.parametrize("fan_deg", [0.0, 20.0])
@@ -40,7 +39,7 @@ def test_points_on_the_laser_plane_come_back(alpha_deg, fan_deg):
     rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     rotation *= np.linalg.det(rotation)
     sensor = turned(paper_sensor(alpha_deg, fan_deg), rotation, (10.0, -20.0, 30.0))
-    start, direction = sensor.laser.rays(np.zeros(50), rng.uniform(-10.0, 10.0, 50))
+    start, direction = sensor.laser.family.rays(np.zeros(50), rng.uniform(-10.0, 10.0, 50))
     points = start + rng.uniform(280.0, 320.0, (50, 1)) * direction
     measured = triangulate(sensor, sensor.camera.project(points))
     np.testing.assert_allclose(measured, points, atol=1e-9)
@@ -96,7 +95,7 @@ def test_camera_turned_within_the_laser_plane_is_refused():
     across = np.cross(normal, sensor.laser.pose.rotation[:, 2])
     z = np.cos(np.pi / 3) * sensor.laser.pose.rotation[:, 2] + np.sin(np.pi / 3) * across
     pose = Pose(np.column_stack([normal, np.cross(z, normal), z]), -300.0 * z)
-    edge_on = SensorModel(dataclasses.replace(sensor.camera, pose=pose), sensor.laser)
+    edge_on = SensorModel(sensor.camera.with_pose(pose), sensor.laser)
     assert edge_on.triangulation_angle_deg == pytest.approx(60.0)
     with pytest.raises(InputError, match="alpha"):
         check_geometry(edge_on)

@@ -92,7 +92,7 @@ def test_pixels_beyond_the_turning_point_see_nothing(k1, k2):
 def test_points_are_measured_through_a_tilted_sensor():
     """Undistortion comes before triangulation: points on the laser plane come back."""
     sensor = replace(paper_sensor(), camera=camera(COEFFICIENTS["Scheimpflug"]))
-    start, direction = sensor.laser.rays(np.zeros(9), np.linspace(-10.0, 10.0, 9))
+    start, direction = sensor.laser.family.rays(np.zeros(9), np.linspace(-10.0, 10.0, 9))
     points = start + 299.0 * direction
     measured = triangulate(sensor, sensor.camera.project(points))
     np.testing.assert_allclose(measured, points, atol=1e-8)

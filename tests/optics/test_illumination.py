@@ -12,8 +12,8 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March, Straight, bend, in_plane
 from virtual_sensor.optics.illumination import LightStatus, illuminate
+from virtual_sensor.optics.ray_families import Pose, Sheet
 from virtual_sensor.optics.ray_status import RayStatus
-from virtual_sensor.optics.sensor_model import LaserLine, Pose
 from virtual_sensor.optics.surfaces import NoSurface
 
 MARCH = March(step_mm=0.5, method="leapfrog")
@@ -26,7 +26,8 @@ def scene():
 
 @pytest.fixture(scope="module", params=[0.0, 6.0], ids=["telecentric", "fan"])
 def laser(request, scene):
-    return replace(scene.sensor.laser, fan_deg=request.param)
+    fan_per_mm = 2.0 * np.tan(np.radians(request.param / 2.0)) / scene.sensor.laser.length_mm
+    return replace(scene.sensor.laser.family, fan_per_mm=fan_per_mm)
 
 
 def on_cylinder(angle, x):
@@ -69,7 +70,7 @@ def test_the_ray_that_was_found_arrives_at_the_point(scene, laser, points):
     """To a hundredth of a micrometre, where the bent rays go astray by a tenth of a millimetre."""
     light = light_at(laser, scene.field, scene.surface, points)
     assert np.all(np.array(light.status) == LightStatus.LIT)
-    a, b = numbers(light.a, light.b)
+    a, b = numbers(light.s, light.t)
     arrived, heading = arrivals(laser, scene.field, a, b, points)
     np.testing.assert_allclose(arrived, points, rtol=0, atol=1e-5)
     np.testing.assert_allclose(to_numpy(light.heading), heading, rtol=0, atol=1e-6)
@@ -79,7 +80,7 @@ def test_the_ray_that_was_found_arrives_at_the_point(scene, laser, points):
 def test_where_light_runs_straight_it_is_plain_geometry(scene, laser, points):
     """The ray of the very coordinates passes through the point, and nothing is shifted."""
     light = light_at(laser, None, scene.surface, points)
-    a, b = numbers(light.a, light.b)
+    a, b = numbers(light.s, light.t)
     origins, directions = laser.rays(a, b)
     np.testing.assert_allclose(np.cross(points - origins, directions), 0.0, rtol=0, atol=1e-9)
     np.testing.assert_allclose(to_numpy(light.heading), directions, rtol=0, atol=1e-14)
@@ -102,7 +103,7 @@ def test_flux_is_conserved_between_neighbouring_rays(scene, laser, points, hot):
     """What (2e)^2 carries through the reference plane is spread over the tube's area."""
     field, e = (scene.field if hot else None), 1e-3
     light = light_at(laser, field, scene.surface, points)
-    a, b, concentration = numbers(light.a, light.b, light.concentration)
+    a, b, concentration = numbers(light.s, light.t, light.concentration)
     expected = (2.0 * e) ** 2 / area_between(laser, field, a, b, points, e)
     np.testing.assert_allclose(concentration, expected, rtol=0.01 if hot else 1e-8)
     if hot:
@@ -113,7 +114,7 @@ def test_nothing_lights_the_back_of_the_cylinder(scene, laser):
     """Beyond the terminator, 90 degrees from the top, the cylinder stands in its own light."""
     angle = np.concatenate([np.linspace(-1.3, 1.3, 9), np.linspace(1.8, 2.0 * np.pi - 1.8, 12)])
     light = light_at(laser, scene.field, scene.surface, on_cylinder(angle, 0.0))
-    a, b, concentration = numbers(light.a, light.b, light.concentration)
+    a, b, concentration = numbers(light.s, light.t, light.concentration)
     status = np.array(light.status)
     np.testing.assert_array_equal(status[:9], LightStatus.LIT)
     np.testing.assert_array_equal(status[9:], LightStatus.SHADOWED)
@@ -127,7 +128,7 @@ def test_a_guess_changes_nothing_but_the_work(scene, laser, points):
     near = light_at(laser, scene.field, scene.surface, points + np.array([0.01, 0.01, 0.0]))
     guess = (*near.shift, near.jacobian)
     led = light_at(laser, scene.field, scene.surface, points, guess=guess)
-    for mine, theirs in ((led.a, alone.a), (led.b, alone.b)):
+    for mine, theirs in ((led.s, alone.s), (led.t, alone.t)):
         np.testing.assert_allclose(*numbers(mine, theirs), rtol=0, atol=5e-5)
     np.testing.assert_array_equal(np.array(led.status), np.array(alone.status))
     np.testing.assert_allclose(*numbers(led.concentration, alone.concentration), rtol=0.01)
@@ -135,18 +136,18 @@ def test_a_guess_changes_nothing_but_the_work(scene, laser, points):
 
 def test_float32_finds_the_same_rays(scene, points):
     """What the renderer computes with: a tenth of a micrometre."""
-    laser = scene.sensor.laser
+    laser = scene.sensor.laser.family
     exact = light_at(laser, scene.field, scene.surface, points)
     single = light_at(laser, scene.field, scene.surface, points, March(0.5, "leapfrog", "single"))
-    np.testing.assert_allclose(*numbers(single.a, exact.a), rtol=0, atol=1e-4)
-    np.testing.assert_allclose(*numbers(single.b, exact.b), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(*numbers(single.s, exact.s), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(*numbers(single.t, exact.t), rtol=0, atol=1e-4)
     np.testing.assert_allclose(*numbers(single.concentration, exact.concentration), rtol=1e-4)
 
 
 def test_inactive_points_are_left_alone(scene, points):
     active = np.arange(len(points)) % 3 > 0
-    light = light_at(scene.sensor.laser, scene.field, scene.surface, points, active=active)
-    a, concentration = numbers(light.a, light.concentration)
+    light = light_at(scene.sensor.laser.family, scene.field, scene.surface, points, active=active)
+    a, concentration = numbers(light.s, light.concentration)
     np.testing.assert_array_equal(np.isfinite(a), active)
     np.testing.assert_array_equal(concentration > 0.0, active)
 
@@ -169,14 +170,14 @@ def test_light_that_has_crossed_a_line_focus_is_not_made_up():
     field = ExactField(slab_lens, box=np.array([[0.0, -20.0, -20.0], [200.0, 20.0, 20.0]]))
     axes = [[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]]
     pose = Pose(np.stack(axes, axis=-1), np.zeros(3))
-    laser = LaserLine(pose, 50.0, 20.0, 0.1, 0.1, 0.0, np.empty(0))
+    laser = Sheet(pose, 50.0)
     focus = 1.5 * np.pi / 2.0 / 0.05
     fraction = np.array([0.2, 0.5, 0.8, 1.3, 1.6])
     points = np.stack(np.broadcast_arrays(focus * fraction, 0.3, 0.05), axis=-1)
     light = light_at(laser, field, NoSurface(), points, March(0.2))
     expected = [LightStatus.LIT] * 3 + [LightStatus.FOLDED] * 2
     np.testing.assert_array_equal(np.array(light.status), expected)
-    a, b, concentration = numbers(light.a, light.b, light.concentration)
+    a, b, concentration = numbers(light.s, light.t, light.concentration)
     gain = 1.0 / np.cos(np.pi / 2.0 * fraction[:3])
     np.testing.assert_allclose(a[:3], 0.05 * gain, rtol=1e-4)
     np.testing.assert_allclose(b[:3], -0.3, rtol=1e-5)

@@ -22,7 +22,6 @@ from virtual_sensor.optics.ray_maps import (
     forward_map,
     inverse_map,
 )
-from virtual_sensor.optics.sensor_model import LaserLine
 from virtual_sensor.optics.surfaces import NoSurface
 from virtual_sensor.optics.tabulated_light import hits, light
 
@@ -249,17 +248,12 @@ LASER_TOLERANCE_MM = 1e-4
 @pytest.fixture(scope="module", params=[0.0, 6.0], ids=["telecentric", "fan"])
 def laser(request):
     pose = frame([-40.0, 15.0, 80.0], [1.0, -1.0, 0.5])
-    return LaserLine(pose, REFERENCE_MM, 20.0, 0.15, 0.1, request.param, np.empty(0))
-
-
-def sheet(laser):
-    """A laser's rays."""
-    return Sheet(laser.pose, laser.distance_mm, laser.fan_per_mm)
+    return Sheet(pose, REFERENCE_MM, 2.0 * np.tan(np.radians(request.param / 2.0)) / 20.0)
 
 
 @pytest.fixture(scope="module")
 def mapped(laser):
-    return inverse_map(SPOT.field, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    return inverse_map(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
 
 
 def centre(laser):
@@ -328,7 +322,7 @@ def test_light_is_that_of_newtons_marches(laser, mapped):
     np.testing.assert_array_equal(np.array(told.status), np.array(exact.status))
     assert np.all(np.array(told.status) == LightStatus.LIT)
     for mine, theirs, within in (
-        ((told.a, told.b), (exact.a, exact.b), 1.5 * LASER_TOLERANCE_MM),
+        ((told.s, told.t), (exact.s, exact.t), 1.5 * LASER_TOLERANCE_MM),
         (told.shift, exact.shift, 1.5 * LASER_TOLERANCE_MM),
         (told.heading, exact.heading, 1e-4),
         ((told.concentration,), (exact.concentration,), 1e-3),
@@ -348,7 +342,7 @@ def test_points_off_the_map_and_inactive_ones_are_told(laser, mapped):
     told, off = light(mapped, Open(), vectors, mi.Mask(np.arange(4) == 0))
     np.testing.assert_array_equal(np.array(off), [False] * 4)
     np.testing.assert_array_equal(np.array(told.status)[1:], LightStatus.NO_POINT)
-    assert np.all(np.isnan(np.array(told.a)[1:]) & (np.array(told.concentration)[1:] == 0.0))
+    assert np.all(np.isnan(np.array(told.s)[1:]) & (np.array(told.concentration)[1:] == 0.0))
 
 
 # --------------------------------------------------------------------------- where there is none
@@ -405,7 +399,7 @@ def test_rays_that_are_turned_away_leave_no_map(laser):
     against = tuple(map(float, -0.04 * laser.pose.rotation[:, 2]))  # light gets 25 mm deep
     wall = exact_fields.linear(1.0, against, box=np.array([[-40.0] * 3, [40.0] * 3]))
     with pytest.raises(NoMapError, match="turned away"):
-        inverse_map(wall, sheet(laser), LASER_LOW, LASER_HIGH + 30.0, MARCH, 1e-3)
+        inverse_map(wall, laser, LASER_LOW, LASER_HIGH + 30.0, MARCH, 1e-3)
     low, high = np.array([-0.1, -0.1, 100.0]), np.array([0.1, 0.1, 160.0])
     with pytest.raises(NoMapError, match="turned away"):
         forward_map(wall, view(laser.pose), low, high, MARCH, 1e-3)
@@ -438,7 +432,7 @@ def test_a_tolerance_that_is_not_refused_is_kept():
 def test_where_light_runs_straight_the_maps_are_zero(laser):
     """Rationale: cold frames are rendered by the same code; nothing may be moved by rounding."""
     camera = forward_map(None, view(CAMERA), *CAMERA_BOX, MARCH, 1e-3)
-    beam = inverse_map(None, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    beam = inverse_map(None, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3)
     for each in (camera, beam):
         places = around(each.table.grid, 50)
         assert np.all(read(each.linear, places) == 0.0)

@@ -9,10 +9,10 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor import ray_search
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_search import SearchStatus
-from virtual_sensor.optics.sensor_model import SensorModel
 from virtual_sensor.optics.surfaces import SceneSurface
 
 NINE = np.linspace(0.0, -10.0, 9)
@@ -66,7 +66,7 @@ def test_newtons_pixels_are_scipys(scene):
     assert np.all(found.status == SearchStatus.FOUND)
     field, camera = scene.field, scene.sensor.camera
     index = oracles.spline_index(field.nodes, field.origin, field.spacing, field.mirror)
-    laser_points = scipys_hits(field, index, *scene.sensor.laser.rays(0.0, y))
+    laser_points = scipys_hits(field, index, *scene.sensor.laser.family.rays(0.0, y))
     sight = camera.lines_of_sight(found.pixel)
     seen = scipys_hits(field, index, np.tile(camera.pose.origin_mm, (50, 1)), sight)
     for difference in (found.laser_point_mm - laser_points, seen - laser_points):

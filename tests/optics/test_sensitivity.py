@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 import virtual_sensor as vs
 from virtual_sensor import ray_search
 from virtual_sensor.arrays import to_numpy, to_vectors
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import shipped_scenes
@@ -23,10 +24,10 @@ from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.optics.eikonal import bend, in_plane
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import REFERENCE, SearchStatus
 from virtual_sensor.optics.rays import March, Straight
 from virtual_sensor.optics.sensitivity import laser_y_at, line_sensitivity
-from virtual_sensor.optics.sensor_model import Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, SceneSurface
 
 AGREEMENT = 1e-4  # of the largest derivative along the line
@@ -57,7 +58,7 @@ def moved(scene, parts, turn_deg=(0, 0, 0), pivot_mm=(0, 0, 0), shift_mm=(0, 0, 
     motion = (np.array(x, float) for x in (turn_deg, pivot_mm, shift_mm))
     motion = tuple(motion)
     places = {
-        name: replace(part, pose=turned(part.pose, *motion)) if name in parts else part
+        name: part.with_pose(turned(part.pose, *motion)) if name in parts else part
         for name, part in (("camera", scene.sensor.camera), ("laser", scene.sensor.laser))
     }
     return replace(scene, sensor=SensorModel(**places))
@@ -365,9 +366,7 @@ def test_an_end_face_has_a_normal_of_its_own():
     camera = replace(
         paper.camera, pose=replace(paper.camera.pose, origin_mm=np.array([235.0, 0, 254.8]))
     )
-    cold = Scene(
-        replace(paper, camera=camera, laser=replace(paper.laser, pose=pose)), None, Cylinder()
-    )
+    cold = Scene(replace(paper, camera=camera, laser=paper.laser.with_pose(pose)), None, Cylinder())
     found = line_sensitivity(cold, [0.5], ["laser_x", "laser_y", "laser_z"])
     np.testing.assert_allclose(found.laser_point_mm, [[85.0, 0.5, -5.0]], atol=1e-9)
     project = camera.project

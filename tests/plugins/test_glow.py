@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from virtual_sensor.devices.planck import band_radiance
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import render, render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.optics.planck import band_radiance
 from virtual_sensor.studies.chart.frames import with_lamp
 
 FILM = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.8}

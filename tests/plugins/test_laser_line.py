@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from virtual_sensor_plugins.laser_line import LaserLineEmitter
+from virtual_sensor_plugins.laser_line import SourceEmitter
 
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.illumination import illuminate
+from virtual_sensor.optics.ray_families import Sheet
 from virtual_sensor.optics.surfaces import NoSurface
 
 POWER_W, LENGTH_MM, RADIUS_MM = 0.1, 20.0, 0.15
@@ -21,7 +22,7 @@ def laser(**properties):
     return mi.load_dict({"type": "laser_line", "to_world": exit_pose, **shape, **properties})
 
 
-def light_at(emitter: LaserLineEmitter, x, y, z):
+def light_at(emitter: SourceEmitter, x, y, z):
     """Direction to the laser (N, 3) and flux density (N,) as Mitsuba's integrators ask for them."""
     it = dr.zeros(mi.Interaction3f, np.size(x))
     it.p = mi.Point3f(mi.Float(np.ravel(x)), mi.Float(np.ravel(y)), mi.Float(np.ravel(z)))
@@ -83,14 +84,14 @@ def test_fan_spreads_from_one_point():
 
 @pytest.mark.parametrize("kind", ["line", "fan"])
 def test_points_on_a_laser_ray_have_its_coordinates(kind):
-    """`LaserLine.rays` and the inverse that lights points are written apart from each other."""
-    line = laser(**KINDS[kind]).line
+    """The rays and the inverse that lights points are written apart from each other."""
+    sheet = laser(**KINDS[kind]).source.family
     a, b = np.array([-0.2, 0.0, 0.1]), np.array([-9.0, 0.3, 7.0])
-    origins, directions = line.rays(a, b)
+    origins, directions = sheet.rays(a, b)
     for distance in (250.0, 300.0, 330.0):
         points = mi.Array3f((origins + distance * directions).T)
-        light = illuminate(line, None, NoSurface(), points, March(precision="single"))
-        np.testing.assert_allclose([light.a, light.b], [a, b], atol=1e-4)
+        light = illuminate(sheet, None, NoSurface(), points, March(precision="single"))
+        np.testing.assert_allclose([light.s, light.t], [a, b], atol=1e-4)
 
 
 def test_hot_air_concentrates_light_and_loses_none():
@@ -99,19 +100,20 @@ def test_hot_air_concentrates_light_and_loses_none():
     The plume thins the light out by a tenth in places.
     """
     scene = vs.load_scene("hot_cylinder")
-    emitter = next(e for e in scene.mitsuba.emitters() if isinstance(e, LaserLineEmitter))
-    line, cells = emitter.line, (56, 480)
-    x, y, depth, cell = on_plane(line.distance_mm - 5.0, width=1.4, cells=cells)
+    emitter = next(e for e in scene.mitsuba.emitters() if isinstance(e, SourceEmitter))
+    line, cells = emitter.source, (56, 480)
+    assert isinstance(line.family, Sheet)
+    x, y, depth, cell = on_plane(line.family.distance_mm - 5.0, width=1.4, cells=cells)
     points = mi.Array3f(line.pose.to_world(np.column_stack([x, y, depth])).T)
-    light = illuminate(line, scene.field, NoSurface(), points, scene.transport.march)
+    light = illuminate(line.family, scene.field, NoSurface(), points, scene.transport.march)
     cosine = np.array(light.heading).T @ line.pose.rotation[:, 2]
 
-    density = np.array(emitter.irradiance(light.a, light.b, light.concentration))
+    density = np.array(emitter.irradiance(light.s, light.t, light.concentration))
     assert np.sum(density * cosine) * cell == pytest.approx(line.power_w, rel=0.005)
 
     x, y = x.reshape(cells)[:, 0], y.reshape(cells)[0]
-    a_x, a_y = np.gradient(np.reshape(light.a, cells), x, y)
-    b_x, b_y = np.gradient(np.reshape(light.b, cells), x, y)
+    a_x, a_y = np.gradient(np.reshape(light.s, cells), x, y)
+    b_x, b_y = np.gradient(np.reshape(light.t, cells), x, y)
     by_area = (a_x * b_y - a_y * b_x)[1:-1, 1:-1]
     concentration = (np.array(light.concentration) * cosine).reshape(cells)[1:-1, 1:-1]
     np.testing.assert_allclose(concentration, by_area, rtol=0.01)

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_vectors
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.optics.sensor_model import SensorModel
 
 Array = NDArray[np.float64]
 
@@ -203,7 +203,7 @@ def border_crossings(
     dict
         `BorderCrossing` by "camera" and "laser", one row per point of the line.
     """
-    laser_mm, _ = sensor.laser.rays(0.0, line.y_mm)
+    laser_mm, _ = sensor.laser.family.rays(0.0, line.y_mm)
     return {
         name: _border_crossing(field, sensor, origin_mm, line.points_mm)
         for name, origin_mm in (("camera", sensor.camera.pose.origin_mm), ("laser", laser_mm))

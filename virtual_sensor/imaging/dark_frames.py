@@ -7,7 +7,7 @@ from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.checks import lit_line
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ def why_dark(scene: Scene) -> str:
     depth_mm = camera.pose.to_local(points)[:, 2]
     return (
         _clipped(scene, depth_mm)
-        or _unanswered(scene, points, laser.rays(0.0, line.y_mm[shown])[1])
+        or _unanswered(scene, points, laser.family.rays(0.0, line.y_mm[shown])[1])
         or _missed(scene, camera, depth_mm)
     )
 
@@ -97,7 +97,7 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
     )
 
 
-def _missed(scene: Scene, camera: Camera, depth_mm: Array) -> str:
+def _missed(scene: Scene, camera: Pinhole, depth_mm: Array) -> str:
     """Light is there, and no sample met it."""
     width_px = 2.0 * scene.sensor.laser.radius_mm * abs(camera.matrix[0, 0]) / depth_mm.mean()
     if scene.field and width_px > 1.0:

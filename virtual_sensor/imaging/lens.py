@@ -13,7 +13,7 @@ from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
 from virtual_sensor.arrays import number_within, numbers_of, unmasked
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ def _not_negative(seen: Array) -> Array:
     return cut * (light / cut.sum()) if light > 0.0 else cut
 
 
-def distorted(image: ArrayLike, camera: Camera) -> Array:
+def distorted(image: ArrayLike, camera: Pinhole) -> Array:
     """What a camera that distorts sees, from what an ideal pinhole of the same K sees.
 
     A spline through the ideal frame is read where each pixel's light would have fallen; its pixels
@@ -62,7 +62,7 @@ def distorted(image: ArrayLike, camera: Camera) -> Array:
     Parameters
     ----------
     image : array_like of shape (H, W)
-    camera : Camera
+    camera : Pinhole
         With its `distortion`; of the image's size.
 
     Raises
@@ -86,7 +86,7 @@ def distorted(image: ArrayLike, camera: Camera) -> Array:
     return np.maximum(seen, 0.0) if image.min() >= 0.0 else seen
 
 
-def _reached(lit: NDArray[np.bool_], camera: Camera) -> NDArray[np.bool_]:
+def _reached(lit: NDArray[np.bool_], camera: Pinhole) -> NDArray[np.bool_]:
     """Pixels (H, W) of a camera that distorts to which light may get from the ideal's lit ones."""
     size = np.array(lit.shape)
     padded = np.pad(lit, [(0, -n % _TILE) for n in lit.shape])

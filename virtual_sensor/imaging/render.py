@@ -111,7 +111,7 @@ def render_frame(
         )
 
     light = lit.sight.light
-    a, b = light.a.numpy(), light.b.numpy()
+    a, b = light.s.numpy(), light.t.numpy()
     reached = (scene.integrator.irradiance(scene.mitsuba, light) > 0.0).numpy()
     point = np.array(lit.sight.point)
     depth = camera.pose.to_local(point.T)[:, 2]

@@ -37,6 +37,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor import engine
 from virtual_sensor.arrays import to_vectors
+from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists, readable
@@ -50,7 +52,7 @@ from virtual_sensor.imaging.scene_file import (
 )
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.optics.sensor_model import Camera, LaserLine, Pose, SensorModel
+from virtual_sensor.optics.ray_families import Pinhole, Pose
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 from virtual_sensor.optics.transports import Transport
 
@@ -100,7 +102,7 @@ class _Stage:
     parameters: dict[str, str]
     loaded: Loaded
     surface: Surface
-    cameras: dict[str, Camera]
+    cameras: dict[str, Pinhole]
     sources: dict[str, LaserLine]
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
@@ -124,7 +126,7 @@ class Scene:
     air : MediumDescription
         The medium's file, if it has one, and what is made of it.
     cameras : Mapping
-        `Camera` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
+        `Pinhole` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
     sources : Mapping
         `LaserLine` by name: likewise, or "laser", "laser_2", ...
     transport : Transport
@@ -137,7 +139,7 @@ class Scene:
     parameters: dict[str, str]
     medium: IndexField | None
     air: MediumDescription
-    cameras: Mapping[str, Camera]
+    cameras: Mapping[str, Pinhole]
     sources: Mapping[str, LaserLine]
     transport: Transport
     hot: bool
@@ -168,7 +170,7 @@ class Scene:
         return self.medium
 
     @property
-    def camera(self) -> Camera:
+    def camera(self) -> Pinhole:
         """The only camera; an InputError where there are several."""
         return self.cameras[self._one("camera", self.cameras)]
 
@@ -439,7 +441,7 @@ def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
     cameras = {name: _camera(path, name, each) for name, each in loaded.cameras.items()}
     if not cameras:
         raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
-    sources = {name: emitter.line for name, emitter in loaded.lasers.items()}
+    sources = {name: emitter.source for name, emitter in loaded.lasers.items()}
     notes = [*(note for file in files for note in file.notes), *loaded.notes]
     notes += _places(path, loaded.scene, cameras)
     surface = _surface(loaded.scene)
@@ -559,7 +561,7 @@ def _digest(file: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _places(path: Path, loaded: Any, cameras: dict[str, Camera]) -> list[str]:
+def _places(path: Path, loaded: Any, cameras: dict[str, Pinhole]) -> list[str]:
     """Notes of a scene whose lengths seem to be in metres."""
     box = loaded.bbox()
     corners = np.array([box.min, box.max], float)
@@ -596,7 +598,7 @@ def _sensor(name: str) -> str:
     return f'<sensor id="{shortened(name)}">'
 
 
-def _camera(path: Path, name: str, sensor: Any) -> Camera:
+def _camera(path: Path, name: str, sensor: Any) -> Pinhole:
     """K and pose of a camera, from what Mitsuba holds."""
     held = mi.traverse(sensor)
     where = f"{path}: {_sensor(name)}"
@@ -617,7 +619,7 @@ def _camera(path: Path, name: str, sensor: Any) -> Camera:
     to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     pose = Pose.from_matrix(to_world)
     pose = replace(pose, rotation=pose.rotation @ _OURS_FROM_MITSUBAS)
-    return Camera(matrix, pose, (width, height))
+    return Pinhole(matrix, pose, (width, height))
 
 
 def _surface(loaded: Any) -> Surface:

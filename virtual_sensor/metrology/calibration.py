@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
 from virtual_sensor.metrology.triangulation import Sensor, check_geometry
-from virtual_sensor.optics.sensor_model import Camera, Pose
+from virtual_sensor.optics.ray_families import Pinhole, Pose
 
 Array = NDArray[np.float64]
 
@@ -110,13 +110,13 @@ class Calibration:
 
     Attributes
     ----------
-    camera : Camera
+    camera : Pinhole
     laser : Plane
     notes : tuple of str
         What a file's reader assumed or did not use.
     """
 
-    camera: Camera
+    camera: Pinhole
     laser: Plane
     notes: tuple[str, ...] = ()
 
@@ -193,7 +193,7 @@ def read_calibration(path: Path) -> Calibration:
         file.notes.append("has no 'distortion_coefficients': the lens is taken as ideal")
     if not (fisheye or distortion.any()):
         distortion = np.zeros(0)
-    camera = Camera(matrix, _pose(file), size, distortion, fisheye)
+    camera = Pinhole(matrix, _pose(file), size, distortion, fisheye)
     *normal, offset = file.numbers("laser_plane", (4,))
     length = float(np.linalg.norm(normal))
     if not length > 0.0:

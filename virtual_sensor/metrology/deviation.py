@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
-from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
@@ -101,13 +101,13 @@ def round_pixel(pixel: ArrayLike, step: float = 0.25) -> Array:
 
 
 def separate_paths(
-    camera: Camera, A_mm: ArrayLike, B_mm: ArrayLike, pixel_A: ArrayLike, pixel_B: ArrayLike
+    camera: Pinhole, A_mm: ArrayLike, B_mm: ArrayLike, pixel_A: ArrayLike, pixel_B: ArrayLike
 ) -> PathDisplacement:
     """Split the displacement of the laser spot in the image by light path, as figure 8 does.
 
     Parameters
     ----------
-    camera : Camera
+    camera : Pinhole
     A_mm, B_mm : array_like of shape (N, 3)
         Where the laser ray meets the cold and the hot object, world frame.
     pixel_A, pixel_B : array_like of shape (N, 2)

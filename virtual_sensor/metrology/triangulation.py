@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import points_of, unmasked
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.sensor_model import Camera
+from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ class Sensor(Protocol):
     """A camera and a laser plane: the sensor of a scene, or a real one's calibration."""
 
     @property
-    def camera(self) -> Camera: ...  # noqa: D102
+    def camera(self) -> Pinhole: ...  # noqa: D102
 
     @property
     def laser(self) -> LaserPlane: ...  # noqa: D102

@@ -10,8 +10,8 @@ Pixels are (u, v) with integers at pixel centres, as in OpenCV.
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import cv2
 import numpy as np
@@ -151,6 +151,10 @@ class RayFamily(ABC):
         """Derivatives of foot and slope: dx/ds, dx/dt, dy/ds, dy/dt of either."""
         near, far = (self.by_coordinates(s, t, depth) for depth in (0.0, _FAR_MM))
         return near, tuple((b - a) * (1.0 / _FAR_MM) for a, b in zip(near, far, strict=True))
+
+    def with_pose(self, pose: Pose) -> Self:
+        """The same rays from another place."""
+        return replace(self, pose=pose)  # type: ignore[type-var]
 
     # Of NumPy's arrays alone.
 

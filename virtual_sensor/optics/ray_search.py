@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import whole_number
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.newton_search import newton, newton_along_line
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.rays import March
-from virtual_sensor.optics.sensor_model import Camera
 from virtual_sensor.optics.sight import (
     REFERENCE,
     SearchScene,
@@ -211,7 +211,7 @@ def _newton(scene: SearchScene, b: Array, march: March | None) -> FoundPixels:
 
 
 def _checked(
-    camera: Camera,
+    camera: Pinhole,
     found: FoundPixels,
     lit: NDArray[np.bool_],
     r_max_um: float,

@@ -22,13 +22,39 @@ from virtual_sensor.arrays import by_rows, to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
-from virtual_sensor.optics.motions import Motion, Starts, motions
+from virtual_sensor.optics.ray_families import Motion, RayStarts
 from virtual_sensor.optics.ray_search import REFERENCE, SearchScene, SearchStatus, ray_search
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
 Array = NDArray[np.float64]
+
+_BODIES = {"camera": ("camera",), "laser": ("laser",), "sensor": ("camera", "laser")}
+
+
+@dataclass(frozen=True)
+class PoseParameter:
+    """A motion of parts of the sensor, "camera", "laser" or both, as one rigid body."""
+
+    parts: tuple[str, ...]
+    motion: Motion
+
+
+def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, PoseParameter]:
+    """The pose parameters by name.
+
+    ``camera_x``, ``camera_y``, ``camera_z`` are shifts along the world's axes in mm, and
+    ``camera_turn_x`` ... turns in degrees about axes through the pivot, along the world's, as
+    Mitsuba's <rotate> counts them; likewise ``laser_...`` and, for both together, ``sensor_...``.
+    """
+    named, none, pivot = {}, np.zeros(3), np.array(pivot_mm, float)
+    for body, parts in _BODIES.items():
+        for axis, unit in zip("xyz", np.eye(3), strict=True):
+            shift, turn = Motion(unit, none, pivot), Motion(none, np.radians(unit), pivot)
+            named[f"{body}_{axis}"] = PoseParameter(parts, shift)
+            named[f"{body}_turn_{axis}"] = PoseParameter(parts, turn)
+    return named
 
 
 @dataclass(frozen=True)
@@ -87,8 +113,9 @@ def line_sensitivity(
     laser_y_mm : array_like of shape (N,)
         Positions b of the rays along the line; `laser_y_at` tells those that image columns see.
     parameters : iterable of str, optional
-        Of `motions`; ``beta``, the sensor's turn in degrees about the analytic cylinder's axis;
-        ``field_scale``, a factor at the field's difference from its surroundings, where it is 1.
+        Of `pose_parameters`; ``beta``, the sensor's turn in degrees about the analytic cylinder's
+        axis; ``field_scale``, a factor at the field's difference from its surroundings, where it
+        is 1.
         All of them if not given, but ``beta`` only where there is such a cylinder.
     variations : mapping from str to Field, optional
         Further parameters: the field's derivative by each, such as `FieldFamily.derivative`.
@@ -102,7 +129,7 @@ def line_sensitivity(
         If a parameter is unknown, or the air is asked to vary where there is none.
     """
     b = np.atleast_1d(np.asarray(laser_y_mm, float))
-    known = _known_motions(scene, pivot_mm)
+    known = _known_parameters(scene, pivot_mm)
     asked = [*known, "field_scale"] if parameters is None else list(parameters)
     air = dict(variations or {})
     unknown = [name for name in asked if name not in (*known, "field_scale", *air)]
@@ -125,17 +152,19 @@ def _sensitivity(
     scene: SearchScene,
     b: Array,
     asked: Iterable[str],
-    known: Mapping[str, Motion],
+    known: Mapping[str, PoseParameter],
     air: Mapping[str, Field],
     march: March,
 ) -> Sensitivity:
     """The derivatives asked for, of laser rays at b (N,)."""
     found = ray_search(scene, b, "newton", march=march)
     camera, laser = scene.sensor.camera, scene.sensor.laser
-    lit = _carry(scene, "laser", Starts.of_laser(laser, b), air, march)
-    seen = _carry(scene, "camera", Starts.of_pixels(camera, found.pixel), air, march)
+    lit = _carry(scene, "laser", laser.family.starts(0.0, b), air, march)
+    p, q = camera.of_pixels(np.nan_to_num(found.pixel))
+    seen = _carry(scene, "camera", camera.starts(p, q), air, march)
+    by_pq = camera.pixel_slopes(p, q)
     normal = _normals(scene, lit)
-    columns = np.stack([*seen.by_coordinate(), seen.tangent], axis=-1)  # of u, v and t
+    columns = np.stack([*seen.by_coordinate(), seen.tangent], axis=-1)  # of p, q and t
     inverse = np.full_like(columns, np.nan)
     good = (found.status == SearchStatus.FOUND) & seen.hit & lit.hit
     lost = (found.status == SearchStatus.FOUND) & ~good
@@ -146,9 +175,10 @@ def _sensitivity(
         with np.errstate(invalid="ignore", divide="ignore"):  # where nothing was met
             slip = np.sum(normal * of_light, axis=1) / np.sum(normal * lit.tangent, axis=1)
         of_point = of_light - lit.tangent * slip[:, None]
-        return (inverse @ (of_point - of_sight)[:, :, None])[:, :2, 0]
+        of_pq = (inverse @ (of_point - of_sight)[:, :, None])[:, :2]
+        return (by_pq @ of_pq)[:, :, 0]
 
-    (by_b,) = lit.by_coordinate()
+    _, by_b = lit.by_coordinate()
     return Sensitivity(
         b,
         found.laser_point_mm,
@@ -165,8 +195,8 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
     NaN where a column sees none, or several.
     """
     u = np.atleast_1d(np.asarray(columns, float))
-    half = scene.sensor.laser.length_mm / 2.0
-    b = np.linspace(-half, half, 65)
+    low, high = scene.sensor.laser.extent
+    b = np.linspace(low[1], high[1], 65)
     along = ray_search(scene, b, "newton", march=march).pixel[:, 0]
     b, along = b[np.isfinite(along)], along[np.isfinite(along)]
     rising = np.diff(along) * np.sign(along[-1:] - along[:1]) > 0.0
@@ -183,13 +213,13 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
     return y
 
 
-def _known_motions(scene: SearchScene, pivot_mm: ArrayLike) -> dict[str, Motion]:
+def _known_parameters(scene: SearchScene, pivot_mm: ArrayLike) -> dict[str, PoseParameter]:
     """All pose parameters that the scene has."""
-    known = motions(pivot_mm)
+    known = pose_parameters(pivot_mm)
     part = scene.surface
     if isinstance(part, Cylinder):
         axis = (0.0, part.axis_y_mm, part.axis_z_mm)
-        known["beta"] = motions(axis)["sensor_turn_x"]
+        known["beta"] = pose_parameters(axis)["sensor_turn_x"]
     return known
 
 
@@ -201,7 +231,7 @@ class _Carried:
     ----------
     part : str
         What sends them: "camera" or "laser".
-    rays : Starts
+    rays : RayStarts
     point, tangent : ndarray of shape (N, 3)
     by_start : ndarray of shape (N, 3, 6)
         By shifts of the start along x, y, z and by additions to the direction along x, y, z.
@@ -211,21 +241,21 @@ class _Carried:
     """
 
     part: str
-    rays: Starts
+    rays: RayStarts
     point: Array
     tangent: Array
     by_start: Array
     by_air: dict[str, Array]
     hit: NDArray[np.bool_]
 
-    def by(self, name: str, motions: Mapping[str, Motion]) -> Array:
-        """Derivatives (N, 3) of the points by a parameter: a motion, or one of the field."""
-        motion = motions.get(name)
-        if motion is None:
+    def by(self, name: str, known: Mapping[str, PoseParameter]) -> Array:
+        """Derivatives (N, 3) of the points by a parameter: of the pose, or one of the field."""
+        parameter = known.get(name)
+        if parameter is None:
             return self.by_air.get(name, np.zeros_like(self.point))
-        if self.part not in motion.parts:
+        if self.part not in parameter.parts:
             return np.zeros_like(self.point)
-        return self._follow(*motion.of(self.rays.start, self.rays.direction))
+        return self._follow(*self.rays.by_motion(parameter.motion))
 
     def by_coordinate(self) -> list[Array]:
         """Derivatives (N, 3) of the points by the coordinates that name the rays."""
@@ -238,11 +268,11 @@ class _Carried:
 
 
 def _carry(
-    scene: SearchScene, part: str, rays: Starts, air: Mapping[str, Field], march: March
+    scene: SearchScene, part: str, rays: RayStarts, air: Mapping[str, Field], march: March
 ) -> _Carried:
     """March rays to the surface with all derivatives; one kernel for laser and camera."""
-    line = Straight.through(to_vectors(rays.start), to_vectors(rays.direction), march)
-    none = dr.zeros(march.vector, len(rays.start))
+    line = Straight.through(to_vectors(rays.origin), to_vectors(rays.direction), march)
+    none = dr.zeros(march.vector, len(rays.origin))
     axes = [none + march.vector(*axis) for axis in np.eye(3).tolist()]
     ray = bend(
         scene.field,
@@ -268,20 +298,20 @@ def _carry(
     )
 
 
-def _at_the_border(field: Field, rays: Starts, by_start: Array) -> Array:
+def _at_the_border(field: Field, rays: RayStarts, by_start: Array) -> Array:
     """What `by_start` (N, 3, 6) lacks: rays that start elsewhere enter the field later or earlier.
 
     Where it has not quite faded at its border, they miss some of its pull, as if they were kicked
     there.  The march itself knows nothing of it: it carries derivatives through smooth fields.
     """
     steep = np.where(rays.direction == 0.0, 1e-30, rays.direction)
-    crossings = (field.box[:, None] - rays.start) / steep
+    crossings = (field.box[:, None] - rays.origin) / steep
     near, far = crossings.min(axis=0), crossings.max(axis=0)
     distance = near.max(axis=1, keepdims=True)
     enters = (distance > 0.0) & (distance < far.min(axis=1, keepdims=True))
     distance = np.where(enters, distance, 0.0)
     sooner = np.where(enters & (near == distance), 1.0 / steep, 0.0)  # by which shift of the start
-    entry = np.clip(rays.start + distance * rays.direction, *field.box)
+    entry = np.clip(rays.origin + distance * rays.direction, *field.box)
     delta, gradient = field.lookup("double").delta_and_gradient(to_vectors(entry))
     n = 1.0 + np.array(delta)[:, None] / (1.0 + field.ambient)
     pull = n * to_numpy(gradient) / (1.0 + field.ambient)

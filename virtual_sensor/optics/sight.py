@@ -1,6 +1,6 @@
 """Bent laser rays and lines of sight, from the sensor to the surface: what searches march."""
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,9 @@ from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend, in_plane
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
-from virtual_sensor.optics.sensor_model import Camera, SensorModel
 from virtual_sensor.optics.surfaces import NoSurface, Surface
 
 Array = NDArray[np.float64]
@@ -21,11 +21,33 @@ REFERENCE = March(step_mm=0.1, method="leapfrog", precision="double")
 methods of higher order with as many lookups, and one lookup a step keeps its kernels small."""
 
 
+class Source(Protocol):
+    """What optics knows of a source of light: its rays, and which of them are lit."""
+
+    @property
+    def family(self) -> RayFamily: ...  # noqa: D102
+    @property
+    def extent(self) -> tuple[Array, Array]:
+        """Lowest and highest coordinates with light, each of shape (2,)."""
+
+    def reaches(self, s: Any, t: Any) -> Any:
+        """Mask of the coordinates with light, of NumPy's arrays as of Dr.Jit's."""
+
+
+class Sensor(Protocol):
+    """A camera and a source; what is searched for are the source's rays s = 0."""
+
+    @property
+    def camera(self) -> Pinhole: ...  # noqa: D102
+    @property
+    def laser(self) -> Source: ...  # noqa: D102
+
+
 class SearchScene(Protocol):
     """What a search needs of a scene."""
 
     @property
-    def sensor(self) -> SensorModel: ...  # noqa: D102
+    def sensor(self) -> Sensor: ...  # noqa: D102
     @property
     def field(self) -> Field | None: ...  # noqa: D102
     @property
@@ -41,13 +63,13 @@ def check_scene_given(asker: str, scene: object) -> None:
 
 def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:
     """Trace laser rays at b (N,) to the surface, (N, 3) in mm; NaN where they miss."""
-    origins, directions = scene.sensor.laser.rays(0.0, b)
+    origins, directions = scene.sensor.laser.family.rays(0.0, b)
     return _to_surface(scene, origins, directions, march)
 
 
 def seen_points(scene: SearchScene, pixel: Array, march: March = REFERENCE) -> Array:
     """Trace lines of sight of pixels (N, 2) to the surface, (N, 3) in mm; NaN where they miss."""
-    seen = _to_surface(scene, *_sight(scene.sensor.camera, pixel), march)
+    seen = _to_surface(scene, *lines_of_sight(scene.sensor.camera, pixel), march)
     return np.where(np.isfinite(pixel).all(axis=1, keepdims=True), seen, np.nan)
 
 
@@ -71,7 +93,7 @@ def misses(scene: SearchScene, target: Array, pixel: Array, march: March = REFER
     normal = dr.opaque(march.vector(*map(float, axis)))  # one kernel for all poses
 
     def to_plane(target: Array, pixel: Array) -> Array:
-        line = _line(*_sight(camera, pixel), march)
+        line = _line(*lines_of_sight(camera, pixel), march)
         offset = march.scalar(to_scalars(np.nan_to_num(target) @ axis))
         ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
         ray = bend(scene.field, NoSurface(), line, march, remaining=ends)
@@ -82,10 +104,9 @@ def misses(scene: SearchScene, target: Array, pixel: Array, march: March = REFER
     return np.where(np.isfinite(pixel).all(axis=1, keepdims=True), miss, np.nan)
 
 
-def _sight(camera: Camera, pixel: Array) -> tuple[Array, Array]:
-    """Origins and directions of lines of sight, as they leave the projection centre."""
-    directions = camera.lines_of_sight(np.nan_to_num(pixel))
-    return np.broadcast_to(camera.pose.origin_mm, directions.shape), directions
+def lines_of_sight(camera: Pinhole, pixel: Array) -> tuple[Array, Array]:
+    """Origins and directions (N, 3) of lines of sight, as they leave the projection centre."""
+    return camera.rays(*camera.of_pixels(np.nan_to_num(pixel)))
 
 
 def _line(origins: Array, directions: Array, march: March) -> Straight:

@@ -124,7 +124,7 @@ def light(
     status = dr.select(shadowed, int(LightStatus.SHADOWED), int(LightStatus.LIT))
     status = dr.select(active, status, int(LightStatus.NO_POINT))
     lit = active & ~shadowed
-    spread = family.spread(s, t, depth) * dr.dot(frame.z, heading)
+    spread = dr.abs(family.spread(s, t, depth)) * dr.dot(frame.z, heading)
     illumination = Illumination(
         dr.select(lit, s + shift_s, dr.nan),
         dr.select(lit, t + shift_t, dr.nan),

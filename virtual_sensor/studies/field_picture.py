@@ -182,7 +182,7 @@ def _draw_ways(axes: Axes, info: FieldInfo, cut: Cut) -> None:
     sensor, line = info.scene.sensor, info.line
     chosen = np.unique(np.linspace(0, len(line.y_mm) - 1, _WAYS).astype(int))
     ends = line.points_mm[chosen]
-    laser_mm, _ = sensor.laser.rays(0.0, line.y_mm[chosen])
+    laser_mm, _ = sensor.laser.family.rays(0.0, line.y_mm[chosen])
     camera_mm = np.broadcast_to(sensor.camera.pose.origin_mm, ends.shape)
     for who, starts in (("laser", laser_mm), ("camera", camera_mm)):
         ways = np.stack([starts, ends])

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins.lit_pixels import Account
 
+from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
-from virtual_sensor.optics.sensor_model import LaserLine
 from virtual_sensor.studies.agreement import (
     FINE_PX,
     WRONG_PX,

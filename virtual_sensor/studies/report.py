@@ -96,7 +96,7 @@ def _air(axes: Axes, result: Measurement, across: bool) -> None:
         for number, end in enumerate(ends[[0, len(ends) // 2, -1]]):
             start = pose.origin_mm
             if name == "laser":
-                start, _ = (v[0] for v in state.scene.sensor.laser.rays(0.0, [end[1]]))
+                start, _ = (v[0] for v in state.scene.sensor.laser.family.rays(0.0, [end[1]]))
             way = np.stack([start, end])
             label = name if number == 0 else None
             axes.plot(way[:, axis], way[:, 2], color=colour, lw=0.9, label=label)

@@ -21,8 +21,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.optics.ray_families import Pinhole, Sheet
-from virtual_sensor.optics.ray_maps import NoMapError, displaced, in_coordinates
+from virtual_sensor.optics.ray_maps import NoMapError, displaced
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.rays import Field, March
 
@@ -278,15 +277,14 @@ def _step(
         If a ray does not get to the line.
     """
     point = found.laser_point_mm[np.isfinite(found.pixel[:, 0])]
-    camera, line, march = scene.sensor.camera, scene.sensor.laser, scene.transport.march
-    view = Pinhole(camera.matrix, camera.pose, camera.size)
-    sheet = Sheet(line.pose, line.distance_mm, line.fan_per_mm)
-    seen, lit = view.coordinates(point), sheet.coordinates(point)
+    camera, march = scene.sensor.camera, scene.transport.march
+    laser = scene.sensor.laser.family
+    seen, lit = camera.coordinates(point), laser.coordinates(point)
     pixel_mm = seen[:, 2] / camera.matrix[0, 0]
 
     def moved_px(march: March) -> Array:
-        camera_mm = displaced(field, view, march, seen)[:, :2]
-        laser_mm = in_coordinates(sheet, lit, displaced(field, sheet, march, lit)[:, :2])
+        camera_mm = displaced(field, camera, march, seen)[:, :2]
+        laser_mm = displaced(field, laser, march, lit)[:, :2]
         return np.hstack([camera_mm, laser_mm]) / pixel_mm[:, None]
 
     best = moved_px(March(STEPS_MM[-1] / 4.0, "leapfrog", "double"))

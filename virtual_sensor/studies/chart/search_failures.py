@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
-from virtual_sensor.optics.sensor_model import Pose
 from virtual_sensor.studies.chart.rung import Failure, Report
 from virtual_sensor.studies.chart.searches import HALF_LINE_MM, SCENE, UM_PER_PX
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import (
     Deviation,
@@ -26,7 +27,6 @@ from virtual_sensor.metrology.deviation import (
 )
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import REFERENCE, March, ray_search
-from virtual_sensor.optics.sensor_model import SensorModel
 
 Array = NDArray[np.float64]
 

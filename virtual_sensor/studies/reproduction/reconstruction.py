@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.cylinder_fit import (
@@ -23,8 +24,8 @@ from virtual_sensor.metrology.cylinder_fit import (
 )
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.optics.sensor_model import Pose, SensorModel
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.studies.reproduction.curves import Setting
 from virtual_sensor.studies.reproduction.settings import SCAN
@@ -221,8 +222,8 @@ def _moved(sensor: SensorModel, along_mm: float) -> SensorModel:
         return replace(pose, origin_mm=pose.origin_mm + np.array([along_mm, 0.0, 0.0]))
 
     return SensorModel(
-        replace(sensor.camera, pose=there(sensor.camera.pose)),
-        replace(sensor.laser, pose=there(sensor.laser.pose)),
+        sensor.camera.with_pose(there(sensor.camera.pose)),
+        sensor.laser.with_pose(there(sensor.laser.pose)),
     )
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from artificial import paper_sensor
 
-from virtual_sensor.optics.sensor_model import Pose
+from virtual_sensor.optics.ray_families import Pose
 
 
 def random_pose(seed):
@@ -93,7 +93,7 @@ def test_laser_rays_meet_the_reference_plane_where_their_name_says(fan_deg):
     """Ray (a, b) crosses the plane square to the axis at 300 mm in local x = a, y = b."""
     laser = paper_sensor(fan_deg=fan_deg).laser
     a, b = np.array([0.0, 0.1, -0.1, 0.0]), np.array([-10.0, 10.0, 3.0, 0.0])
-    start, direction = laser.rays(a, b)
+    start, direction = laser.family.rays(a, b)
     np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0)
     axis = laser.pose.rotation[:, 2]
     depth = (300.0 - laser.pose.to_local(start)[:, 2]) / (direction @ axis)
@@ -104,7 +104,7 @@ def test_laser_rays_meet_the_reference_plane_where_their_name_says(fan_deg):
 def test_fan_opens_by_its_angle():
     """The outermost rays of the line enclose the fan angle; telecentric ones are parallel."""
     for fan_deg in (0.0, 30.0):
-        _, direction = paper_sensor(fan_deg=fan_deg).laser.rays(0.0, [-10.0, 10.0])
+        _, direction = paper_sensor(fan_deg=fan_deg).laser.family.rays(0.0, [-10.0, 10.0])
         sine = np.linalg.norm(np.cross(*direction))
         assert np.degrees(np.arcsin(sine)) == pytest.approx(fan_deg)
 
@@ -113,7 +113,7 @@ def test_laser_plane_holds_the_middle_rays():
     """Hessian form: unit normal, and every ray with a = 0 satisfies normal . x = offset."""
     laser = paper_sensor(fan_deg=25.0).laser
     normal, offset = laser.plane
-    start, direction = laser.rays(np.zeros(7), np.linspace(-10.0, 10.0, 7))
+    start, direction = laser.family.rays(np.zeros(7), np.linspace(-10.0, 10.0, 7))
     assert np.linalg.norm(normal) == pytest.approx(1.0)
     np.testing.assert_allclose(start @ normal, offset, atol=1e-12)
     np.testing.assert_allclose(direction @ normal, 0.0, atol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 from scipy.constants import Stefan_Boltzmann, Wien
 from scipy.integrate import quad
 
-from virtual_sensor.optics.planck import band_radiance, spectral_radiance
+from virtual_sensor.devices.planck import band_radiance, spectral_radiance
 
 
 @pytest.mark.parametrize("celsius", [20.0, 900.0, 1250.0, 5500.0])

@@ -1,0 +1,25 @@
+"""The triangulation sensor: a camera beside a laser line."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.optics.ray_families import Pinhole
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorModel:
+    """A camera and a laser line generator in one world: all that triangulation needs."""
+
+    camera: Pinhole
+    laser: LaserLine
+
+    @property
+    def triangulation_angle_deg(self) -> float:
+        """Angle between the camera's axis and the laser's: the paper's alpha."""
+        cosine = self.camera.pose.rotation[:, 2] @ self.laser.pose.rotation[:, 2]
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
