@@ -8,7 +8,7 @@ from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.studies.chart import detectors, line_failures
-from virtual_sensor.studies.chart.line_failures import examples, troubles, wrong
+from virtual_sensor.studies.chart.line_failures import examples, troubles
 
 TROUBLES = {trouble.what: trouble for trouble in troubles()}
 TOLD = {
@@ -37,6 +37,12 @@ TOLD = {
 }
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood", "log_parabola")
 UNRESOLVED = 1.5  # sigma apart, up to which two lines are one: see the last test
+
+
+def wrong(line, truth):
+    """Columns called OK whose centre is neither near the truth nor within its stated error."""
+    error = np.abs(line.row - truth)
+    return (error > 0.05) & (error > 3.0 * line.sigma)
 
 
 def statuses(line):

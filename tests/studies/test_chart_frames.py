@@ -12,17 +12,13 @@ from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.triangulation import error_um
+from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.chart import frame_failures, frames, scaling
-from virtual_sensor.studies.chart.frames import Truth, beside, with_lamp
+from virtual_sensor.studies.chart.frames import with_lamp
 from virtual_sensor.studies.chart.machine import cuda_found
 from virtual_sensor.studies.chart.rung import Rung
-
-
-class SensorOnly:
-    """A scene of which only the sensor is asked for."""
-
-    sensor = paper_sensor()
 
 
 def line(row, lost=()):
@@ -39,15 +35,18 @@ def test_a_known_error_comes_out_in_px_and_um():
     column = np.arange(600, 1400, 50)
     row = np.full(2048, 1023.5)
     offset = np.where(np.arange(2048) % 100 == 0, 0.3, -0.3)
-    truth = Truth(SensorOnly, column, row[column], "say")
-    apart = beside(truth, line(row + offset, lost=[600, 650, 601]))
+    truth = TrueLine.of_rows(np.where(np.isin(np.arange(2048), column), row, np.nan))
+    apart = compare_line(line(row + offset, lost=[600, 650, 601]), truth)
     assert apart.rms_px == pytest.approx(0.3)
     assert apart.largest_px == pytest.approx(0.3)
-    assert apart.lost == 2
-    assert apart.rms_um == pytest.approx(0.3 * 22.0 / np.sin(np.radians(60.0)), rel=5e-3)
-    nothing = beside(truth, line(row, lost=column))
-    assert np.isnan([nothing.rms_px, nothing.largest_px, nothing.rms_um]).all()
-    assert nothing.lost == column.size
+    assert apart.lost.tolist() == [Status.LINE_END] * 2
+    assert rms(error_um(paper_sensor(), apart)) == pytest.approx(
+        0.3 * 22.0 / np.sin(np.radians(60.0)), rel=5e-3
+    )
+    nothing = compare_line(line(row, lost=column), truth)
+    um = rms(error_um(paper_sensor(), nothing))
+    assert np.isnan([nothing.rms_px, nothing.largest_px, um]).all()
+    assert nothing.lost.size == column.size
 
 
 def test_windows_reach_over_both_ends_of_the_line():

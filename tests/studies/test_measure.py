@@ -51,9 +51,9 @@ def test_the_rendered_line_lies_on_the_searched_one(result, state):
 
     On the small film a pixel is four times as large, and so is what this allows in um.
     """
-    agreement = result.states[state].agreement
-    assert agreement.rms_px <= 0.003
-    assert agreement.largest_px <= 0.01
+    compared = result.states[state].by_search
+    assert compared.rms_px <= 0.003
+    assert compared.largest_px <= 0.01
 
 
 @pytest.mark.parametrize("state", ["cold", "hot"])
@@ -63,9 +63,9 @@ def test_every_column_of_the_searched_line_is_compared(result, state):
     assert (measured.dense.status == SearchStatus.FOUND).all()
     u = np.sort(measured.dense.pixel[:, 0])
     wholly = np.arange(np.ceil(u[0] + 0.5), np.floor(u[-1] - 0.5) + 1.0)
-    assert np.isin(wholly, measured.agreement.column).all()
-    assert measured.agreement.expected == wholly.size
-    assert measured.agreement.cut == 0
+    assert np.isin(wholly, measured.by_search.column).all()
+    assert measured.by_search.expected == wholly.size
+    assert measured.by_search.cut == 0
 
 
 @pytest.mark.parametrize("state", ["cold", "hot"])

@@ -12,6 +12,7 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.studies.trial.images import (
     Condition,
@@ -20,7 +21,6 @@ from virtual_sensor.studies.trial.images import (
     frame_line,
     line_shares,
     shifted,
-    true_rows,
 )
 from virtual_sensor.studies.trial.scores import PHASES, phase_bias, score
 from virtual_sensor.studies.trial.trial import trial
@@ -82,7 +82,7 @@ def off_by_a_quarter(image):
 def test_what_a_users_detector_does_is_counted():
     """Bias, outliers and failures of one whose faults are known."""
     flat = drawn_line(CLEAN, 1000, (0, 2))
-    still = type(flat)(flat.grey, np.full(1000, 32.0), flat.bound, {})
+    still = type(flat)(flat.grey, TrueLine.of_rows(np.full(1000, 32.0)), flat.bound, {})
     told = score(f"{__name__}:off_by_a_quarter", CLEAN, still)
     assert told.bias_px == pytest.approx(0.25)
     assert told.std_px == pytest.approx(0.0, abs=1e-12)
@@ -105,10 +105,14 @@ def hot():
     return scene, render_frame(scene)
 
 
+def truth_of(scene, frame):
+    return TrueLine.of_coordinates(frame.laser_mm[:, :, 0], scene.sensor.laser.radius_mm)
+
+
 def test_the_truth_of_a_frame_is_the_ray_searchs(hot):
     """From the ground truth of its pixels, against rays searched one by one: 1e-3 px."""
     scene, frame = hot
-    truth = true_rows(frame)
+    truth = truth_of(scene, frame).centres(3.5).row
     found = ray_search(scene, np.linspace(-10.0, 10.0, 201), "newton")
     u, v = found.pixel[found.status == SearchStatus.FOUND].T
     order = np.argsort(u)
@@ -125,7 +129,7 @@ def test_a_recorded_frame_is_found_to_its_bound(hot):
     """The bound of a rendered column, by the spectrum of its own profile."""
     _, frame = hot
     condition = Condition("hot frame", 1.6, 1000.0, 2.0)
-    image = frame_line(condition, frame, true_rows(frame), (0, 0))
+    image = frame_line(condition, frame, truth_of(*hot), (0, 0))
     told = score("max_likelihood", condition, image)
     assert told.rms_px / told.bound_px == pytest.approx(1.0, abs=0.15)
 

@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import points_of, unmasked
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.truth import LineErrors
 from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
@@ -96,3 +98,10 @@ def triangulate(sensor: Sensor, pixel: ArrayLike) -> Array:
     distance_mm = (offset - normal @ centre) / np.where(meets, approach, np.nan)
     distance_mm = np.where(distance_mm > 0.0, distance_mm, np.nan)
     return centre + distance_mm[..., None] * direction
+
+
+def error_um(sensor: Sensor, errors: LineErrors) -> Array:
+    """Distance (N,) in um of the points measured from a line's centres to those from the truth."""
+    rows = errors.row, errors.true_row
+    found, true = (triangulate(sensor, np.stack([errors.column, row], axis=1)) for row in rows)
+    return UM_PER_MM * euclidean(found - true)

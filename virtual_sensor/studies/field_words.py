@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from virtual_sensor.imaging.checks import JUMP_REFUSED_PX, JUMP_TOLD_PX
-from virtual_sensor.studies.agreement import FINE_PX
+from virtual_sensor.metrology.truth import FINE_PX
 from virtual_sensor.studies.field_grid import Convergence, Loss
 from virtual_sensor.studies.field_info import FieldInfo
 

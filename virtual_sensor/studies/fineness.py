@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene, load_scene
@@ -24,8 +23,9 @@ from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.saved import series
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.imports.meshes import pyvista
-from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
-from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.triangulation import error_um
+from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.probes import DENSE_RAYS, probe_rays
 from virtual_sensor.studies.simulate import as_field
@@ -127,16 +127,13 @@ class Seen:
 
     Attributes
     ----------
-    line : CubicSpline
-        Row v of the line by column u, px.
-    columns : tuple of float
-        First and last column of it.
+    line : TrueLine
+        By the search along it.
     rays_px : ndarray of shape (9, 2)
         Pixels of the probe rays.
     """
 
-    line: CubicSpline
-    columns: tuple[float, float]
+    line: TrueLine
     rays_px: Array
 
 
@@ -232,21 +229,18 @@ def look(scene: Scene) -> Seen:
         If the camera does not see the whole line, once in each column.
     """
     y = np.linspace(-0.5, 0.5, DENSE_RAYS) * scene.sensor.laser.length_mm
-    u, v = ray_search(scene, y, "newton").pixel.T
-    if not (np.isfinite(u).all() and (np.diff(u) > 0.0).all()):
+    pixel = ray_search(scene, y, "newton").pixel
+    known, width = np.isfinite(pixel[:, 0]), scene.sensor.camera.size[0]
+    if not (known.all() and (np.diff(pixel[:, 0]) > 0.0).all()):
         raise InputError(f"{scene.path}: the air hides or folds the line; nothing to compare")
     rays = ray_search(scene, probe_rays(scene), "newton").pixel
-    return Seen(CubicSpline(u, v), (float(u[0]), float(u[-1])), rays)
+    return Seen(TrueLine.of_search(pixel, known, width, np.inf), rays)
 
 
 def compare(scene: Scene, seen: Seen, reference: Seen) -> tuple[Array, Array]:
     """Change of the line's rows, px, and of the points measured from them, um; shape (columns,)."""
-    first = np.ceil(max(seen.columns[0], reference.columns[0]))
-    last = np.floor(min(seen.columns[1], reference.columns[1]))
-    u = np.arange(first, last + 1.0)
-    rows = seen.line(u), reference.line(u)
-    points = [triangulate(scene.sensor, np.stack([u, v], axis=1)) for v in rows]
-    return rows[0] - rows[1], UM_PER_MM * euclidean(points[0] - points[1])
+    moved = compare_line(seen.line.centres(), reference.line)
+    return moved.error_px, error_um(scene.sensor, moved)
 
 
 def solver_seconds(case: Path, time_s: float) -> float:

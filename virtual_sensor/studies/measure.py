@@ -23,15 +23,14 @@ from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean,
 from virtual_sensor.metrology.dot_peaks import dot_centres
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
-from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.agreement import (
-    Agreement,
-    DotAgreement,
-    Sound,
-    compare,
-    match_dots,
-    sound,
+from virtual_sensor.metrology.truth import (
+    DotErrors,
+    LineErrors,
+    TrueLine,
+    compare_dots,
+    compare_line,
 )
+from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.studies.notes import (
     TRUTH,
     WRONG,
@@ -61,9 +60,9 @@ class State:
         The probe rays, by the paper's search and by Newton's.
     dense : FoundPixels
         Rays along the whole line, or one at each dot, by Newton's search.
-    sound : Sound
-        The line centres beside the frame's own truth.
-    compared : Agreement or DotAgreement
+    by_frame : LineErrors
+        The line centres beside the frame's own truth, those that an edge cuts among them.
+    compared : LineErrors or DotErrors
         Rendered line minus dense search; or of a laser that makes dots, their centroids minus it.
     seconds : dict
         Of rendering and of searching.
@@ -75,19 +74,19 @@ class State:
     paper: FoundPixels
     newton: FoundPixels
     dense: FoundPixels
-    sound: Sound
-    compared: Agreement | DotAgreement
+    by_frame: LineErrors
+    compared: LineErrors | DotErrors
     seconds: dict[str, float]
 
     @property
-    def dots(self) -> DotAgreement | None:
+    def dots(self) -> DotErrors | None:
         """The dots beside the search; None of a line."""
-        return self.compared if isinstance(self.compared, DotAgreement) else None
+        return self.compared if isinstance(self.compared, DotErrors) else None
 
     @property
-    def agreement(self) -> Agreement | None:
+    def by_search(self) -> LineErrors | None:
         """The line beside the search; None of dots."""
-        return self.compared if isinstance(self.compared, Agreement) else None
+        return self.compared if isinstance(self.compared, LineErrors) else None
 
     @property
     def centres_px(self) -> Array:
@@ -177,7 +176,7 @@ def measure(
     states = {"cold": cold} | ({"hot": hot} if hot else {})
     for name, state in states.items():
         words = [] if state.dots else upright_line(state.dense)
-        words += frame_notes(state.frame.account, state.line, state.compared, state.sound)
+        words += frame_notes(state.frame.account, state.line, state.compared, state.by_frame)
         notes += [f"{name}: {each}" for each in words]
     seconds = time.perf_counter() - started
     return Measurement(cold, hot, probe_y, dense_y, tuple(notes), seconds)
@@ -199,13 +198,20 @@ def _measure_state(scene: Scene, probe_y: Array, dense_y: Array, report: Report)
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
     laser, across_mm = scene.sensor.laser, frame.laser_mm[:, :, 0]
-    compared: Agreement | DotAgreement
+    by_frame = compare_line(line, TrueLine.of_coordinates(across_mm, laser.radius_mm), cut=True)
+    compared: LineErrors | DotErrors
     if laser.dots_mm.size:
-        compared = match_dots(dot_centres(frame.radiance), dense)
+        compared = compare_dots(dot_centres(frame.radiance), dense.pixel)
     else:
-        compared = compare(line, dense, across_mm, laser.radius_mm)
-    truth = sound(line, across_mm, laser.radius_mm)
-    return State(scene, frame, line, paper, newton, dense, truth, compared, seconds)
+        searched = searched_line(scene, dense).seen_in(across_mm, laser.radius_mm)
+        compared = compare_line(line, searched)
+    return State(scene, frame, line, paper, newton, dense, by_frame, compared, seconds)
+
+
+def searched_line(scene: Scene, found: FoundPixels) -> TrueLine:
+    """The line where a search along it found it."""
+    width = scene.sensor.camera.size[0]
+    return TrueLine.of_search(found.pixel, found.status == SearchStatus.FOUND, width)
 
 
 def probe_deviations(result: Measurement, step_px: float | None = None) -> Deviation:
@@ -283,33 +289,33 @@ def _field_summary(field: IndexField) -> dict[str, Any]:
 
 
 def _state_summary(state: State) -> dict[str, Any]:
-    agreement, dots = state.agreement, state.dots
+    searched, dots = state.by_search, state.dots
     return {
         "line": counts_of(state.line.status, Status),
         "search": counts_of(state.dense.status, SearchStatus),
         "rendered line minus search, px": {
-            "rms": agreement.rms_px,
-            "largest": agreement.largest_px,
-            "columns compared": agreement.column.size,
-            "columns on the searched line": agreement.expected,
-            "columns where an edge cuts the line": agreement.cut,
+            "rms": searched.rms_px,
+            "largest": searched.largest_px,
+            "columns compared": searched.count,
+            "columns on the searched line": searched.expected,
+            "columns where an edge cuts the line": searched.cut,
             "centres": state.centres,
-            "centres cut by an edge": agreement.cut_centres,
-            "centres off the searched line": agreement.stray_centres,
+            "centres cut by an edge": searched.cut_centres,
+            "centres off the searched line": searched.stray_centres,
         }
-        if agreement
+        if searched
         else None,
         TRUTH: {
-            "ok, truth known": state.sound.known,
-            WRONG: state.sound.wrong,
-            "largest, px": state.sound.largest_px,
+            "ok, truth known": state.by_frame.count,
+            WRONG: int(state.by_frame.wrong().sum()),
+            "largest, px": state.by_frame.largest_px,
         },
         "rendered dots minus search, px": {
             "rms": dots.rms_px,
             "found": state.centres,
-            "of": len(dots.searched),
-            "largest in u": _largest(dots.difference_px[:, :1]),
-            "largest in v": _largest(dots.difference_px[:, 1:]),
+            "of": len(dots.pixel),
+            "largest in u": _largest(dots.error_px[:, :1]),
+            "largest in v": _largest(dots.error_px[:, 1:]),
         }
         if dots
         else None,

@@ -10,22 +10,21 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status
-from virtual_sensor.optics.ray_search import FoundPixels, ray_search
-from virtual_sensor.studies.agreement import (
+from virtual_sensor.metrology.truth import (
     FINE_PX,
     WRONG_PX,
     WRONG_SIGMAS,
-    Agreement,
-    DotAgreement,
-    Sound,
+    DotErrors,
+    LineErrors,
 )
+from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.studies.field_grid import pixel_loss
 from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
 
 WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
-"""What makes a centre that is ok a wrong one (see `agreement.Sound`)."""
+"""What makes a centre that is ok a wrong one (see `truth.LineErrors.wrong`)."""
 TRUTH = "line centres beside the frame's truth"
 """Under this a summary counts them."""
 
@@ -82,7 +81,7 @@ def upright_line(found: FoundPixels) -> list[str]:
 
 
 def frame_notes(
-    account: Account, line: LineCentres, compared: Agreement | DotAgreement, sound: Sound
+    account: Account, line: LineCentres, compared: LineErrors | DotErrors, by_frame: LineErrors
 ) -> list[str]:
     """Notes of a frame and its centres: what was made otherwise, or is in no figure."""
     notes = []
@@ -96,8 +95,8 @@ def frame_notes(
             f"steps of the march are too long: half as long, they move the light by up to"
             f" {account.march_px:.2g} px; give shorter ones (step)"
         )
-    if isinstance(compared, DotAgreement):
-        dots = len(compared.searched)
+    if isinstance(compared, DotErrors):
+        dots = len(compared.pixel)
         return notes + [f"{compared.count} of {dots} dots were found"] * (compared.count < dots)
     counts = counts_of(line.status, Status)
     centres = counts["ok"]
@@ -120,10 +119,10 @@ def frame_notes(
         notes.append(
             f"{compared.count} of {centres} centres were compared with the search; {reasons}"
         )
-    if sound.wrong:
+    if wrong := int(by_frame.wrong().sum()):
         notes.append(
-            f"{sound.wrong} of {sound.known} centres that are ok and whose truth is known are"
-            f" {WRONG}, at most by {sound.largest_px:.2g} px"
+            f"{wrong} of {by_frame.count} centres that are ok and whose truth is known are"
+            f" {WRONG}, at most by {by_frame.largest_px:.2g} px"
         )
     return notes
 

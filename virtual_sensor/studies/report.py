@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from virtual_sensor.files import written_whole
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.optics.ray_search import incidence_points
-from virtual_sensor.studies.agreement import DotAgreement
 from virtual_sensor.studies.measure import (
     Measurement,
     probe_deviations,
@@ -157,12 +157,12 @@ def _residual(axes: Axes, result: Measurement) -> None:
         label = f"{name}: nothing to compare"
         if np.isfinite(compared.rms_px):
             label = f"{name}: rms {compared.rms_px:.4f} px, at most {compared.largest_px:.4f} px"
-        if isinstance(compared, DotAgreement):
-            u, dv = compared.searched[:, 0], compared.difference_px[:, 1]
+        if isinstance(compared, DotErrors):
+            u, dv = compared.true_pixel[:, 0], compared.error_px[:, 1]
             axes.plot(u, dv, "o", ms=3, color=_COLOURS[name], label=label)
         else:
             label += f", in {compared.column.size} of {state.centres} columns"
-            u, dv = compared.column, compared.difference_px
+            u, dv = compared.column, compared.error_px
             gaps = np.flatnonzero(np.diff(u) > 1.5) + 1
             u, dv = np.insert(u, gaps, np.nan), np.insert(dv, gaps, np.nan)
             axes.plot(u, dv, color=_COLOURS[name], lw=0.8, label=label)

@@ -64,7 +64,7 @@ def save(
                         "b_mm": state.scene.sensor.laser.dots_mm,
                         **vectors("pixel", seen.pixel, "uv"),
                         "flux": seen.flux,
-                        **vectors("searched_pixel", seen.searched, "uv"),
+                        **vectors("searched_pixel", seen.true_pixel, "uv"),
                         **vectors("point_mm", state.points_mm, "xyz"),
                         "status": np.where(seen.found, "ok", "not_found"),
                         "status_search": status_names(state.dense.status, SearchStatus),

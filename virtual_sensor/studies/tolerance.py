@@ -13,14 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 from virtual_sensor_plugins.lit_pixels import LitPixels, rows
 
 from virtual_sensor.arrays import at_least
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.ray_maps import NoMapError, displaced
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.rays import Field, March
@@ -38,6 +39,7 @@ _RAYS = 33  # along the line
 _GROUPS = 16  # of columns, the line's ends among them
 _BESIDE = 2  # columns each side: one with none beside it is taken for the line's end
 _SHARE = {"march": 0.2, "tables": 0.3}  # of the tolerance, at most
+_WHOLE_PX = 1.0  # from the searched line's ends: its flanks end as much as half a pixel sooner
 _LOST = 0.1  # of the columns: a rung that finds fewer centres does not do
 
 
@@ -119,7 +121,7 @@ def choose(scene: Scene, tolerance_px: float) -> Rung:
         why = ["no field: light runs straight"]
         rung = _straight(scene, tolerance_px, column, {}, why)
     else:
-        moved = _apart(hot, cold)
+        moved = _moved(hot, cold, scene.sensor.camera.size[0])
         why.append(f"refraction moves the line by up to {moved:.2g} px")
         if moved < tolerance_px:
             left_out = {"refraction left out": moved}
@@ -211,14 +213,12 @@ def lit_pixels(scene: Scene) -> LitPixels:
 
 
 def whole_columns(found: FoundPixels) -> Index:
-    """Columns that lie wholly on a searched line: only these can have its centre.
-
-    The line's middle ends where the search does; its flanks as much as half a pixel sooner.
-    """
+    """Columns that lie wholly on a searched line: only these can have its centre."""
     u = found.pixel[np.isfinite(found.pixel[:, 0]), 0]
     if not u.size:
         return np.zeros(0, np.intp)
-    return np.arange(np.ceil(u.min() + 1.0), np.floor(u.max() - 1.0) + 1.0).astype(np.intp)
+    first, last = np.ceil(u.min() + _WHOLE_PX), np.floor(u.max() - _WHOLE_PX)
+    return np.arange(first, last + 1.0).astype(np.intp)
 
 
 def groups(column: Index, middle: Array) -> Index:
@@ -237,33 +237,28 @@ def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
     return replace(lit, index=lit.index[keep], sight=rows(lit.sight, keep))
 
 
-def line_rows(scene: Scene, lit: LitPixels, spp: int) -> Array:
-    """Row of the line's centre in each column of a frame of lit pixels; NaN where there is none."""
+def line_of(scene: Scene, lit: LitPixels, spp: int) -> LineCentres:
+    """The line's centres in a frame of lit pixels."""
     sensor = scene.mitsuba.sensors()[0]
     image = np.array(scene.integrator.render(scene.mitsuba, sensor, spp=spp, lit=lit))
-    return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0]).row
+    return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0])
 
 
-def largest_apart(rows_px: Array, true_px: Array) -> float:
-    """Largest difference of two lines of centres, px; infinite if too many columns are lost."""
-    known = np.isfinite(true_px)
-    both = known & np.isfinite(rows_px)
-    if both.sum() < (1.0 - _LOST) * known.sum():
-        return float("inf")
-    return float(np.abs(rows_px - true_px)[both].max(initial=0.0))
+def largest_error(line: LineCentres, truth: TrueLine) -> float:
+    """Largest error of the centres, px; infinite if too many columns are lost."""
+    errors = compare_line(line, truth)
+    kept = errors.count and errors.count >= (1.0 - _LOST) * errors.expected
+    return errors.largest_px if kept else float("inf")
 
 
-def _apart(one: FoundPixels, other: FoundPixels) -> float:
-    """Largest distance in v of two searched lines, at the same u; too large where they break."""
+def _moved(one: FoundPixels, other: FoundPixels, width: int) -> float:
+    """Largest distance in v of two searched lines, at the same u; infinite where they fold."""
     lines = []
     for found in (one, other):
-        u, v = found.pixel[np.isfinite(found.pixel[:, 0])].T
-        if u.size < 4 or np.unique(u).size < u.size:
-            return float("inf")
-        order = np.argsort(u)
-        lines.append(CubicSpline(u[order], v[order]))
-    u = np.intersect1d(whole_columns(one), whole_columns(other))
-    return float(np.abs(lines[0](u) - lines[1](u)).max()) if u.size else float("inf")
+        pixel = found.pixel[np.isfinite(found.pixel[:, 0])]
+        lines.append(TrueLine.of_search(pixel, np.ones(len(pixel), bool), width, np.inf))
+    errors = compare_line(lines[0].centres(_WHOLE_PX), lines[1], end_px=_WHOLE_PX)
+    return errors.largest_px if errors.count else float("inf")
 
 
 def _step(
@@ -301,14 +296,14 @@ def _samples(
 ) -> tuple[int, float, str]:
     """The fewest samples a pixel whose centres keep a tolerance, their error in px, and words."""
     some = in_columns(lit, scene.sensor.camera.size[0], column)
-    best = line_rows(scene, some, _MANY_SAMPLES)
-    if not np.isfinite(best).any():
+    best = TrueLine.of_rows(line_of(scene, some, _MANY_SAMPLES).row)
+    if not best.columns().size:
         raise InputError(
             "no column has a line centre with which a tolerance could be judged; give a wider line"
             " (line_radius) or a finer film (width, height)"
         )
     for spp in SAMPLES:
-        error = largest_apart(line_rows(scene, some, spp), best)
+        error = largest_error(line_of(scene, some, spp), best)
         if error <= tolerance_px:
             break
     return spp, error, f"{spp} samples a pixel err by {error:.2g} px"

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
+from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed
+from virtual_sensor.studies.measure import searched_line
 from virtual_sensor.studies.trial.images import line_shares
 
 Array = NDArray[np.float64]
@@ -37,8 +38,7 @@ class Task:
     Attributes
     ----------
     image : ndarray of shape (H, W)
-    truth : ndarray of shape (W,)
-        v of the line's centre, px; NaN in columns without one.
+    truth : TrueLine
     settings : dict
     reference : str
     um_per_px : float
@@ -46,7 +46,7 @@ class Task:
     """
 
     image: NDArray[np.float32]
-    truth: Array
+    truth: TrueLine
     settings: dict[str, Any]
     reference: str
     um_per_px: float
@@ -88,7 +88,7 @@ def _gaussians(quick: bool) -> Iterator[Task]:
             image += rng.normal(0.0, noise, image.shape)
             yield Task(
                 image.astype(np.float32),
-                centre,
+                TrueLine.of_rows(centre),
                 {"sigma_px": sigma, "noise": noise},
                 f"drawn lines of sigma {sigma:g} px, noise {noise:.1%} of their height",
                 np.nan,
@@ -101,14 +101,9 @@ def _frame(quick: bool) -> Task:
     scene = load_scene(SCENE, width=film, height=film)
     half = 0.5 * scene.sensor.laser.length_mm
     found = ray_search(scene, np.linspace(-half, half, 401), "newton")
-    u, v = found.pixel[found.status == SearchStatus.FOUND].T
-    order = np.argsort(u)
-    column = np.arange(film)
-    inner = (column > u.min() + _ENDS_PX) & (column < u.max() - _ENDS_PX)
-    truth = np.where(inner, CubicSpline(u[order], v[order])(column), np.nan)
     return Task(
         np.asarray(render(scene), np.float32),
-        truth,
+        searched_line(scene, found),
         {"scene": SCENE, "film": film},
         f"Newton's search, in a rendered frame of {film} px",
         _FIELD_OF_VIEW_UM / film,
@@ -119,26 +114,19 @@ def _measured(task: Task, method: str, runs: int) -> Rung:
     """Time a detector, and judge it in the columns that have a line."""
     line = line_centres(task.image, method)
     seconds = timed(lambda: line_centres(task.image, method), runs)
-    there = np.isfinite(task.truth)
-    error = np.abs(line.row - task.truth)[there]
-    known = error[np.isfinite(error)]
-    rms = float(np.sqrt(np.mean(known**2))) if known.size else np.nan
-    status = line.status[there]
-    lost = {Status(s).name: int(np.sum(status == s)) for s in np.unique(status) if s != Status.OK}
-    stated = line.sigma[there]
-    stated = stated[np.isfinite(stated)]
-    told = np.sqrt(np.mean(stated**2)) if stated.size else np.nan
+    errors = compare_line(line, task.truth, end_px=_ENDS_PX)
+    lost = [f"{Status(s).name} {np.sum(errors.lost == s)}" for s in np.unique(errors.lost)]
     return Rung(
         panel="lines",
         name=method,
         settings=task.settings,
-        error_px=rms,
-        largest_px=float(known.max()) if known.size else np.nan,
-        error_um=rms * task.um_per_px,
+        error_px=errors.rms_px,
+        largest_px=errors.largest_px,
+        error_um=errors.rms_px * task.um_per_px,
         seconds=seconds / task.image.shape[1],
         item="column",
-        items=int(there.sum()),
-        failed=int(np.sum(status != Status.OK)),
+        items=errors.expected,
+        failed=errors.lost.size,
         reference=task.reference,
-        note="; ".join([f"states {told:.2g} px"] + [f"{name} {n}" for name, n in lost.items()]),
+        note="; ".join([f"states {rms(errors.sigma):.2g} px", *lost]),
     )

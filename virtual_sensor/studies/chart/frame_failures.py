@@ -14,13 +14,13 @@ from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.truth import compare_line
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.chart.frames import (
     QUICK_FILM_PX,
     SCENE,
-    Truth,
-    beside,
+    Reference,
     frame_anew,
     reference,
 )
@@ -234,7 +234,7 @@ def _too_rough(quick: bool) -> list[Failure]:
 
 
 def _first_above(
-    truth: Truth,
+    truth: Reference,
     what: str,
     method: str,
     settings: dict[str, Any],
@@ -247,11 +247,10 @@ def _first_above(
     first, told, lost = "", "", 0
     for value in values:
         scene = load_scene(SCENE, **_FILM, **settings, **{name: value})
-        line = line_centres(frame_anew(scene))
-        apart = beside(truth, line)
-        lost, told = apart.lost, _told_lost(line.status[truth.column])
-        errors[value] = "no line" if np.isnan(apart.largest_px) else f"{apart.largest_px:.2g} px"
-        if not apart.largest_px <= TOO_MUCH_PX:
+        found = compare_line(line_centres(frame_anew(scene)), truth.line)
+        lost, told = found.lost.size, _told_lost(found.lost)
+        errors[value] = f"{found.largest_px:.2g} px" if found.count else "no line"
+        if not found.largest_px <= TOO_MUCH_PX:
             first = f"{value:g} {unit}"
             break
     return Failure(
@@ -261,7 +260,7 @@ def _first_above(
         tried=f"{', '.join(f'{v:g}' for v in values)} {unit}; film of {QUICK_FILM_PX} px",
         status=told or f"none can tell: the largest error passes {TOO_MUCH_PX:g} px of the film",
         failed=lost,
-        of=int(truth.column.size),
+        of=truth.line.columns().size,
         note=", ".join(f"{error} at {value:g}" for value, error in errors.items()),
     )
 

@@ -16,10 +16,10 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
-from virtual_sensor.metrology.centres import LineCentres, Status
-from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.metrology.triangulation import error_um
+from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed
 
@@ -43,37 +43,24 @@ _LAMP = (  # so faint that it moves no line, and costs what any lamp does
 
 
 @dataclass(frozen=True)
-class Truth:
-    """The line's centres by the reference, in some columns.
+class Reference:
+    """The line's centres as they should be, in some columns.
 
     Attributes
     ----------
     scene : Scene
         That they were rendered from.
-    column : ndarray of shape (N,)
-    row : ndarray of shape (N,)
-        Finite.
+    line : TrueLine
     words : str
         How they were made.
     """
 
     scene: Scene
-    column: NDArray[np.intp]
-    row: Array
+    line: TrueLine
     words: str
 
 
-@dataclass(frozen=True)
-class Apart:
-    """A frame's line beside the reference: rms and largest in px, rms in um, columns lost."""
-
-    rms_px: float
-    largest_px: float
-    rms_um: float
-    lost: int
-
-
-def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any) -> Truth:
+def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any) -> Reference:
     """Render the line in float64 by marched rays, in windows at its ends and between.
 
     The whole line would take minutes, and shows no more than these windows do.
@@ -102,9 +89,9 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
         keep[sound] = True
     line = line_centres(image)
-    column = np.flatnonzero(keep & (line.status == Status.OK))
+    row = np.where(keep & (line.status == Status.OK), line.row, np.nan)
     words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples a pixel"
-    return Truth(scene, column, line.row[column], words)
+    return Reference(scene, TrueLine.of_rows(row), words)
 
 
 def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
@@ -114,20 +101,6 @@ def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
     for middle in np.linspace(first, last, inner + 2)[1:-1].astype(int):
         yield int(middle) - _INNER_PX // 2, int(middle) + _INNER_PX // 2
     yield last + beyond - _END_PX, last + beyond
-
-
-def beside(truth: Truth, line: LineCentres) -> Apart:
-    """Compare a frame's line with the reference, in the columns where both have a centre."""
-    found = line.status[truth.column] == Status.OK
-    lost = int(np.sum(~found))
-    if not found.any():
-        return Apart(np.nan, np.nan, np.nan, lost)
-    u = truth.column[found].astype(float)
-    row, true = line.row[truth.column][found], truth.row[found]
-    points, exact = (triangulate(truth.scene.sensor, np.stack([u, v], axis=1)) for v in (row, true))
-    apart_um = UM_PER_MM * np.linalg.norm(points - exact, axis=1)
-    rms = (float(np.sqrt(np.mean(d**2))) for d in (row - true, apart_um))
-    return Apart(next(rms), float(np.abs(row - true).max()), next(rms), lost)
 
 
 def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
@@ -226,7 +199,7 @@ def with_lamp(**settings: Any) -> Scene:
 
 
 def measure(
-    truth: Truth,
+    truth: Reference,
     name: str,
     scene: Scene,
     work: Callable[[], NDArray[np.float32]],
@@ -241,24 +214,24 @@ def measure(
     seconds = time.perf_counter() - began
     if runs > 1:
         seconds = timed(work, runs if seconds < 1.0 else min(runs, _LONG_RUNS), warm_ups=0)
-    apart = beside(truth, line_centres(image))
+    errors = compare_line(line_centres(image), truth.line)
+    lost, columns = errors.lost.size, errors.expected
     baseline = name == DIRECT
     march = scene.transport.march
     used = {"step": march.step_mm, "method": march.method, "precision": march.precision}
     given = {"film": f"{image.shape[1]} x {image.shape[0]}"} | ({} if baseline else used) | settings
     told = ["baseline: straight light, no hot air"] if baseline else []
-    lost = f"{apart.lost} of {truth.column.size} columns lost" if apart.lost else ""
     return Rung(
         panel="frames",
         name=name,
         settings=given,
-        error_px=apart.rms_px,
-        largest_px=apart.largest_px,
-        error_um=apart.rms_um,
+        error_px=errors.rms_px,
+        largest_px=errors.largest_px,
+        error_um=rms(error_um(truth.scene.sensor, errors)),
         seconds=seconds,
         item="frame",
         items=1,
-        failed=int(apart.lost > _LOST * truth.column.size),
+        failed=int(lost > _LOST * columns),
         reference=truth.words,
-        note="; ".join([*told, *([lost] if lost else [])]),
+        note="; ".join([*told, *[f"{lost} of {columns} columns lost"] * (lost > 0)]),
     )

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.studies.chart.detectors import gaussian_lines
 from virtual_sensor.studies.chart.rung import Failure, Report
 
@@ -70,12 +71,6 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     return found
 
 
-def wrong(line: LineCentres, truth: Array) -> NDArray[np.bool_]:
-    """Columns called OK whose centre is neither near the truth nor within its stated error."""
-    error = np.abs(line.row - truth)
-    return (error > WRONG_PX) & (error > WRONG_ERRORS * line.sigma)
-
-
 def troubles() -> Iterator[Trouble]:
     """What may be wrong with a line."""
     yield Trouble("line thinner than a pixel", (0.6, 0.5, 0.4, 0.3, 0.2), "px sigma", _thin)
@@ -118,9 +113,11 @@ def _first(trouble: Trouble, method: str, columns: int) -> Failure:
         image, truth = examples(trouble, amount, columns)
         line = line_centres(image, method, saturation=trouble.saturation)
         bad = line.status != Status.OK
-        share = wrong(line, truth).mean()
+        errors = compare_line(line, TrueLine.of_rows(truth))
+        # Neither near the truth nor within its stated error.
+        share = errors.wrong(np.inf, WRONG_ERRORS, WRONG_PX).sum() / columns
         if share > _FEW:
-            mistaken.append((amount, share, np.nanmax(np.abs(line.row - truth))))
+            mistaken.append((amount, share, errors.largest_px))
         if bad.mean() > _FEW:
             told |= {Status(s).name for s in np.unique(line.status[bad])}
             refused = refused or f"{amount:g} {trouble.unit}"

@@ -15,6 +15,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.studies.tolerance import (
@@ -24,8 +25,8 @@ from virtual_sensor.studies.tolerance import (
     choose,
     groups,
     in_columns,
-    largest_apart,
-    line_rows,
+    largest_error,
+    line_of,
     lit_pixels,
     scene_on,
     search_line,
@@ -151,7 +152,7 @@ def trial(
     truth = _reference(scene, middle)
     chosen = scene_on(scene, rung.transport, rung.step_mm, rung.table_px)
     columns = _columns(chosen, truth)
-    error = largest_apart(line_rows(chosen, columns, rung.spp), truth)
+    error = largest_error(line_of(chosen, columns, rung.spp), truth)
     result = Trial(parameters, tolerance_px, rung, error)
     if clock is None:
         return result
@@ -177,28 +178,28 @@ def _sigma_px(drawn: dict[str, Any]) -> float:
     return float(drawn["line_radius"] / 2.0 * seen / lit / _FIELD_OF_VIEW_MM * drawn["width"])
 
 
-def _reference(scene: Scene, middle: Array) -> Array:
-    """Row of the line's centre by marched rays in float64, in some columns; NaN elsewhere."""
+def _reference(scene: Scene, middle: Array) -> TrueLine:
+    """The line by marched rays in float64, in some columns."""
     marched = scene_on(scene, "marched", 2.0, 1.0)
     column = groups(whole_columns(search_line(scene)), middle)
     some = in_columns(lit_pixels(marched), scene.sensor.camera.size[0], column)
     best = scene.with_transport(Transport("marched", _REFERENCE, 1.0))
-    return line_rows(best, some, _REFERENCE_SPP)
+    return TrueLine.of_rows(line_of(best, some, _REFERENCE_SPP).row)
 
 
-def _columns(scene: Scene, truth: Array) -> LitPixels:
+def _columns(scene: Scene, truth: TrueLine) -> LitPixels:
     """The lit pixels of the columns that have a true centre, and of some beside them."""
-    near = np.convolve(np.isfinite(truth), np.ones(2 * _BESIDE + 1), mode="same") > 0.0
-    return in_columns(lit_pixels(scene), truth.size, np.flatnonzero(near))
+    beside = truth.columns()[:, None] + np.arange(-_BESIDE, _BESIDE + 1)
+    return in_columns(lit_pixels(scene), scene.sensor.camera.size[0], np.unique(beside))
 
 
-def _that_would_do(scene: Scene, truth: Array, tolerance_px: float) -> list[tuple[Scene, int]]:
+def _that_would_do(scene: Scene, truth: TrueLine, tolerance_px: float) -> list[tuple[Scene, int]]:
     """Rungs that keep the tolerance, none of which has both shorter steps and more samples."""
 
     def fewest(tried: Scene, choices: tuple[int, ...]) -> int | None:
         columns = _columns(tried, truth)
         for spp in choices:
-            if largest_apart(line_rows(tried, columns, spp), truth) <= tolerance_px:
+            if largest_error(line_of(tried, columns, spp), truth) <= tolerance_px:
                 return spp
         return None
 

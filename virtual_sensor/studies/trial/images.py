@@ -11,6 +11,7 @@ from scipy.special import ndtr
 
 from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
 from virtual_sensor.imaging.speckle import Aperture, speckled
+from virtual_sensor.metrology.truth import TrueLine
 
 if TYPE_CHECKING:  # the processes that try detectors need no renderer
     from virtual_sensor.imaging.render import Frame
@@ -62,8 +63,7 @@ class TrialImage:
     Attributes
     ----------
     grey : ndarray of uint16 of shape (H, W)
-    truth : ndarray of shape (W,)
-        Row of the line's centre; NaN in columns without a line.
+    truth : TrueLine
     bound : ndarray of shape (W,)
         Cramer-Rao bound of each column's standard deviation, px; NaN where noise is not all.
     options : dict
@@ -71,7 +71,7 @@ class TrialImage:
     """
 
     grey: NDArray[np.uint16]
-    truth: Array
+    truth: TrueLine
     bound: Array
     options: dict[str, Any]
 
@@ -94,7 +94,8 @@ def drawn_line(condition: Condition, columns: int, seed: tuple[int, ...]) -> Tri
     if condition.kind in ("speckle", "saturated"):
         bound = np.full(columns, np.nan)
     grey = record(mean, condition.camera, rng)
-    return TrialImage(grey.astype(np.uint16), truth, bound, _told(condition))
+    line = TrueLine.of_rows(truth)
+    return TrialImage(grey.astype(np.uint16), line, bound, _told(condition))
 
 
 def line_shares(
@@ -107,7 +108,7 @@ def line_shares(
 
 
 def frame_line(
-    condition: Condition, frame: Frame, truth: Array, seed: tuple[int, ...]
+    condition: Condition, frame: Frame, truth: TrueLine, seed: tuple[int, ...]
 ) -> TrialImage:
     """A rendered frame as a camera records it."""
     camera = condition.camera
@@ -117,35 +118,7 @@ def frame_line(
     light = light[rows]
     grey = record(light, camera, np.random.default_rng(seed))
     bound = bound_px(light, shifted(light), condition)
-    return TrialImage(grey.astype(np.uint16), truth - rows.start, bound, _told(condition))
-
-
-def true_rows(frame: Frame) -> Array:
-    """Row at which the laser's axis is seen in each column (W,), from the frame's ground truth.
-
-    Where the laser's coordinate a, across its sheet, goes through zero from one row to the next; a
-    cubic through the four rows about it tells where.  NaN in columns without a line.
-    """
-    a = frame.laser_mm[:, :, 0].astype(float)
-    sign = np.signbit(a)
-    crossed = (sign[:-1] != sign[1:]) & np.isfinite(a[:-1]) & np.isfinite(a[1:])
-    row = crossed.argmax(axis=0)
-    column = np.arange(a.shape[1])
-    inner = np.clip(row, 1, len(a) - 3)
-    near = a[inner + np.arange(-1, 3)[:, None], column]
-    usable = crossed.any(axis=0) & (row == inner) & np.isfinite(near).all(axis=0)
-    # v as a polynomial of a: at a = 0, by Lagrange.
-    value = np.zeros(a.shape[1])
-    for i in range(4):
-        weight = np.ones(a.shape[1])
-        for j in range(4):
-            if i != j:
-                apart = near[j] - near[i]
-                weight = weight * near[j] / np.where(apart == 0.0, np.nan, apart)
-        value += weight * (inner + i - 1)
-    # Columns at the line's ends are lit in part: their truth is of another place.
-    whole = np.convolve(usable, np.ones(7), mode="same") == 7
-    return np.where(usable & whole, value, np.nan)
+    return TrialImage(grey.astype(np.uint16), truth.moved(-rows.start), bound, _told(condition))
 
 
 def shifted(mean: Array) -> Array:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
 from virtual_sensor.studies.trial.images import (
     Condition,
     TrialImage,
@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 
 OUTLIER_PX, OUTLIER_BOUNDS = 0.5, 6.0  # an outlier is farther off than both
 PHASES = np.linspace(-0.5, 0.5, 41)
+_ENDS_PX = 3.5  # columns next to a line's ends are lit in part: their truth is of another place
 _RUNS = 3
 
 
@@ -77,48 +78,25 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         began = time.perf_counter()
         line = line_centres(image.grey, detector, **image.options)
         took.append(time.perf_counter() - began)
-    there = np.isfinite(image.truth)
-    count = int(there.sum())
-    column, error, sigma = against(line, image.truth)
-    bound = image.bound[np.clip(column, 0, len(image.bound) - 1)]
+    errors = compare_line(line, image.truth, end_px=_ENDS_PX)
+    bound = image.bound[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
-    wild = np.abs(error) > least
-    good, told = error[~wild], sigma[~wild]
+    wild = np.abs(errors.error_px) > least
+    good, told = errors.error_px[~wild], errors.sigma[~wild]
     with_sigma = np.isfinite(told)
-    bounds = image.bound[there]
     return Score(
         detector,
         condition,
         bias_px=float(good.mean()) if good.size else np.nan,
         std_px=float(good.std()) if good.size else np.nan,
-        rms_px=_rms(good),
-        predicted_px=_rms(told[with_sigma]) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
-        bound_px=_rms(bounds[np.isfinite(bounds)]),
-        outliers=float(wild.sum() / count),
-        failures=1.0 - len(np.unique(column)) / count,
-        columns=count,
+        rms_px=rms(good),
+        predicted_px=rms(told) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
+        bound_px=rms(image.bound[image.truth.columns(_ENDS_PX)]),
+        outliers=float(wild.sum() / errors.expected),
+        failures=errors.lost.size / errors.expected,
+        columns=errors.expected,
         seconds=min(took) / image.grey.shape[1],
     )
-
-
-def against(line: LineCentres, truth: Array) -> tuple[NDArray[np.intp], Array, Array]:
-    """Columns, errors in px and sigmas of the centres found where there is a line.
-
-    Of a detector that does not go by columns, the points' distance from the line is taken along
-    its columns.
-    """
-    good = (line.status == Status.OK).ravel()
-    u, v, sigma = (np.ravel(x)[good].astype(float) for x in (line.column, line.row, line.sigma))
-    known = np.flatnonzero(np.isfinite(truth))
-    column = np.rint(u).astype(int)
-    inside = np.isin(column, known)
-    if not known.size or not inside.any():
-        return np.empty(0, int), np.empty(0), np.empty(0)
-    u, v, sigma, column = (values[inside] for values in (u, v, sigma, column))
-    # Truth of drawn lines jumps from column to column: only points between columns need more.
-    between = np.interp(u, known, truth[known])
-    expected = np.where(np.abs(u - column) < 1e-9, truth[column], between)
-    return column, v - expected, sigma
 
 
 def phase_bias(detector: str, width_px: float) -> Array:
@@ -128,11 +106,7 @@ def phase_bias(detector: str, width_px: float) -> Array:
     for number, phase in enumerate(PHASES):
         truth = np.full(repeats, 40.0 + phase)
         image = 1e4 * line_shares(truth, width_px, 81)[0]
-        column, error, _ = against(line_centres(image, detector), truth)
-        middle = error[column == repeats // 2]
+        errors = compare_line(line_centres(image, detector), TrueLine.of_rows(truth))
+        middle = errors.error_px[np.rint(errors.column) == repeats // 2]
         bias[number] = middle[0] if middle.size else np.nan
     return bias
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else np.nan

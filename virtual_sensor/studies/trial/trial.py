@@ -20,8 +20,9 @@ from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.detectors import NAMES, find_detector
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.studies.chart.machine import machine
-from virtual_sensor.studies.trial.images import Condition, TrialImage, frame_line, true_rows
+from virtual_sensor.studies.trial.images import Condition, TrialImage, frame_line
 from virtual_sensor.studies.trial.scores import Score, phase_bias, score_all, score_drawn
 
 Array = NDArray[np.float64]
@@ -163,7 +164,7 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
     for number, (kind, state) in enumerate(states):
         report(f"rendering the {kind}", 0.5 * number * _FRAMES_SHARE)
         frame = render_frame(state)
-        truth = true_rows(frame)
+        truth = TrueLine.of_coordinates(frame.laser_mm[:, :, 0], state.sensor.laser.radius_mm)
         width = float(np.nanmedian(line_centres(frame.radiance).width))
         for peak in FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E:
             condition = Condition(kind, round(width, 2), peak, DARK_NOISES_E[0])

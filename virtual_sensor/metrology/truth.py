@@ -1,0 +1,503 @@
+"""Where a line truly is in an image, and how far what was found is from it.
+
+The truth comes from a ray search along the line, from the coordinates of the light that each pixel
+of a frame sees, or from whoever drew the image.  One function compares line centres with it; it
+says how many it left out, and why.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+Mask = NDArray[np.bool_]
+
+WRONG_PX, WRONG_SIGMAS = 0.1, 10.0
+"""A centre that is OK and off by more is wrong..."""
+FINE_PX = 0.02
+"""...but for what no measurement resolves: without noise a sigma may be 0.0001 px."""
+
+_PROFILE = 1.5  # seen out to so many 1/e^2 radii on both sides, the profile is whole
+_LONGEST_STEP = 4.0  # times the usual one between neighbouring rays
+_FEWEST_RAYS = 4  # of a cubic
+_SAME_LINE_PX = 3.0  # in adjoining columns
+_DOT_REACH_PX = 3.0
+
+
+class TruthStatus(IntEnum):
+    """What is known of a line in a column, or why a centre there is compared with nothing."""
+
+    KNOWN = 0
+    NO_LINE = 1
+    """The line does not cross the column."""
+    BROKEN = 2
+    """The line is parted here: by an edge, or by rays that the camera does not see."""
+    FOLDED = 3
+    """The searched line turns back: behind a caustic a column sees it twice."""
+    FEW_RAYS = 4
+    """A part of the searched line of fewer than four rays."""
+    CUT = 5
+    """The row is known, but an edge hides a part of the profile, whose centre then is another."""
+    NEAR_END = 6
+    """Nearer to an end of the line than a comparison allows."""
+
+
+@dataclass(frozen=True)
+class TrueLine:
+    """A line's true rows: arrays of shape (K, W), as a column may see the line up to K times.
+
+    Attributes
+    ----------
+    row : ndarray of shape (K, W)
+        v in px at the columns' middles; NaN where `status` is neither KNOWN nor CUT.
+    end_px : ndarray of shape (K, W)
+        From the column's middle along u to the nearer end of this part of the line; infinite where
+        it ends at none within the image.
+    status : ndarray of uint8 of shape (K, W)
+        `TruthStatus` of each.
+    """
+
+    row: Array
+    end_px: Array
+    status: NDArray[np.uint8]
+
+    @classmethod
+    def of_rows(cls, row: ArrayLike) -> "TrueLine":
+        """A line that was drawn at a row in each of W columns; NaN where it is not."""
+        rows = np.atleast_2d(np.asarray(row, float))
+        known = np.isfinite(rows)
+        begun, ended = (np.maximum.accumulate(known[:, ::step], 1)[:, ::step] for step in (1, -1))
+        status = np.where(begun & ended, TruthStatus.BROKEN, TruthStatus.NO_LINE)
+        status[known] = TruthStatus.KNOWN
+        return cls(rows, _to_ends(rows, np.inf), status.astype(np.uint8))
+
+    @classmethod
+    def of_search(
+        cls, pixel: Array, found: Mask, width: int, longest_step: float = _LONGEST_STEP
+    ) -> "TrueLine":
+        """A line along which laser rays were searched: a cubic spline through their pixels.
+
+        It is parted where the surface breaks it, and not continued beyond the rays.
+
+        Parameters
+        ----------
+        pixel : ndarray of shape (N, 2)
+            (u, v) that see the rays, in order along the line; NaN where nothing sees them.
+        found : ndarray of bool of shape (N,)
+            Which of them are used.
+        width : int
+            Columns of the image.
+        longest_step : float
+            Times the usual one: rays farther apart in the image are not of the same part.
+        """
+        column = np.arange(width)
+        why = np.full(width, TruthStatus.NO_LINE)
+        layers: list[Array] = []  # rows and distances to the ends
+        parts = list(_parts(pixel, found, longest_step))
+        ends = np.array([[u.min(), u.max()] for u, _ in parts]).reshape(-1, 2)
+        if len(ends):
+            why[(column >= ends.min()) & (column <= ends.max())] = TruthStatus.BROKEN
+        for (first, last), (u, v) in zip(ends, parts, strict=True):
+            on = (column >= first) & (column <= last)
+            if len(u) < _FEWEST_RAYS or not np.all(np.diff(u) > 0.0):
+                few = len(u) < _FEWEST_RAYS
+                why[on] = TruthStatus.FEW_RAYS if few else TruthStatus.FOLDED
+                continue
+            free = [layer for layer in layers if np.isnan(layer[0, on]).all()]
+            if not free:
+                layers.append(np.full((2, width), np.nan))
+                free = layers[-1:]
+            free[0][0, on] = CubicSpline(u, v)(column[on])
+            free[0][1, on] = np.minimum(column - first, last - column)[on]
+        rows, to_ends = np.array(layers or [np.full((2, width), np.nan)]).swapaxes(0, 1)
+        status = np.full(rows.shape, TruthStatus.NO_LINE, np.uint8)
+        status[0] = why
+        status[np.isfinite(rows)] = TruthStatus.KNOWN
+        return cls(rows, to_ends, status)
+
+    @classmethod
+    def of_coordinates(cls, across_mm: NDArray[np.floating], radius_mm: float) -> "TrueLine":
+        """A line in a frame whose pixels know which light they see.
+
+        The middle of the sheet is where the coordinate across it goes through zero.
+
+        Parameters
+        ----------
+        across_mm : ndarray of shape (H, W)
+            Coordinate across the sheet of each pixel; NaN where no light is.
+        radius_mm : float
+            The laser's 1/e^2 radius.
+        """
+        number, column, place = _crossings(across_mm, radius_mm)
+        width = across_mm.shape[1]
+        count = np.bincount(column, minlength=width)
+        order = np.lexsort((number, column))
+        rank = np.arange(column.size) - (np.cumsum(count) - count)[column[order]]
+        row = np.full((max(int(count.max(initial=1)), 1), width), np.nan)
+        row[rank, column[order]] = place[order]
+        status = np.full(row.shape, TruthStatus.NO_LINE, np.uint8)
+        status[0, np.isfinite(across_mm).any(axis=0)] = TruthStatus.BROKEN
+        status[np.isfinite(row)] = TruthStatus.KNOWN
+        return cls(row, _to_ends(row, _SAME_LINE_PX), status).seen_in(across_mm, radius_mm)
+
+    def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> "TrueLine":
+        """The same line, CUT where a frame shows that an edge hides a part of its profile."""
+        known = np.isfinite(self.row)
+        whole = _sees_whole_profile(self.row, across_mm, radius_mm)
+        return replace(self, status=np.where(known & ~whole, TruthStatus.CUT, self.status))
+
+    def moved(self, rows_px: float) -> "TrueLine":
+        """The same line in an image that begins so many rows earlier."""
+        return replace(self, row=self.row + rows_px)
+
+    def columns(self, end_px: float = 0.0) -> Index:
+        """Columns whose row is known, not nearer to an end of the line than a margin."""
+        return np.flatnonzero(((self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)).any(0))
+
+    def centres(self, end_px: float = 0.0) -> LineCentres:
+        """What a detector without any error would find, not nearer to the ends than a margin.
+
+        Of shape (W,): where a column sees the line more than once, the first is taken.
+        """
+        good = (self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)
+        width = self.row.shape[1]
+        column = np.arange(width)
+        row = np.where(good.any(axis=0), self.row[good.argmax(axis=0), column], np.nan)
+        blank = np.full(width, np.nan)
+        status = np.where(np.isfinite(row), Status.OK, Status.NO_PEAK).astype(np.uint8)
+        return LineCentres(column, row, blank, blank, blank, blank, np.full(width, 90.0), status)
+
+
+@dataclass(frozen=True)
+class LineErrors:
+    """Centres of a line beside the truth; N of them are compared.
+
+    Attributes
+    ----------
+    column, row : ndarray of shape (N,)
+        (u, v) of the centres, px.
+    true_row : ndarray of shape (N,)
+        Of the line at that u.
+    sigma : ndarray of shape (N,)
+        Which the detector predicts for them.
+    expected : int
+        Columns that lie on the line from edge to edge, and see its whole profile.
+    lost : ndarray of uint8 of shape (M,)
+        `Status` of those of them that have no centre.
+    cut : int
+        Columns that would be expected if no edge hid a part of the profile.
+    left_out : dict from TruthStatus to int
+        Centres that are OK and were not compared, by the reason; only those that occur.
+    """
+
+    column: Array
+    row: Array
+    true_row: Array
+    sigma: Array
+    expected: int
+    lost: NDArray[np.uint8]
+    cut: int
+    left_out: dict[TruthStatus, int]
+
+    @property
+    def error_px(self) -> Array:
+        """Found minus true, across the columns; shape (N,)."""
+        return self.row - self.true_row
+
+    @property
+    def count(self) -> int:
+        """Centres that were compared."""
+        return self.column.size
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square; NaN if there is no centre."""
+        return rms(self.error_px)
+
+    @property
+    def largest_px(self) -> float:
+        """Largest magnitude; NaN if there is no centre."""
+        return largest(self.error_px)
+
+    @property
+    def cut_centres(self) -> int:
+        """Centres that were left out because an edge hides a part of the profile."""
+        return self.left_out.get(TruthStatus.CUT, 0)
+
+    @property
+    def stray_centres(self) -> int:
+        """Centres that were left out because no row of the line is known in their column."""
+        known = (TruthStatus.CUT, TruthStatus.NEAR_END)
+        return sum(number for why, number in self.left_out.items() if why not in known)
+
+    def wrong(
+        self, px: float = WRONG_PX, sigmas: float = WRONG_SIGMAS, fine_px: float = FINE_PX
+    ) -> Mask:
+        """Which are off by more than `px`, or by so many of their own sigmas and `fine_px`."""
+        error = np.abs(self.error_px)
+        return (error > px) | (error > np.maximum(sigmas * self.sigma, fine_px))
+
+    def __repr__(self) -> str:
+        left = ", ".join(f"{number} {why.name}" for why, number in self.left_out.items())
+        return (
+            f"LineErrors: {self.count} centres, rms {self.rms_px:.2g} px, at most"
+            f" {self.largest_px:.2g} px; {self.lost.size} of {self.expected} columns lost"
+            f"{'; left out: ' + left if left else ''}"
+        )
+
+
+def compare_line(
+    line: LineCentres, truth: TrueLine, *, end_px: float = 0.0, cut: bool = False
+) -> LineErrors:
+    """Compare the centres that are OK with the truth.
+
+    Where a column sees the line more than once, a centre is compared with the nearest row. Between
+    columns, where a detector of lines of any direction has its points, the truth is linear.
+
+    Parameters
+    ----------
+    line : LineCentres
+        Of an image whose columns are searched, or of lines of any direction.
+    truth : TrueLine
+    end_px : float
+        Centres nearer to an end of the line are left out.
+    cut : bool
+        Whether columns are compared in which an edge hides a part of the profile.
+    """
+    width = truth.row.shape[1]
+    status = truth.status
+    if cut:
+        status = np.where(status == TruthStatus.CUT, TruthStatus.KNOWN, status)
+    near = np.isfinite(truth.row) & ~(truth.end_px >= end_px)
+
+    good = (line.status == Status.OK).ravel()
+    u, v, sigma = (np.ravel(x)[good].astype(float) for x in (line.column, line.row, line.sigma))
+    column = np.rint(u).astype(int)
+    inside = (column >= 0) & (column < width)
+    at = column.clip(0, width - 1)
+    true, layer = _nearest(truth.row, u, v, at)
+    why = np.where(near[layer, at], TruthStatus.NEAR_END, status[layer, at])
+    why[~inside] = TruthStatus.NO_LINE
+    compared = why == TruthStatus.KNOWN
+
+    whole = truth.end_px >= max(end_px, 0.5)
+    expected = ((status == TruthStatus.KNOWN) & whole).any(axis=0)
+    is_cut = ((status == TruthStatus.CUT) & whole).any(axis=0) & ~expected
+    seen = np.zeros(width, bool)
+    seen[at[inside]] = True
+    return LineErrors(
+        u[compared],
+        v[compared],
+        true[compared],
+        sigma[compared],
+        int(expected.sum()),
+        _status_of_columns(line, width)[expected & ~seen],
+        int(is_cut.sum()),
+        {s: int(n) for s in TruthStatus if s != TruthStatus.KNOWN and (n := np.sum(why == s))},
+    )
+
+
+def _nearest(rows: Array, u: Array, v: Array, column: Index) -> tuple[Array, Index]:
+    """The true row (N,) at each u that is nearest to v, and its number among the K of the column.
+
+    `column` are the nearest to u; towards the one beyond, the row nearest to theirs is the same
+    part of the line.
+    """
+    here = rows[:, column]
+    layer = np.where(np.isfinite(here), np.abs(here - v), np.inf).argmin(axis=0)
+    true = here[layer, np.arange(column.size)]
+    aside = u - column
+    between = np.abs(aside) > 1e-9  # the truth of drawn lines may jump from column to column
+    if between.any():
+        beside = rows[:, (column + np.sign(aside).astype(int)).clip(0, rows.shape[1] - 1)]
+        step = np.where(np.isfinite(beside), beside - true, np.inf)
+        step = np.take_along_axis(step, np.abs(step).argmin(axis=0)[None], 0)[0]
+        true = true + np.where(between & np.isfinite(step), step, 0.0) * np.abs(aside)
+    return true, layer
+
+
+def _status_of_columns(line: LineCentres, width: int) -> NDArray[np.uint8]:
+    """Why a column has no centre: the status of its highest peak; (W,)."""
+    told = np.full(width, Status.NO_PEAK, np.uint8)
+    column = np.ravel(line.column)[::-1].astype(float)  # the highest is written last
+    status = np.ravel(line.status)[::-1]
+    known = (column > -0.5) & (column < width - 0.5)
+    told[np.rint(column[known]).astype(int)] = status[known]
+    return told
+
+
+@dataclass(frozen=True)
+class DotErrors:
+    """Centroids of dots beside the pixels where M dots truly are.
+
+    Attributes
+    ----------
+    pixel : ndarray of shape (M, 2)
+        Centroid (u, v) of each dot; NaN where none was found within reach.
+    flux : ndarray of shape (M,)
+        Sum of the dot's pixels.
+    true_pixel : ndarray of shape (M, 2)
+        NaN where it is not known.
+    stray : int
+        Dots that are OK and belong to none of them.
+    """
+
+    pixel: Array
+    flux: Array
+    true_pixel: Array
+    stray: int
+
+    @property
+    def found(self) -> Mask:
+        """Which of the M dots were found; shape (M,)."""
+        return np.isfinite(self.pixel[:, 0])
+
+    @property
+    def error_px(self) -> Array:
+        """Centroid minus true pixel, shape (M, 2)."""
+        return self.pixel - self.true_pixel
+
+    @property
+    def count(self) -> int:
+        """Number of dots found."""
+        return int(self.found.sum())
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the distances; NaN if there is no dot."""
+        return rms(np.linalg.norm(self.error_px, axis=1))
+
+    @property
+    def largest_px(self) -> float:
+        """Largest distance; NaN if there is no dot."""
+        return largest(np.linalg.norm(self.error_px, axis=1))
+
+    def __repr__(self) -> str:
+        return (
+            f"DotErrors: {self.count} of {len(self.pixel)} dots, rms {self.rms_px:.2g} px, at most"
+            f" {self.largest_px:.2g} px; {self.stray} dots of none"
+        )
+
+
+def compare_dots(
+    dots: DotCentres, true_pixel: Array, *, reach_px: float = _DOT_REACH_PX
+) -> DotErrors:
+    """Give each true pixel (M, 2) the dot nearest to it, if that is within reach and no other's."""
+    good = np.flatnonzero(dots.status == DotStatus.OK)
+    pixel, flux = np.full_like(true_pixel, np.nan), np.full(len(true_pixel), np.nan)
+    apart = np.linalg.norm(dots.pixel[good] - true_pixel[:, None], axis=2)  # (M, dots)
+    apart[~(apart < reach_px)] = np.inf
+    if not apart.size:
+        return DotErrors(pixel, flux, true_pixel, good.size)
+    nearest = apart.argmin(axis=1)
+    mutual = apart.argmin(axis=0)[nearest] == np.arange(len(true_pixel))
+    own = np.flatnonzero(mutual & np.isfinite(apart.min(axis=1)))
+    pixel[own], flux[own] = dots.pixel[good[nearest[own]]], dots.flux[good[nearest[own]]]
+    return DotErrors(pixel, flux, true_pixel, good.size - own.size)
+
+
+def rms(values: Array) -> float:
+    """Root mean square of those that are not NaN; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+
+
+def largest(values: Array) -> float:
+    """Largest magnitude of those that are not NaN; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.max(np.abs(known))) if known.size else np.nan
+
+
+def _parts(pixel: Array, found: Mask, longest_step: float) -> Iterator[tuple[Array, Array]]:
+    """Unbroken parts of a searched line as (u, v), u ascending from end to end."""
+    steps = np.linalg.norm(np.diff(pixel, axis=0), axis=1)
+    usual = np.nanmedian(steps) if np.isfinite(steps).any() else np.nan
+    joined = np.isfinite(steps) & ((steps < longest_step * usual) | np.isinf(longest_step))
+    for run in np.split(np.arange(len(pixel)), np.flatnonzero(~joined) + 1):
+        u, v = pixel[run[found[run]]].T
+        if u.size:
+            yield (u[::-1], v[::-1]) if u[0] > u[-1] else (u, v)
+
+
+def _to_ends(row: Array, longest_px: float) -> Array:
+    """From each column's middle to the nearer end of its run of columns, px; like `row` (K, W).
+
+    Rows farther apart in adjoining columns are of two runs. The columns at a run's ends are covered
+    whole. The image's border is no end.
+    """
+    width = row.shape[1]
+    known = np.isfinite(row)
+    joined = np.abs(np.diff(row, axis=1)) <= longest_px
+    column = np.arange(width)
+    begins, ends = known.copy(), known.copy()
+    begins[:, 1:] &= ~joined
+    ends[:, :-1] &= ~joined
+    left = np.maximum.accumulate(np.where(begins, column - 0.5, -np.inf), axis=1)
+    right = np.minimum.accumulate(np.where(ends, column + 0.5, np.inf)[:, ::-1], axis=1)[:, ::-1]
+    left[left == -0.5] = -np.inf
+    right[right == width - 0.5] = np.inf
+    return np.where(known, np.minimum(column - left, right - column), np.nan)
+
+
+def _jump(across_mm: NDArray[np.floating], radius_mm: float) -> float:
+    """The step of a between two pixels, mm, from which on it is an edge: on a coarse film more."""
+    steps = np.abs(np.diff(across_mm, axis=0))
+    known = steps[np.isfinite(steps)]
+    return max(radius_mm, 2.0 * float(np.median(known))) if known.size else radius_mm
+
+
+def _crossings(across_mm: NDArray[np.floating], radius_mm: float) -> tuple[Index, Index, Array]:
+    """Where columns see the sheet's middle: the pixel before, the column, the row; (L,) each.
+
+    A cubic through the four pixels about it tells the row, or a line where there are but two.
+    """
+    upper, lower, jump = across_mm[:-1], across_mm[1:], _jump(across_mm, radius_mm)
+    near = np.abs(lower - upper) < jump
+    number, column = np.nonzero((np.signbit(upper) != np.signbit(lower)) & near)
+    a = across_mm[(number + np.arange(-1, 3)[:, None]).clip(0, len(across_mm) - 1), column]
+    a = a.astype(float)
+    place = number + a[1] / (a[1] - a[2])
+    steps = np.diff(a, axis=0)
+    smooth = (number >= 1) & (number + 2 < len(across_mm))
+    smooth &= (np.abs(steps) < jump).all(axis=0)
+    smooth &= (steps > 0.0).all(axis=0) | (steps < 0.0).all(axis=0)
+    a = a[:, smooth]
+    cubic = np.zeros(a.shape[1])  # v as a polynomial of a, at a = 0, by Lagrange
+    for i in range(4):
+        others = [j for j in range(4) if j != i]
+        weight = np.prod([a[j] / (a[j] - a[i]) for j in others], axis=0)
+        cubic += weight * (number[smooth] + i - 1)
+    place[smooth] = cubic
+    return number, column, place
+
+
+def _sees_whole_profile(row: Array, across_mm: NDArray[np.floating], radius_mm: float) -> Mask:
+    """Whether rows (K, W) see the profile from edge to edge, on one part of the surface."""
+    known = np.isfinite(row)
+    light = np.flatnonzero(np.isfinite(across_mm).any(axis=1))
+    if not light.size:
+        return np.zeros_like(known)
+    top = max(light[0] - 1, 0)  # a dark row on each side stands for all those beyond
+    across_mm = across_mm[top : light[-1] + 2]
+    middle = np.where(known, np.rint(row) - top, 0).astype(int).clip(0, len(across_mm) - 1)
+    column = np.arange(across_mm.shape[1])
+    number = np.arange(len(across_mm))[:, None]
+    # A pixel starts a new part where there was no light before, or that of another place.
+    starts = np.ones(across_mm.shape, bool)
+    starts[1:] = ~(np.abs(np.diff(across_mm, axis=0)) < _jump(across_mm, radius_mm))
+    ends = np.ones(across_mm.shape, bool)
+    ends[:-1] = starts[1:]
+    first = np.maximum.accumulate(np.where(starts, number, 0), axis=0)[middle, column]
+    backwards = np.where(ends, number, len(across_mm) - 1)[::-1]
+    last = np.minimum.accumulate(backwards, axis=0)[::-1][middle, column]
+    a = np.stack([across_mm[first, column], across_mm[last, column]])
+    reach = _PROFILE * radius_mm
+    return known & (a.min(axis=0) < -reach) & (a.max(axis=0) > reach)
