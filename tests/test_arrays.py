@@ -1,6 +1,8 @@
 """Nothing given gives nothing, and what goes through Dr.Jit comes back as it was."""
 
 import inspect
+import subprocess
+import sys
 from dataclasses import fields, is_dataclass
 
 import numpy as np
@@ -102,3 +104,40 @@ def test_numbers_are_drjits_own(kind):
     numbers[:] = -1
     assert dr.width(own) == 12
     assert own.numpy().tolist() == expected
+
+
+AT_THE_END_OF_A_PAGE = """
+import ctypes, mmap, numpy as np
+from virtual_sensor.arrays import in_own_memory, to_numpy, to_vectors
+from virtual_sensor.engine import mi
+
+empty, array, kept = np.empty, np.array, []
+
+def guarded(values):
+    memory = mmap.mmap(-1, (-(-values.nbytes // mmap.PAGESIZE) + 1) * mmap.PAGESIZE)
+    kept.append(memory)
+    last = len(memory) - mmap.PAGESIZE
+    first = ctypes.addressof(ctypes.c_char.from_buffer(memory))
+    assert ctypes.CDLL(None).mprotect(ctypes.c_void_p(first + last), mmap.PAGESIZE, 0) == 0
+    placed = np.frombuffer(memory, values.dtype, values.size, last - values.nbytes)
+    placed = placed.reshape(values.shape)
+    placed[...] = values
+    return placed
+
+np.empty = lambda *given, **also: guarded(empty(*given, **also))
+np.array = lambda *given, **also: guarded(array(*given, **also))
+for count in (2, 13, 4097):
+    numbers = np.arange(float(count))
+    assert (in_own_memory(numbers, mi.Float64).numpy() == numbers).all()
+    points = np.ones((count, 3))
+    assert (to_numpy(to_vectors(points)) == points).all()
+"""
+
+
+def test_no_kernel_reads_beyond_memory_that_is_ours():
+    """Rationale: whole packets are read, past an array's end; where a page ends there: signal 11.
+
+    NumPy's arrays are put before a page that must not be read, in a process of their own.
+    """
+    ended = subprocess.run([sys.executable, "-c", AT_THE_END_OF_A_PAGE], capture_output=True)
+    assert ended.returncode == 0, ended.stderr.decode()

@@ -24,6 +24,8 @@ Result = TypeVar("Result")
 
 LARGEST = sys.float_info.max
 SMALLEST = math.ulp(0.0)
+
+_PACKET = 64  # numbers: more than any processor's vectors hold
 """Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
 
 
@@ -95,12 +97,11 @@ def in_own_memory(array: np.ndarray, scalar: Any) -> Any:
     """Numbers in C order, flat, as Dr.Jit's own of type `scalar`: Float, Float64 or UInt32.
 
     The product copies: an aliased NumPy array may be aligned too poorly for packet gathers, and how
-    it is aligned would be compiled in.  The copying is waited for with the array held: without it,
-    workers that give memory back at once (Dask's) died here by signal 11; why is not known.
+    it is aligned would be compiled in.  The copying is waited for with the array held.
     """
     from virtual_sensor.engine import dr
 
-    held = np.array(_not_empty(array), _numpy_type(scalar), order="C").ravel()
+    held = _with_room(array, _numpy_type(scalar)).ravel()
     own = scalar(held) * dr.opaque(scalar, 1)
     dr.eval(own)
     dr.sync_thread()
@@ -118,7 +119,7 @@ def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     """Points (N, 3) as Dr.Jit vectors in double precision."""
     from virtual_sensor.engine import dr, mi
 
-    held = np.array(_not_empty(points).T, float, order="C")
+    held = _with_room(points.T, float)
     vectors = mi.Array3f64(held)
     dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
     dr.sync_thread()  # see `in_own_memory`
@@ -174,11 +175,18 @@ def _first_rows(tree: Any, count: int) -> Any:
     return tree
 
 
-def _not_empty(array: np.ndarray) -> np.ndarray:
-    """The array; an empty one would end the process at the first kernel that reads it."""
+def _with_room(array: np.ndarray, kind: Any) -> np.ndarray:
+    """A copy in C order, with memory of its own behind its end.
+
+    Dr.Jit's kernels read whole packets of numbers, the last one beyond the end of an array that is
+    NumPy's: where a page ends there, the process ends by signal 11. An array without numbers would
+    end it at the first kernel that reads it.
+    """
     if not array.size:
         raise ValueError("Dr.Jit knows no empty array: compute `by_rows`, or with `at_least` one")
-    return array
+    held = np.empty(array.size + _PACKET, kind)[: array.size].reshape(array.shape)
+    held[...] = array
+    return held
 
 
 def _numpy_type(scalar: Any) -> Any:
