@@ -6,6 +6,7 @@ from oracles import integrate
 
 import virtual_sensor as vs
 from virtual_sensor import IndexField, RayStatus
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.imaging.checks import JUMP_REFUSED_PX
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.studies.chart import ray_failures
@@ -72,6 +73,10 @@ def test_scipys_ray_grazes_the_cylinder_where_bouguer_says():
         n = np.sqrt(1.0 - dip)
         return n, across * (dip / (2.0 * width_mm**2 * n))[:, None]
 
+    points = np.random.default_rng(3).uniform(-30.0, 30.0, (50, 3))
+    marched = ray_failures.layer_round_a_cylinder(depth).delta_and_gradient(to_vectors(points))
+    np.testing.assert_allclose(marched[0], layer(points)[0] - 1.0, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(to_numpy(marched[1]), layer(points)[1], rtol=0, atol=1e-16)
     start = [0.0, -100.0, axis_z_mm + radius_mm * np.sqrt(1.0 - depth)]
     ray = integrate(layer, [start], [[0.0, 1.0, 0.0]], 200.0)
     arcs = np.linspace(90.0, 110.0, 2001)
