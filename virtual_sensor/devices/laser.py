@@ -7,7 +7,7 @@ from operator import add, or_
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import exp, where
 from virtual_sensor.optics.ray_families import Pose, RayFamily
@@ -112,6 +112,17 @@ class LaserLine:
         else:
             peak, along = self.power_w / self.length_mm * per_mm, 1.0
         return where(self.reaches(s, t), peak * self._profile(s) * along, 0.0)
+
+    def irradiance(self, points_mm: ArrayLike) -> Array:
+        """Flux density (N,) square to the straight light at world points (N, 3), W/mm^2."""
+        s, t, depth = self.family.coordinates(points_mm).T
+        cosine = self.family.rays(s, t)[1] @ self.pose.rotation[:, 2]
+        return self.flux(s, t) / (np.abs(self.family.spread(s, t, depth)) * cosine)
+
+    def radius_at(self, points_mm: ArrayLike) -> Array:
+        """1/e^2 radius (N,) across the straight sheet at world points (N, 3), mm."""
+        x_s, _, y_s, _ = self.family.by_coordinates(*self.family.coordinates(points_mm).T)
+        return self.radius_mm * np.hypot(x_s, y_s)
 
     def _profile(self, x: Any) -> Any:
         return exp(-2.0 / self.radius_mm**2 * (x * x))

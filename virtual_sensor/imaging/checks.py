@@ -83,16 +83,15 @@ def check_scene(scene: Scene) -> list[str]:
         told += _check_border(scene.field, scene.sensor, line) if scene.field else []
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
-    return told + _tell_glow(scene)
+    return told + _tell_glow(scene, line)
 
 
-def _tell_glow(scene: Scene) -> list[str]:
+def _tell_glow(scene: Scene, line: LitLine) -> list[str]:
     """How bright a glowing part is beside the line, if it glows."""
     glow = scene.integrator.glow(scene.mitsuba)
     if not glow:
         return []
-    laser = scene.sensor.laser
-    irradiance = laser.power_w / laser.length_mm * np.sqrt(2.0 / np.pi) / laser.radius_mm
+    irradiance = scene.sensor.laser.irradiance(line.points_mm).max()
     share = glow / (irradiance * _DULL / np.pi)
     return [
         f"the hot part glows with {glow:.2g} W/(mm^2 sr) through its filter: {share:.1g} of the"
@@ -138,8 +137,7 @@ def _check_places(scene: Scene) -> None:
 
 def _line_on_part(scene: Scene) -> LitLine:
     """Trace the laser's rays to the part; some of the points must be in the picture."""
-    laser = scene.sensor.laser
-    y = laser.dots_mm if laser.dots_mm.size else np.linspace(-0.5, 0.5, 33) * laser.length_mm
+    y = scene.sensor.laser.along(33)
     found = ray_search(scene.cold(), y, k_stop=1, method="paper", r_max_um=np.inf)
     met = found.status != SearchStatus.LASER_MISSED
     if not met.any():

@@ -7,7 +7,6 @@ from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.checks import lit_line
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ def why_dark(scene: Scene) -> str:
     return (
         _clipped(scene, depth_mm)
         or _unanswered(scene, points, laser.family.rays(0.0, line.y_mm[shown])[1])
-        or _missed(scene, camera, depth_mm)
+        or _missed(scene, points)
     )
 
 
@@ -97,9 +96,11 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
     )
 
 
-def _missed(scene: Scene, camera: Pinhole, depth_mm: Array) -> str:
+def _missed(scene: Scene, points_mm: Array) -> str:
     """Light is there, and no sample met it."""
-    width_px = 2.0 * scene.sensor.laser.radius_mm * abs(camera.matrix[0, 0]) / depth_mm.mean()
+    camera, width_mm = scene.sensor.camera, 2.0 * scene.sensor.laser.radius_at(points_mm)
+    depth_mm = camera.pose.to_local(points_mm)[:, 2]
+    width_px = float(np.mean(width_mm / depth_mm)) * abs(camera.matrix[0, 0])
     if scene.field and width_px > 1.0:
         return (
             '<integrator type="refractive">: by straight light the line is seen, and no bent ray'
