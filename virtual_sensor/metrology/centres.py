@@ -27,6 +27,8 @@ class Status(IntEnum):
     """Two peaks of much the same height, apart or merged into one flat one."""
     CUT = 10
     """An edge hides a part of the profile: what is left of it has another centre."""
+    OVERLAPPING = 11
+    """The line of another source lies in the same pixels, or next to them."""
 
 
 @dataclass(frozen=True)

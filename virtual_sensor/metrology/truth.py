@@ -12,6 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import distance_transform_edt
 
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
@@ -153,6 +154,16 @@ class TrueLine:
         known = np.isfinite(self.row)
         whole = _sees_whole_profile(self.row, across_mm, radius_mm)
         return replace(self, status=np.where(known & ~whole, TruthStatus.CUT, self.status))
+
+    def band(self, height: int, half_px: float) -> Mask:
+        """Pixels (height, W) within `half_px` of the line, along columns and beyond its ends."""
+        v = np.arange(height)[:, None]
+        near = np.zeros((height, self.row.shape[1]), bool)
+        for row in self.row[np.isfinite(self.row).any(axis=1)]:
+            known = np.isfinite(row)
+            distance, (nearest,) = distance_transform_edt(~known, return_indices=True)
+            near |= (np.abs(v - row[nearest]) <= half_px) & (distance <= half_px)
+        return near
 
     def moved(self, rows_px: float) -> "TrueLine":
         """The same line in an image that begins so many rows earlier."""
