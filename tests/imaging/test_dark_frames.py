@@ -43,7 +43,11 @@ def on_plate(*replaced):
 
 
 CASES = {
-    "far clip": (COLD.replace('value="1000"', 'value="200"'), "", "<sensor>: far_clip is 200 mm"),
+    "far clip": (
+        COLD.replace('value="1000"', 'value="200"'),
+        "",
+        '<sensor id="camera">: far_clip is 200 mm',
+    ),
     "mirror": (material("conductor"), "", '<bsdf id="steel">: it is a mirror'),
     "glass": (
         material("dielectric"),

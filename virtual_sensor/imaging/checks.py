@@ -12,6 +12,7 @@ from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
+from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 
 Array = NDArray[np.float64]
@@ -26,7 +27,6 @@ FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 
 _INSIDE_MM = 1e-4
 _DULL = 0.2  # reflectance of an oxidised part
-_ELEMENT = {"camera": "<sensor>", "laser": '<emitter type="laser_line">'}
 _FIELD = '<integrator type="refractive">: the field'
 
 
@@ -65,25 +65,53 @@ class BorderCrossing:
 
 
 def check_scene(scene: Scene) -> list[str]:
-    """Check geometry and field of a scene.
+    """Check geometry and field of a scene: each camera with each source.
 
     Returns
     -------
     list of str
-        What the user should know, though it can be measured.
+        What the user should know, though it can be measured: with at least one of the pairs, if
+        there are any.
 
     Raises
     ------
     InputError
         Naming the file, the element and the remedy.
     """
-    line = lit_line(scene)
     try:
-        told = check_solid(scene, line.points_mm)
-        told += _check_border(scene.field, scene.sensor, line) if scene.field else []
+        for name in scene.cameras:
+            _check_place(scene, scene.only(camera=name).camera_element, scene.cameras[name].pose)
+        for name in scene.sources:
+            _check_place(scene, scene.only(source=name).source_element, scene.sources[name].pose)
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
-    return told + _tell_glow(scene, line)
+    pairs = [(camera, source) for camera in scene.cameras for source in scene.sources]
+    notes: dict[str, list[str]] = {}
+    refused: dict[str, InputError] = {}
+    for camera, source in pairs:
+        pair = f"{camera} with {source}"
+        try:
+            found = _check_pair(scene.only(camera, source))
+        except InputError as error:
+            found, refused[pair] = [f"{error}"], error
+        for note in found:
+            notes.setdefault(note, []).append(pair)
+    if pairs and len(refused) == len(pairs):
+        raise next(iter(refused.values()))
+    return [
+        note if len(of) == len(pairs) else f"{', '.join(of)}: {note}" for note, of in notes.items()
+    ]
+
+
+def _check_pair(scene: Scene) -> list[str]:
+    """Check the one camera with the one source."""
+    line = lit_line(scene)
+    try:
+        found = check_solid(scene, line.points_mm)
+        found += _check_border(scene.field, scene.sensor, line) if scene.field else []
+    except InputError as error:
+        raise InputError(f"{scene.path}: {error}") from None
+    return found + _tell_glow(scene, line)
 
 
 def _tell_glow(scene: Scene, line: LitLine) -> list[str]:
@@ -110,7 +138,8 @@ def lit_line(scene: Scene) -> LitLine:
     """
     try:
         check_geometry(scene.sensor)
-        _check_places(scene)
+        _check_place(scene, scene.camera_element, scene.camera.pose)
+        _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)
         if scene.field:
             _check_cover(scene.field, line)
@@ -119,20 +148,19 @@ def lit_line(scene: Scene) -> LitLine:
     return line
 
 
-def _check_places(scene: Scene) -> None:
-    sensor = scene.sensor
-    for name, pose in (("camera", sensor.camera.pose), ("laser", sensor.laser.pose)):
-        x, y, z = pose.origin_mm
-        place = f"{_ELEMENT[name]}: the {name} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
-        forward = to_vectors(pose.rotation[:, 2][None])
-        if np.any(np.array(scene.surface.starts_inside(to_vectors(pose.origin_mm[None]), forward))):
-            raise InputError(f"{place} is inside the part; move it out (to_world)")
-        if scene.field and z < scene.field.box[0, 2]:
-            floor = scene.field.box[0, 2]
-            raise InputError(
-                f"{place} is under the floor of the air's field, z = {floor:g} mm; turn the sensor"
-                " less (beta, tilt, alpha)"
-            )
+def _check_place(scene: Scene, element: str, pose: Pose) -> None:
+    """What sees or shines must stand in the open."""
+    x, y, z = pose.origin_mm
+    place = f"{element} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
+    forward = to_vectors(pose.rotation[:, 2][None])
+    if np.any(np.array(scene.surface.starts_inside(to_vectors(pose.origin_mm[None]), forward))):
+        raise InputError(f"{place} is inside the part; move it out (to_world)")
+    if scene.field and z < scene.field.box[0, 2]:
+        floor = scene.field.box[0, 2]
+        raise InputError(
+            f"{place} is under the floor of the air's field, z = {floor:g} mm; turn the sensor"
+            " less (beta, tilt, alpha)"
+        )
 
 
 def _line_on_part(scene: Scene) -> LitLine:
@@ -142,8 +170,8 @@ def _line_on_part(scene: Scene) -> LitLine:
     met = found.status != SearchStatus.LASER_MISSED
     if not met.any():
         raise InputError(
-            f"{_ELEMENT['laser']}: the laser misses the part; turn it (to_world, tilt) or move the"
-            " part"
+            f"{scene.source_element}: the laser misses the part; turn it (to_world, tilt) or move"
+            " the part"
         )
     outside, hidden = (
         found.status[met] == reason
@@ -151,7 +179,7 @@ def _line_on_part(scene: Scene) -> LitLine:
     )
     if np.all(outside | hidden):
         raise InputError(
-            f"{_ELEMENT['camera']}: "
+            f"{scene.camera_element}: "
             + (
                 "the part hides the laser line from the camera; turn the camera (to_world, alpha)"
                 if hidden.any()

@@ -32,7 +32,7 @@ def why_dark(scene: Scene) -> str:
 
 
 def _clipped(scene: Scene, depth_mm: Array) -> str:
-    held = mi.traverse(scene.mitsuba.sensors()[0])
+    held = mi.traverse(scene.mitsuba_camera)
     far, near = (float(np.ravel(held[name])[0]) for name in ("far_clip", "near_clip"))
     for name, limit, cut in (
         ("far_clip", far, depth_mm >= far),
@@ -40,8 +40,9 @@ def _clipped(scene: Scene, depth_mm: Array) -> str:
     ):
         if cut.all():
             return (
-                f"<sensor>: {name} is {limit:g} mm, and the laser's line lies {depth_mm.min():.4g}"
-                f" to {depth_mm.max():.4g} mm in front of the camera, which is cut off; change it"
+                f"{scene.camera_element}: {name} is {limit:g} mm, and the laser's line lies"
+                f" {depth_mm.min():.4g} to {depth_mm.max():.4g} mm in front of the camera, which is"
+                " cut off; change it"
             )
     return ""
 
@@ -107,6 +108,6 @@ def _missed(scene: Scene, points_mm: Array) -> str:
             " finds it through this field; change the field, or how it is marched (step, transport)"
         )
     return (
-        f'<emitter type="laser_line">: no sample of the frame met the line, which is {width_px:.2g}'
+        f"{scene.source_element}: no sample of the frame met the line, which is {width_px:.2g}"
         " px wide; give a wider or longer one (line_radius, line_length), or more samples (spp)"
     )

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from virtual_sensor_plugins import laser_line
 
 from virtual_sensor import interrupts
 from virtual_sensor.engine import mi
@@ -92,14 +93,14 @@ class Loaded:
     scene : mitsuba.Scene
     cameras : dict
         Its sensors by their names: their `id`s, or made up where they have none.
-    lasers : dict
-        Likewise its emitters of type `laser_line`.
+    sources : dict
+        Likewise its emitters that are made of a device, such as `laser_line`.
     notes : tuple of str
     """
 
     scene: Any
     cameras: dict[str, Any]
-    lasers: dict[str, Any]
+    sources: dict[str, Any]
     notes: tuple[str, ...]
 
 
@@ -189,7 +190,7 @@ def load(
     with _among(main.parent, here), ExitStack() as temporary, _listening() as heard:
         try:
             state = mi.parser.parse_string(config, files[0].text, **given)
-            names = _named(state)
+            _name(state)
             _place(state, poses)
             notes = [
                 note for node in state.nodes for note in _check_node(main, state, node, values)
@@ -203,12 +204,11 @@ def load(
             mi.parser.transform_all(config, state)
             scene = mi.parser.instantiate(config, state)
             notes += warnings_of(main, heard)
-            cameras, lasers = (
-                {name: each for each in found if (name := each.id()) in names}
-                for found in (scene.sensors(), scene.emitters())
-            )
+            cameras = {sensor.id(): sensor for sensor in scene.sensors()}
+            device = laser_line.SourceEmitter  # of the variant that is set
+            sources = {each.id(): each for each in scene.emitters() if isinstance(each, device)}
             _check_samples(cameras, samples)
-            return Loaded(scene, cameras, lasers, tuple(notes))
+            return Loaded(scene, cameras, sources, tuple(notes))
         except InputError:
             raise
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
@@ -217,22 +217,17 @@ def load(
     raise _complaint(text, main, [e for file in files for e in file.elements], values)
 
 
-def _named(state: Any) -> list[str]:
-    """Names of a scene's sensors and lasers; those without an `id` get one."""
+def _name(state: Any) -> None:
+    """Give the sensors and emitters without an `id` one: "camera", "laser", "laser_2" and so on."""
     taken = {node.props.id() for node in state.nodes}
-    names = []
     for node in state.nodes:
-        kind = "camera" if node.type == mi.ObjectType.Sensor else "laser"
-        if kind == "laser" and node.props.plugin_name() != "laser_line":
+        if node.props.id() or node.type not in (mi.ObjectType.Sensor, mi.ObjectType.Emitter):
             continue
-        name = node.props.id()
-        if not name:
-            numbered = (f"{kind}_{number}" for number in count(2))
-            name = next(each for each in chain([kind], numbered) if each not in taken)
-            node.props.set_id(name)
-            taken.add(name)
-        names.append(name)
-    return names
+        kind = "camera" if node.type == mi.ObjectType.Sensor else node.props.plugin_name()
+        kind = kind.removesuffix("_line")
+        numbered = (f"{kind}_{number}" for number in count(2))
+        node.props.set_id(next(name for name in chain([kind], numbered) if name not in taken))
+        taken.add(node.props.id())
 
 
 def _parts(state: Any, node: Any, kind: Any) -> list[Any]:

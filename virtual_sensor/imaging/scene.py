@@ -6,9 +6,11 @@ The sensor model is read *from* the loaded Mitsuba scene, so the two can't disag
 Element of a scene               What becomes of it
 ===============================  ==================================================================
 integrator                       `refractive`, and no other
-sensor                           one `perspective`, a pinhole; a mirrored one is heeded, with a note
+sensor                           a camera, if it is a `perspective`, a pinhole; others are left out,
+                                 with a note; a mirrored one is heeded, with a note
 film                             the whole one, no crop; one beyond the memory is refused
-emitter                          one `laser_line`; others light the part too
+emitter                          a source, if it is a `laser_line`; others light the part too
+id                               the name of a camera or a source; those without one get a name
 shape of a file: ply, obj, stl   checked, and read where Mitsuba can't: `imaging.parts`
 other shapes, bsdf, texture      heeded, by Mitsuba
 to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
@@ -191,6 +193,16 @@ class Scene:
         return SensorModel(self.camera, self.source)
 
     @property
+    def camera_element(self) -> str:
+        """The only camera's element, for messages."""
+        return _sensor(self._one("camera", self.cameras))
+
+    @property
+    def source_element(self) -> str:
+        """The only source's element, for messages."""
+        return f'<emitter id="{shortened(self._one("source", self.sources))}">'
+
+    @property
     def mitsuba_camera(self) -> Any:
         """Mitsuba's sensor of the only camera."""
         return self._stage.loaded.cameras[self._one("camera", self.cameras)]
@@ -198,7 +210,7 @@ class Scene:
     @property
     def mitsuba_sources(self) -> dict[str, Any]:
         """Mitsuba's emitters of the sources, by name; others of the scene's do not shine."""
-        return {name: self._stage.loaded.lasers[name] for name in self.sources}
+        return {name: self._stage.loaded.sources[name] for name in self.sources}
 
     @property
     def integrator(self) -> Any:
@@ -438,11 +450,10 @@ def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
             ' type="refractive"/> in its place'
         )
-    cameras = {name: _camera(path, name, each) for name, each in loaded.cameras.items()}
-    if not cameras:
-        raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
-    sources = {name: emitter.source for name, emitter in loaded.lasers.items()}
+    cameras, unfit = _cameras(path, loaded.cameras)
+    sources = {name: emitter.source for name, emitter in loaded.sources.items()}
     notes = [*(note for file in files for note in file.notes), *loaded.notes]
+    notes += [f"{reason}; it is left out" for reason in unfit.values()]
     notes += _places(path, loaded.scene, cameras)
     surface = _surface(loaded.scene)
     used = [path.absolute(), *_referred(files, folders, values)]
@@ -598,12 +609,26 @@ def _sensor(name: str) -> str:
     return f'<sensor id="{shortened(name)}">'
 
 
+def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], dict[str, str]]:
+    """The cameras of a scene, and why its other sensors are none; at least one must be."""
+    cameras, unfit = {}, {}
+    for name, sensor in sensors.items():
+        held = mi.traverse(sensor)
+        if "x_fov" in held and "aperture_radius" not in held:
+            cameras[name] = _camera(path, name, sensor)
+        else:
+            unfit[name] = f'{path}: {_sensor(name)} is no <sensor type="perspective">, a pinhole'
+    if cameras:
+        return cameras, unfit
+    for reason in unfit.values():
+        raise InputError(f"{reason}; a camera must be one")
+    raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
+
+
 def _camera(path: Path, name: str, sensor: Any) -> Pinhole:
     """K and pose of a camera, from what Mitsuba holds."""
     held = mi.traverse(sensor)
     where = f"{path}: {_sensor(name)}"
-    if "x_fov" not in held or "aperture_radius" in held:
-        raise InputError(f'{where}: must be <sensor type="perspective">, a pinhole')
     film = sensor.film()
     width, height = (int(n) for n in film.size())
     if min(width, height) < 1:

@@ -20,6 +20,7 @@ from virtual_sensor.optics.sight import (
     REFERENCE,
     SearchScene,
     check_scene_given,
+    chosen,
     incidence_points,
     seen_points,
 )
@@ -96,6 +97,8 @@ def ray_search(
     r_max_um: float = 1.0,
     z_max_mm: float = 0.1,
     march: March | None = None,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> FoundPixels:
     """Find the pixels that see laser rays' incidence points.
 
@@ -118,6 +121,8 @@ def ray_search(
     march : March, optional
         How all rays are marched; by default as `REFERENCE` is.  Newton's search then is faster for
         thousands of laser points than one by one (`newton_along_line`).
+    camera, source : str, optional
+        Names of the scene's, where it has several.
 
     Returns
     -------
@@ -129,6 +134,7 @@ def ray_search(
         If the method is neither, or a number can't be searched with.
     """
     check_scene_given("ray_search", scene)
+    scene = chosen(scene, camera, source)
     if method not in ("paper", "newton"):
         raise InputError(f"ray_search: method must be paper or newton, not '{method}'")
     b = np.atleast_1d(_numbers("laser_y_mm", laser_y_mm))

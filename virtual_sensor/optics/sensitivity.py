@@ -23,9 +23,10 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
 from virtual_sensor.optics.ray_families import Motion, RayStarts
-from virtual_sensor.optics.ray_search import REFERENCE, SearchScene, SearchStatus, ray_search
+from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
 Array = NDArray[np.float64]
@@ -103,6 +104,8 @@ def line_sensitivity(
     variations: Mapping[str, Field] | None = None,
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     march: March = REFERENCE,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> Sensitivity:
     """Find the pixels that see laser rays' incidence points, and their derivatives.
 
@@ -122,12 +125,15 @@ def line_sensitivity(
     pivot_mm : array_like of shape (3,)
         World point that turns are about, other than ``beta``.
     march : March
+    camera, source : str, optional
+        Names of the scene's, where it has several.
 
     Raises
     ------
     InputError
         If a parameter is unknown, or the air is asked to vary where there is none.
     """
+    scene = chosen(scene, camera, source)
     b = np.atleast_1d(np.asarray(laser_y_mm, float))
     known = _known_parameters(scene, pivot_mm)
     asked = [*known, "field_scale"] if parameters is None else list(parameters)

@@ -1,5 +1,6 @@
 """Bent laser rays and lines of sight, from the sensor to the surface: what searches march."""
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -54,9 +55,23 @@ class SearchScene(Protocol):
     def surface(self) -> Surface: ...  # noqa: D102
 
 
+def chosen(scene: SearchScene, camera: str | None, source: str | None) -> SearchScene:
+    """The scene with the one camera and the one source of these names; None: it has only one.
+
+    Raises
+    ------
+    InputError
+        If there are none of these names, or several to choose from.
+    """
+    if camera is None and source is None:
+        return scene
+    only: Callable[[str | None, str | None], SearchScene] = scene.only  # type: ignore[attr-defined]
+    return only(camera, source)
+
+
 def check_scene_given(asker: str, scene: object) -> None:
     """Raise InputError unless it is a scene: a name or a path is easily given in its place."""
-    if not all(hasattr(scene, name) for name in ("sensor", "field", "surface")):
+    if not all(hasattr(scene, name) for name in ("field", "surface")):
         given = f"load_scene({scene!r})" if isinstance(scene, str) else "one from load_scene"
         raise InputError(f"{asker}: {str(scene)[:80]!r} is no scene; give {given}")
 

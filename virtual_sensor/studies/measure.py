@@ -271,7 +271,7 @@ def made_with(scene: Scene) -> dict[str, Any]:
         "threads": running.threads,
         "python": platform.python_version(),
         "transport": scene.transport.name,
-        "samples per pixel": int(scene.mitsuba.sensors()[0].sampler().sample_count()),
+        "samples per pixel": int(scene.mitsuba_camera.sampler().sample_count()),
         "step, mm": scene.transport.march.step_mm,
         "march": str(scene.transport.march),
         **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},

@@ -208,7 +208,7 @@ def scene_on(scene: Scene, name: str, step_mm: float, table_px: float) -> Scene:
 
 def lit_pixels(scene: Scene) -> LitPixels:
     """The pixels that the laser lights."""
-    found: LitPixels = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba.sensors()[0])
+    found: LitPixels = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
     return found
 
 
@@ -239,7 +239,7 @@ def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
 
 def line_of(scene: Scene, lit: LitPixels, spp: int) -> LineCentres:
     """The line's centres in a frame of lit pixels."""
-    sensor = scene.mitsuba.sensors()[0]
+    sensor = scene.mitsuba_camera
     image = np.array(scene.integrator.render(scene.mitsuba, sensor, spp=spp, lit=lit))
     return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0])
 

@@ -94,13 +94,13 @@ class Told:
 
 def _statuses(scene: Scene) -> NDArray[np.uint32]:
     """`LightStatus` of the pixels that the laser may reach."""
-    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba.sensors()[0])
+    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
     return np.array(lit.sight.light.status)
 
 
 def told_by(scene: Scene) -> Told:
     """Render a scene, and count what it tells."""
-    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba.sensors()[0])
+    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
     status = np.array(lit.sight.light.status)
     frame = render_frame(scene)
     unlit = np.asarray(lit.index)[status != LightStatus.LIT]

@@ -78,7 +78,7 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
     image = np.zeros((film_px, film_px), np.float32)
     keep = np.zeros(film_px, bool)
-    sensor = scene.mitsuba.sensors()[0]
+    sensor = scene.mitsuba_camera
     held = mi.traverse(sensor)
     for left, right in _windows(first, last, inner=6 if film_px > QUICK_FILM_PX else 1):
         held["film.crop_offset"] = mi.ScalarPoint2u(left, 0)
@@ -181,7 +181,7 @@ def frame_anew(scene: Scene) -> NDArray[np.float32]:
 
 def frame_direct(scene: Scene) -> NDArray[np.float32]:
     """A frame by Mitsuba's own `direct` integrator, which knows no hot air."""
-    image = mi.load_dict({"type": "direct"}).render(scene.mitsuba, scene.mitsuba.sensors()[0])
+    image = mi.load_dict({"type": "direct"}).render(scene.mitsuba, scene.mitsuba_camera)
     width, height = scene.sensor.camera.size
     return np.array(image, np.float32).reshape(height, width, -1)[:, :, 0]
 
