@@ -22,15 +22,14 @@ from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_maps import (
     ForwardMap,
     InverseMap,
     NoMapError,
     displaced,
-    forward_map,
     in_coordinates,
-    inverse_map,
 )
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.tabulated_light import hits, light
@@ -43,6 +42,7 @@ _EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels a
 _PROBES = 64  # rays that tell about how far light is moved
 _FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes tell
 _MOST_TRIALS = 6
+_OF_EACH = 0.5  # of the tolerance, of the camera and the laser: other parts of a frame err too
 _PAD_PX = 2.0  # what the maps hold round the lit pixels
 _PAD_MM = 0.2
 _NEAR_MM = 1.0  # from a surface: Mitsuba's float32 hits from so near are good to 0.03 um
@@ -126,7 +126,7 @@ def lit_pixels_and_tables(
     candidates = _candidates(index[near], distance.reshape(height, width), size, places.pixel_mm)
     places = places.of(near)
 
-    error_mm = 0.5 * tolerance_px * places.pixel_mm
+    error_mm = _OF_EACH * tolerance_px * places.pixel_mm
     pad_p = places.pitch * (_beyond(candidates, index[near], width) + _PAD_PX)
     pad = np.array([pad_p, pad_p, _PAD_MM])
     seen = places.camera.min(axis=0) - pad, places.camera.max(axis=0) + pad
@@ -138,8 +138,8 @@ def lit_pixels_and_tables(
     low = np.maximum(low, seen_ab.min(axis=0) - moves.light_mm - _PAD_MM)
     high = np.minimum(high, seen_ab.max(axis=0) + moves.light_mm + _PAD_MM)
     lit = np.append(low, depth.min() - _PAD_MM), np.append(high, depth.max() + _PAD_MM)
-    camera = forward_map(field, view, *seen, march, error_mm)
-    laser = inverse_map(field, sheet, *lit, march, error_mm)
+    camera = MAPS.forward(field, view, *seen, march, error_mm)
+    laser = MAPS.inverse(field, sheet, *lit, march, error_mm)
     tables = Tables(camera, laser, emitter, SceneSurface(scene), march)
     sight, _ = tables.look(centre_rays(sensor, candidates))
     account.camera, account.laser = camera.fineness, laser.fineness
@@ -350,7 +350,7 @@ class Elsewhere:
         corners = [np.array([float(c[0]) for c in corner]) for corner in (low, high)]
         corners[1][2] += 1.0
         pixel_mm = float(dr.max(dr.norm(ray.d_x - ray.d))[0]) * corners[0][2]
-        camera = forward_map(field, view, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm)
+        camera = MAPS.forward(field, view, corners[0], corners[1], march, _ELSEWHERE_PX * pixel_mm)
         depth = dr.select(valid, depth, float(corners[1][2]))
         across, along, by_x, by_y = camera.linear.at(mi.Array3f(p, q, depth))
         self._distance = (depth - before) / z

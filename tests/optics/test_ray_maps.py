@@ -438,3 +438,94 @@ def test_where_light_runs_straight_the_maps_are_zero(laser):
         assert np.all(read(each.linear, places) == 0.0)
         assert np.all(each.at(places) == 0.0)
         assert each.fineness.error_mm == 0.0
+
+
+# --------------------------------------------------------------------------------- point by point
+
+
+def test_rays_through_points_are_found_by_either_map(laser, mapped):
+    """Rationale: projection and triangulation ask point by point; SciPy's rays must pass there."""
+    more = np.array([1.0, 1.0, 0.0])
+    box = LASER_LOW - more, LASER_HIGH + more
+    ahead = forward_map(SPOT.field, sheet(laser), *box, MARCH, 1e-4)
+    places = around(mapped.table.grid, 150)
+    points = points_of(laser, places)
+    for rays in (mapped.rays(points), ahead.rays(points)):
+        np.testing.assert_array_equal(rays.status, MapStatus.OK)
+        arrived = sent(laser, *rays.coordinates.T, places[:, 2])
+        local = np.column_stack([arrived[:, :2], places[:, 2] - laser.distance_mm])
+        np.testing.assert_allclose(centre(laser).to_world(local), points, rtol=0, atol=1e-4)
+        slope = np.column_stack([arrived[:, 2:], np.ones(len(places))])
+        heading = unit(slope @ laser.pose.rotation.T)
+        np.testing.assert_allclose(rays.direction, heading, rtol=0, atol=1e-4)
+
+
+def test_lines_of_sight_are_inverted_as_laser_rays_are():
+    """Rationale: a projected point's pixel; the generic inverse knows of no family."""
+    low, high = CAMERA_BOX
+    camera = inverse_map(SPOT.field, view(CAMERA), low, high, MARCH, 1e-4)
+    places = around(camera.table.grid, 100)
+    s, t, depth = places.T
+    points = CAMERA.to_world(np.stack([s * depth, t * depth, depth], axis=1))
+    found = camera.rays(points)
+    np.testing.assert_array_equal(found.status, MapStatus.OK)
+    p, q = found.coordinates.T
+    moved = spot_seen(p, q, depth)
+    local = np.stack([p * depth + moved[:, 0], q * depth + moved[:, 1], depth], axis=1)
+    np.testing.assert_allclose(CAMERA.to_world(local), points, rtol=0, atol=1e-4)
+    assert np.abs(found.coordinates - places[:, :2]).max() > 1e-3
+
+
+def test_places_off_a_map_are_said_to_be_off(laser, mapped):
+    """Rationale: an extrapolated spline would give a plausible wrong ray; NaN has none either."""
+    middle = 0.5 * (LASER_LOW + LASER_HIGH)
+    places = np.tile(middle, (5, 1))
+    places[1, 0], places[2, 1], places[3, 2] = LASER_LOW[0] - 2.0, LASER_HIGH[1] + 2.0, 50.0
+    points = points_of(laser, places)
+    points[4] = np.nan
+    ahead = forward_map(SPOT.field, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    status = [MapStatus.OK, *[MapStatus.OFF] * 4]
+    for rays in (mapped.rays(points), ahead.rays(points)):
+        np.testing.assert_array_equal(rays.status, status)
+        assert np.isfinite(rays.coordinates[0]).all()
+        assert np.isfinite(rays.direction[0]).all()
+        assert np.isnan(rays.coordinates[1:]).all()
+        assert np.isnan(rays.direction[1:]).all()
+    places[4] = np.nan
+    there = ahead.points(places)
+    np.testing.assert_array_equal(there.status, status)
+    assert np.isfinite(there.point_mm[0]).all()
+    assert np.isnan(there.point_mm[1:]).all()
+    assert np.isnan(ahead.at(places)[1:]).all()
+    assert np.isfinite(ahead.at(places)[0]).all()
+    for none in (mapped.rays(points[:0]), ahead.rays(points[:0])):
+        assert none.coordinates.shape == (0, 2)
+        assert none.status.shape == (0,)
+    assert ahead.points(places[:0]).point_mm.shape == (0, 3)
+
+
+def test_beyond_a_caustic_points_have_no_single_ray_and_rays_go_on():
+    """Rationale: before the focus the lens has one ray for a point; behind it, no answer is right.
+
+    The rays themselves are known there: x = a cos(w z / n0), as in the closed form.
+    """
+    low, high = SLAB_BOX
+    contrast, far = 1.3, np.array([0.6, 0.0, 0.0])
+    ahead = forward_map(slab(contrast), BEAM, low - far, high + far, MARCH, 1e-4)
+    within_mm = np.linspace(2.0, FOCUS_MM, 40)
+    phase = contrast * np.pi / 2.0 * within_mm / FOCUS_MM
+    places = np.stack([np.full(40, 0.1), np.full(40, 0.5), 50.0 + within_mm], axis=1)
+    seen = ahead.points(places)
+    local = np.stack([0.1 * np.cos(phase), places[:, 1], places[:, 2]], axis=1)
+    np.testing.assert_allclose(seen.point_mm, BEAM.pose.to_world(local), rtol=0, atol=1e-3)
+    before, behind = np.cos(phase) > 0.05, np.cos(phase) < -0.05
+    assert before.sum() > 20
+    assert behind.sum() > 5
+    np.testing.assert_array_equal(seen.status[before], MapStatus.OK)
+    np.testing.assert_array_equal(seen.status[behind], MapStatus.FOLDED)
+    rays = ahead.rays(BEAM.pose.to_world(local))
+    near = np.cos(phase) > 0.4  # else the rays come from beyond the map
+    np.testing.assert_array_equal(rays.status[near], MapStatus.OK)
+    np.testing.assert_allclose(rays.coordinates[near], places[near, :2], rtol=0, atol=2e-3)
+    assert not np.any(rays.status[behind] == MapStatus.OK)
+    assert np.isnan(rays.coordinates[behind]).all()

@@ -68,6 +68,7 @@ class SplineTable:
         axes = zip(grid.low, grid.spacing, grid.shape, strict=True)
         knots = tuple(low + step * (np.arange(n + 6) - 3.0) for low, step, n in axes)
         self._spline = NdBSpline(knots, self._coefficients, 3, extrapolate=True)
+        self._linear: dict[tuple[str, tuple[int, ...]], LinearTable] = {}
 
     def at(self, places: Array) -> Array:
         """The functions at places (N, 3): (N, C)."""
@@ -86,8 +87,8 @@ class SplineTable:
 
     @property
     def bytes(self) -> int:
-        """Memory that it takes."""
-        return self._coefficients.nbytes
+        """Memory that it takes, with the linear tables made of it."""
+        return self._coefficients.nbytes + sum(table.bytes for table in self._linear.values())
 
     def finer(self, tolerances: Array) -> list[int]:
         """How many times finer along each axis a linear table must be to err by no more.
@@ -103,6 +104,12 @@ class SplineTable:
 
     def linear(self, finer: list[int]) -> "LinearTable":
         """The same functions for Dr.Jit, linear on a grid so many times finer along each axis."""
+        key = mi.variant(), tuple(finer)
+        if key not in self._linear:
+            self._linear[key] = self._finer_table(finer)
+        return self._linear[key]
+
+    def _finer_table(self, finer: list[int]) -> "LinearTable":
         values, shape = self._coefficients.astype(np.float32), list(self.grid.shape)
         for axis in np.argsort(shape):  # the longest last: the others stay short meanwhile
             nodes = shape[axis]

@@ -36,12 +36,10 @@ _SPLINE = 0.6  # of the tolerance is for the splines; the rest for linear interp
 _FORWARD = 0.75  # of an inverse map's share is for the forward one that it is made from
 _FEWEST = 4  # nodes of a cubic spline that ends in no knot
 _ALONG = 97, 97, 13  # rays of a line along s, t and depth: they tell how fine a grid to begin with
-_MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 30_000, 250_000, 10_000_000
+_LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 4_000, 30_000, 250_000, 10_000_000
 _LEVELS = 8
 _PATIENCE = 2.5  # grids are refined as if errors were so many times larger than was seen
-_STRETCH = (
-    3e-4  # error of derivatives by the coordinates, in mm per mm: light's concentration has it
-)
+_STRETCH = 1.5e-4  # error of derivatives by s and t, mm per mm: light is concentrated by them
 _CHECKS = 96  # rays between the nodes of each axis, and as many anywhere
 _SETTLED = 0.03  # of the tolerance: what is left when a ray through a point is found
 _MOST_STEPS = 12
@@ -162,7 +160,7 @@ class RayMap:
         """What one mm of error is in the two first functions' units, at least."""
         return 1.0, 1.0
 
-    @cached_property
+    @property
     def linear(self) -> LinearTable:
         """The same for Dr.Jit, good to `error_mm` + `linear_mm`; made when first asked for.
 
@@ -171,14 +169,17 @@ class RayMap:
         NoMapError
             If it would have too many nodes.
         """
-        finer = self.table.finer(self.linear_mm * np.array(self._units()))
-        shape = [k * (n - 1) + 1 for k, n in zip(finer, self.nodes, strict=True)]
+        shape = [k * (n - 1) + 1 for k, n in zip(self._finer, self.nodes, strict=True)]
         if np.prod(shape, dtype=float) > _MOST_LINEAR_NODES:
             raise NoMapError(
                 f"a table within {self.linear_mm:.1e} mm would have {' x '.join(map(str, shape))}"
                 " nodes"
             )
-        return self.table.linear(finer)
+        return self.table.linear(self._finer)
+
+    @cached_property
+    def _finer(self) -> list[int]:
+        return self.table.finer(self.linear_mm * np.array(self._units()))
 
     @property
     def fineness(self) -> Fineness:
@@ -518,17 +519,20 @@ class _Lines:
 
     def shape(self, tolerance_mm: float, low: Array, high: Array) -> tuple[int, int, int]:
         """About how many nodes each axis of a box like this one needs."""
-        cells, first = [], 0
+        cells, first = np.zeros(3), 0
         for axis, count in enumerate(_ALONG):
             line = self.values[first : first + 3 * count, :2].reshape(3, count, 2)
             along = line.transpose(1, 0, 2).reshape(count, 6)
             larger = (high[axis] - low[axis]) / (self.high[axis] - self.low[axis])
             slope_mm = _STRETCH * self.spacing_mm[axis]
-            cells.append(larger * _cells_for(along, tolerance_mm / _PATIENCE, slope_mm))
+            cells[axis] = larger * _cells_for(along, tolerance_mm / _PATIENCE, slope_mm)
             first += 3 * count
-        # Where no grid will do, for noise, the error reached is to be known in no time.
-        most = (_MOST_FIRST / np.prod(np.maximum(cells, _FEWEST - 1.0))) ** (1.0 / 3.0)
-        s, t, depth = (max(int(np.ceil(n * min(most, 1.0))) + 1, _FEWEST) for n in cells)
+        cells = np.maximum(cells, _FEWEST - 1.0)
+        # Few rays take as long as some thousand; and where no grid will do, for noise, the error
+        # reached is to be known in no time.
+        cells[:2] *= np.sqrt(max(_LEAST_FIRST / np.prod(cells), 1.0))
+        cells *= np.cbrt(min(_MOST_FIRST / np.prod(cells), 1.0))
+        s, t, depth = (max(int(np.ceil(n)) + 1, _FEWEST) for n in cells)
         return s, t, depth
 
 

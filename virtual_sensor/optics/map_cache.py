@@ -1,0 +1,217 @@
+"""Ray maps are made once while medium, device, march and tolerance stay the same.
+
+A map is of a medium and of where a family's rays run in it: a device and a medium that are moved
+together by one rigid motion have the same maps, a device that is moved in still air has others.
+What a device shines with, what a camera records with and which part stands there do not count.
+
+A map's box is the one asked for, made larger to a lattice: another part or source near by finds its
+place in it.  Which box that is depends on what is asked and on nothing that was asked before, so
+that frames are equal to the bit in whatever order they are made.
+"""
+
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.engine import mi
+from virtual_sensor.optics.ray_families import Pose, RayFamily
+from virtual_sensor.optics.ray_maps import (
+    CausticError,
+    ForwardMap,
+    InverseMap,
+    NoMapError,
+    RayMap,
+    forward_map,
+    inverse_map,
+)
+from virtual_sensor.optics.rays import Field, March
+
+Array = NDArray[np.float64]
+Make = Callable[[Field | None, RayFamily, Array, Array, March, float], RayMap]
+
+_MOST_BYTES = 512 << 20
+_MOST_MAPS = 256  # failures, which take no memory, among them
+_LATTICE = np.array([4.0, 4.0, 1.0])  # steps of a box's lattice that it has at least
+_SAME = 0.01  # of the tolerance: rays that start and end so close run the same way
+_AT = np.linspace(0.0, 1.0, 4)  # of the box: a family is known by its rays there
+
+
+@dataclass
+class _Entry:
+    """A map, or why there is none, and what it is of."""
+
+    medium: Any  # a weak reference, or None
+    settings: Hashable
+    rays: Array
+    found: RayMap | NoMapError
+
+
+class MapCache:
+    """Ray maps of a process, bounded in memory; threads may share it.
+
+    Parameters
+    ----------
+    most_bytes : int
+        Of all maps; the one that was used longest ago goes first.
+    forward, inverse : callable
+        What makes them.
+    """
+
+    def __init__(
+        self,
+        most_bytes: int = _MOST_BYTES,
+        forward: Callable[..., ForwardMap] = forward_map,
+        inverse: Callable[..., InverseMap] = inverse_map,
+    ) -> None:
+        self._most_bytes = most_bytes
+        self._forward, self._inverse = forward, inverse
+        self._entries: OrderedDict[int, _Entry] = OrderedDict()
+        self._number = 0
+        self._lock = threading.RLock()
+
+    def forward(
+        self,
+        medium: Field | None,
+        family: RayFamily,
+        low: Array,
+        high: Array,
+        march: March,
+        tolerance_mm: float,
+    ) -> ForwardMap:
+        """A map as `forward_map` makes it, of a box that holds the one asked for."""
+        found = self._found(self._forward, medium, family, low, high, march, tolerance_mm)
+        assert isinstance(found, ForwardMap)
+        return found
+
+    def inverse(
+        self,
+        medium: Field | None,
+        family: RayFamily,
+        low: Array,
+        high: Array,
+        march: March,
+        tolerance_mm: float,
+    ) -> InverseMap:
+        """A map as `inverse_map` makes it, of a box that holds the one asked for."""
+        found = self._found(self._inverse, medium, family, low, high, march, tolerance_mm)
+        assert isinstance(found, InverseMap)
+        return found
+
+    @property
+    def bytes(self) -> int:
+        """Memory of all maps."""
+        with self._lock:
+            maps = (entry.found for entry in self._entries.values())
+            return sum(found.table.bytes for found in maps if isinstance(found, RayMap))
+
+    def clear(self) -> None:
+        """Forget all maps."""
+        with self._lock:
+            self._entries.clear()
+
+    def _found(
+        self,
+        make: Make,
+        medium: Field | None,
+        family: RayFamily,
+        low: Array,
+        high: Array,
+        march: March,
+        tolerance_mm: float,
+    ) -> RayMap:
+        """The map of the roomier box; where there is none, that of the box itself."""
+        box = roomier(low, high)
+        try:
+            return self._one(make, medium, family, *box, march, tolerance_mm)
+        except NoMapError:
+            return self._one(make, medium, family, low, high, march, tolerance_mm)
+
+    def _one(
+        self,
+        make: Make,
+        medium: Field | None,
+        family: RayFamily,
+        low: Array,
+        high: Array,
+        march: March,
+        tolerance_mm: float,
+    ) -> RayMap:
+        whose, by_value, pose = _medium(medium)
+        settings = make, by_value, march, tolerance_mm, low.tobytes(), high.tobytes(), mi.variant()
+        rays = _rays(family, pose, low, high)
+        with self._lock:
+            for number, entry in list(self._entries.items()):
+                if entry.medium is not None and entry.medium() is None:
+                    del self._entries[number]
+                    continue
+                same = (entry.medium() if entry.medium else None) is whose
+                if same and entry.settings == settings and _close(entry.rays, rays, tolerance_mm):
+                    self._entries.move_to_end(number)
+                    return _of(entry.found, family)
+            found: RayMap | NoMapError
+            try:
+                found = make(medium, family, low, high, march, tolerance_mm)
+            except NoMapError as why:
+                found = why.with_traceback(None)
+            reference = None if whose is None else weakref.ref(whose)
+            self._number += 1
+            self._entries[self._number] = _Entry(reference, settings, rays, found)
+            while len(self._entries) > 1 and (
+                self.bytes > self._most_bytes or len(self._entries) > _MOST_MAPS
+            ):
+                self._entries.popitem(last=False)
+            return _of(found, family)
+
+
+MAPS = MapCache()
+"""Of this process."""
+
+
+def roomier(low: Array, high: Array) -> tuple[Array, Array]:
+    """The box of a lattice that holds one of (s, t, depth); its rays start no later than asked."""
+    extent = np.maximum(high - low, 1e-9)
+    step = 2.0 ** np.ceil(np.log2(extent / (2.0 * _LATTICE)))
+    first, last = np.floor(low / step) * step, np.ceil(high / step) * step
+    while first[2] <= 0.0 < low[2]:  # rays of a pinhole don't differ at depth 0
+        step[2] /= 2.0
+        first[2] = np.floor(low[2] / step[2]) * step[2]
+    return first, last
+
+
+def _medium(medium: Field | None) -> tuple[Any, Hashable, Pose | None]:
+    """What a medium is by identity and by value, and its pose; the nodes of one that has them."""
+    nodes = getattr(medium, "nodes", None)
+    if nodes is None:
+        return medium, None, getattr(medium, "pose", None)
+    field: Any = medium
+    lattice = field.origin.tobytes(), field.spacing.tobytes(), field.mirror
+    values = *lattice, field.ambient, field.interpolation, field.dimensions
+    return nodes, values, getattr(field, "pose", None)
+
+
+def _rays(family: RayFamily, medium: Pose | None, low: Array, high: Array) -> Array:
+    """Where a family's rays and its frame are in a medium's frame, mm: numbers to compare."""
+    s, t = (a.ravel() for a in np.meshgrid(*(low[:2] + _AT[:, None] * (high - low)[:2]).T))
+    origins, directions = family.rays(s, t)
+    ends = origins + directions * max(high[2], 1.0)
+    frame = family.pose.to_world(np.vstack([np.zeros(3), max(high[2], 1.0) * np.eye(3)]))
+    points = np.concatenate([origins, ends, frame])
+    return points if medium is None else medium.to_local(points)
+
+
+def _close(one: Array, other: Array, tolerance_mm: float) -> bool:
+    return bool(np.abs(one - other).max() <= _SAME * tolerance_mm)
+
+
+def _of(found: RayMap | NoMapError, family: RayFamily) -> RayMap:
+    """A map for a family that may stand elsewhere in the world, with its medium."""
+    if isinstance(found, NoMapError):
+        kind = CausticError if isinstance(found, CausticError) else NoMapError
+        raise kind(str(found))
+    return found if found.family is family else replace(found, family=family)
