@@ -447,12 +447,13 @@ def test_rays_through_points_are_found_by_either_map(laser, mapped):
     """Rationale: projection and triangulation ask point by point; SciPy's rays must pass there."""
     more = np.array([1.0, 1.0, 0.0])
     box = LASER_LOW - more, LASER_HIGH + more
-    ahead = forward_map(SPOT.field, sheet(laser), *box, MARCH, 1e-4)
+    ahead = forward_map(SPOT.field, laser, *box, MARCH, 1e-4)
     places = around(mapped.table.grid, 150)
     points = points_of(laser, places)
     for rays in (mapped.rays(points), ahead.rays(points)):
         np.testing.assert_array_equal(rays.status, MapStatus.OK)
-        arrived = sent(laser, *rays.coordinates.T, places[:, 2])
+        a, b = rays.coordinates.T
+        arrived = sent(laser, a, b, places[:, 2])
         local = np.column_stack([arrived[:, :2], places[:, 2] - laser.distance_mm])
         np.testing.assert_allclose(centre(laser).to_world(local), points, rtol=0, atol=1e-4)
         slope = np.column_stack([arrived[:, 2:], np.ones(len(places))])
@@ -483,7 +484,7 @@ def test_places_off_a_map_are_said_to_be_off(laser, mapped):
     places[1, 0], places[2, 1], places[3, 2] = LASER_LOW[0] - 2.0, LASER_HIGH[1] + 2.0, 50.0
     points = points_of(laser, places)
     points[4] = np.nan
-    ahead = forward_map(SPOT.field, sheet(laser), LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    ahead = forward_map(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3)
     status = [MapStatus.OK, *[MapStatus.OFF] * 4]
     for rays in (mapped.rays(points), ahead.rays(points)):
         np.testing.assert_array_equal(rays.status, status)

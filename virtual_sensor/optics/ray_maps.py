@@ -530,8 +530,8 @@ class _Lines:
         cells = np.maximum(cells, _FEWEST - 1.0)
         # Few rays take as long as some thousand; and where no grid will do, for noise, the error
         # reached is to be known in no time.
-        cells[:2] *= np.sqrt(max(_LEAST_FIRST / np.prod(cells), 1.0))
-        cells *= np.cbrt(min(_MOST_FIRST / np.prod(cells), 1.0))
+        cells[:2] *= max(_LEAST_FIRST / float(np.prod(cells)), 1.0) ** (1.0 / 2.0)
+        cells *= min(_MOST_FIRST / float(np.prod(cells)), 1.0) ** (1.0 / 3.0)
         s, t, depth = (max(int(np.ceil(n)) + 1, _FEWEST) for n in cells)
         return s, t, depth
 

@@ -13,7 +13,6 @@ from virtual_sensor.engine import dr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
-from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import ForwardMap, forward_map
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.optics.ray_status import RayStatus
@@ -127,8 +126,7 @@ def tabulated_ends(
     scene: Scene, bundle: Bundle, tolerance_px: float
 ) -> tuple[Callable[[], Array], Callable[[], ForwardMap]]:
     """The same by maps, as functions to be timed: all of it, and making the map alone."""
-    camera = scene.sensor.camera
-    family = Pinhole(camera.matrix, camera.pose, camera.size)
+    family = scene.sensor.camera
     place = family.coordinates(bundle.targets)
     low, high = place.min(axis=0) - _MARGIN, place.max(axis=0) + _MARGIN
     march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
