@@ -8,8 +8,9 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.ray_families import Pose, Sheet
+from virtual_sensor.optics.ray_families import Sheet
 from virtual_sensor.optics.surfaces import own_variant
+from virtual_sensor.poses import Pose
 
 _FARTHEST_MM = 1e6  # float32 places are good to 0.06 mm there
 _SQUARE = 1e-4  # a rotation's axes are of length 1 and square to each other, but for rounding

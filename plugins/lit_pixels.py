@@ -14,8 +14,8 @@ from virtual_sensor.arrays import at_least, in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.illumination import Illumination, LightStatus
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_maps import Fineness
+from virtual_sensor.poses import Pose
 
 _LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
 _FAR_MM = 2.0  # refraction is taken to move no light further than this

@@ -6,7 +6,8 @@ from scipy.stats import norm
 
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
-from virtual_sensor.optics.ray_families import Pinhole, Pose, Sheet
+from virtual_sensor.optics.ray_families import Pinhole, Sheet
+from virtual_sensor.poses import Pose
 
 
 def line_image(centre, sigma, amplitude=1.0, background=0.0, height=64):

@@ -6,7 +6,7 @@ import numpy as np
 from artificial import paper_sensor
 
 from virtual_sensor.devices.sensor import SensorModel
-from virtual_sensor.optics.ray_families import Pose
+from virtual_sensor.poses import Pose
 from virtual_sensor.studies.reproduction.curves import (
     BLURRED,
     DOTS,

@@ -38,6 +38,7 @@ STAIRS = (  # from the ground up
         "virtual_sensor.files",
         "virtual_sensor.child",
         "virtual_sensor.engine",
+        "virtual_sensor.poses",
     ),
     ("virtual_sensor.medium",),
     ("virtual_sensor.optics",),
@@ -55,6 +56,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.files",
     "virtual_sensor.metrology",
     "virtual_sensor.optics.ray_families",
+    "virtual_sensor.poses",
 )
 METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
 # Rooms without a renderer in them, where the engine is only started.

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from virtual_sensor.optics.ray_search import ray_search
     from virtual_sensor.optics.ray_status import RayStatus
     from virtual_sensor.optics.trace import trace
+    from virtual_sensor.poses import Pose
 
 _HOME = {
     "CameraNoise": "imaging.camera_noise",
@@ -35,6 +36,7 @@ _HOME = {
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
+    "Pose": "poses",
     "RayStatus": "optics.ray_status",
     "Status": "metrology.centres",
     "air_refractivity": "medium.air",
@@ -54,6 +56,7 @@ __all__ = [
     "IndexField",
     "InputError",
     "LineCentres",
+    "Pose",
     "RayStatus",
     "Status",
     "air_refractivity",

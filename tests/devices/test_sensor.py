@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from artificial import paper_sensor
 
-from virtual_sensor.optics.ray_families import Pose
+from virtual_sensor.poses import Pose
 
 
 def random_pose(seed):

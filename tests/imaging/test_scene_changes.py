@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 import virtual_sensor as vs
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.description import MediumDescription
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.transports import Transport
+from virtual_sensor.poses import Pose
 
 FILM = {"width": 128, "height": 128, "spp": 1, "line_radius": 0.5}
 Y = [0.0, -4.0]

@@ -7,7 +7,7 @@ from artificial import paper_sensor
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.triangulation import check_geometry, triangulate
-from virtual_sensor.optics.ray_families import Pose
+from virtual_sensor.poses import Pose
 
 
 def turned(sensor, rotation, origin_mm=(0.0, 0.0, 0.0)):

@@ -12,9 +12,10 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March, Straight, bend, in_plane
 from virtual_sensor.optics.illumination import LightStatus, illuminate
-from virtual_sensor.optics.ray_families import Pose, Sheet
+from virtual_sensor.optics.ray_families import Sheet
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
+from virtual_sensor.poses import Pose
 
 MARCH = March(step_mm=0.5, method="leapfrog")
 

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.ray_families import Motion, Pinhole, Pose, RayFamily, Sheet
+from virtual_sensor.optics.ray_families import Motion, Pinhole, RayFamily, Sheet
 from virtual_sensor.optics.trace import to_numpy
+from virtual_sensor.poses import Pose
 
 POSE = Pose(
     Rotation.from_euler("xyz", [20.0, -40.0, 110.0], degrees=True).as_matrix(),

@@ -13,7 +13,7 @@ from virtual_sensor.medium import exact_fields
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.illumination import LightStatus, illuminate
-from virtual_sensor.optics.ray_families import Pinhole, Pose, Sheet
+from virtual_sensor.optics.ray_families import Pinhole, Sheet
 from virtual_sensor.optics.ray_maps import (
     CausticError,
     MapStatus,
@@ -24,6 +24,7 @@ from virtual_sensor.optics.ray_maps import (
 )
 from virtual_sensor.optics.surfaces import NoSurface
 from virtual_sensor.optics.tabulated_light import hits, light
+from virtual_sensor.poses import Pose
 
 MARCH = March(step_mm=1.0, method="rk4", precision="double")
 

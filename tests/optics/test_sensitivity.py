@@ -24,11 +24,11 @@ from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.optics.eikonal import bend, in_plane
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import REFERENCE, SearchStatus
 from virtual_sensor.optics.rays import March, Straight
 from virtual_sensor.optics.sensitivity import laser_y_at, line_sensitivity
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, SceneSurface
+from virtual_sensor.poses import Pose
 
 AGREEMENT = 1e-4  # of the largest derivative along the line
 Y = np.linspace(-9.83, 9.64, 8)  # on no knot of the spline: its third derivative jumps there
@@ -194,6 +194,7 @@ class Variation:
 
     box = np.array([[-1e3] * 3, [1e3] * 3])
     ambient = 0.0
+    pose = None
 
     def lookup(self, precision):
         return self

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import exp, where
-from virtual_sensor.optics.ray_families import Pose, RayFamily
+from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -155,7 +155,7 @@ def _check_place(scene: Scene, element: str, pose: Pose) -> None:
     forward = to_vectors(pose.rotation[:, 2][None])
     if np.any(np.array(scene.surface.starts_inside(to_vectors(pose.origin_mm[None]), forward))):
         raise InputError(f"{place} is inside the part; move it out (to_world)")
-    if scene.field and z < scene.field.box[0, 2]:
+    if scene.field and scene.field.to_local(pose.origin_mm)[2] < scene.field.box[0, 2]:
         floor = scene.field.box[0, 2]
         raise InputError(
             f"{place} is under the floor of the air's field, z = {floor:g} mm; turn the sensor"
@@ -193,12 +193,13 @@ def _line_on_part(scene: Scene) -> LitLine:
 def _check_cover(field: IndexField, line: LitLine) -> None:
     """The field must hold the lit part of the surface."""
     low, high = field.box
-    outside = np.any((line.points_mm < low) | (line.points_mm > high), axis=1)
+    points = field.to_local(line.points_mm)
+    outside = np.any((points < low) | (points > high), axis=1)
     if outside.any():
-        x, y, z = line.points_mm[outside][0]
+        frame = " in the moved field's own frame" if field.pose else ""
         raise InputError(
             f"{_FIELD} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
-            f" laser meets the part at {_point((x, y, z))} mm; give a larger field"
+            f" laser meets the part at {_point(points[outside][0])} mm{frame}; give a larger field"
         )
 
 
@@ -240,23 +241,25 @@ def _border_crossing(
     field: IndexField, sensor: SensorModel, origin_mm: Array, line_mm: Array
 ) -> BorderCrossing:
     """Snell's law for a small jump: the ray turns by jump * tan(angle of incidence)."""
-    ray = line_mm - origin_mm
+    start = field.to_local(origin_mm)
+    ray = field.to_local(line_mm) - start
     distance = np.linalg.norm(ray, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        entered = (np.where(ray >= 0.0, field.box[0], field.box[1]) - origin_mm) / ray
+        entered = (np.where(ray >= 0.0, field.box[0], field.box[1]) - start) / ray
     axis = np.nanargmax(entered, axis=1)
     along = np.clip(np.nanmax(entered, axis=1), 0.0, 1.0)
-    place = origin_mm + along[:, None] * ray
+    place = start + along[:, None] * ray
     inner = np.clip(place, field.box[0] + _INSIDE_MM, field.box[1] - _INSIDE_MM)
     outside = along > 0.0
-    jump = np.where(outside, np.abs(field.refractivity(inner) - field.ambient), 0.0)
+    n = field.refractivity(field.to_world(inner))
+    jump = np.where(outside, np.abs(n - field.ambient), 0.0)
     across = ray[np.arange(len(ray)), axis]
     cosine = np.abs(across) / distance
     turn = jump * np.sqrt(1.0 - cosine**2) / np.maximum(cosine, 1e-3)
     depth = sensor.camera.pose.to_local(line_mm)[:, 2]
     shift = turn * (1.0 - along) * distance * sensor.camera.matrix[0, 0] / depth
     face = np.where(outside, 2 * axis + (across < 0.0), -1)
-    return BorderCrossing(face, place, jump, shift)
+    return BorderCrossing(face, field.to_world(place), jump, shift)
 
 
 def _point(xyz: Array | tuple[float, ...]) -> str:

@@ -25,7 +25,7 @@ _MOST_NODES = 20_000
 
 @dataclass(frozen=True)
 class _Solid:
-    """The solid of a field's file.
+    """The solid of a field's file, in the field's frame.
 
     `nodes_mm` (N, 3) are some of its nodes, those next to the air left out; `away_mm` (nx, ny, nz)
     is each node's distance to the solid; `cell_mm` the diagonal of a cell.
@@ -67,18 +67,20 @@ def check_solid(scene: Scene, lit_mm: Array) -> list[str]:
     InputError
         If they have little in common.
     """
-    file = scene.air.path
-    solid = _solid_of(file, file.stat().st_mtime_ns) if scene.field and file else None
-    if file is None or solid is None:
+    file, field = scene.air.path, scene.medium
+    if file is None or field is None:
+        return []
+    solid = _solid_of(file, file.stat().st_mtime_ns)
+    if solid is None:
         return []
     name = f'<integrator type="refractive">: the field {file.name}'
-    share = float(np.mean(_in_front(scene, solid)))
+    share = float(np.mean(_in_front(scene, field.to_world(solid.nodes_mm), solid.cell_mm)))
     if share > NOTED:
         text = f"{name} is not of this part: {share:.0%} of its solid lies outside the part"
         if share > REFUSED:
             raise InputError(f"{text}; give a field of this part, or none")
         return [f"{text}, where the air is made up"]
-    away = solid.away_from(lit_mm)
+    away = solid.away_from(field.to_local(lit_mm))
     if not np.nanmedian(away) > solid.cell_mm:
         return []
     text = (
@@ -90,16 +92,16 @@ def check_solid(scene: Scene, lit_mm: Array) -> list[str]:
     return [text]
 
 
-def _in_front(scene: Scene, solid: _Solid) -> NDArray[np.bool_]:
-    """Which nodes of the solid are not behind the part's surface, as the sensor sees it."""
+def _in_front(scene: Scene, nodes_mm: Array, cell_mm: float) -> NDArray[np.bool_]:
+    """Which nodes (N, 3) of the solid are not behind the part's surface, as the sensor sees it."""
     sensor = scene.sensor
     up = -sensor.camera.pose.rotation[:, 2] - sensor.laser.pose.rotation[:, 2]
     up = up / np.linalg.norm(up)
-    origin = mi.Point3f(*(in_own_memory(column, mi.Float) for column in solid.nodes_mm.T))
-    direction = [dr.opaque(mi.Float, float(x), len(solid.nodes_mm)) for x in up]
+    origin = mi.Point3f(*(in_own_memory(column, mi.Float) for column in nodes_mm.T))
+    direction = [dr.opaque(mi.Float, float(x), len(nodes_mm)) for x in up]
     covered = scene.mitsuba.ray_test(mi.Ray3f(origin, mi.Vector3f(*direction)))
     below = mi.Ray3f(origin, mi.Vector3f(*(-x for x in direction)))
-    below.maxt = dr.opaque(mi.Float, solid.cell_mm, len(solid.nodes_mm))
+    below.maxt = dr.opaque(mi.Float, cell_mm, len(nodes_mm))
     near = scene.mitsuba.ray_test(below)
     return ~(covered | near).numpy().astype(bool)
 

@@ -54,9 +54,10 @@ from virtual_sensor.imaging.scene_file import (
 )
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.optics.ray_families import Pinhole, Pose
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 from virtual_sensor.optics.transports import Transport
+from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 T = TypeVar("T")

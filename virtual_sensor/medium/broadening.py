@@ -13,7 +13,7 @@ _ACROSS = (1, 2)  # the axes y and z; along x, the cylinder's, a plume hardly ch
 
 
 def blurred(field: IndexField, sigma_mm: float) -> IndexField:
-    """Blur a field along y and z, as a coarse mesh blurs a plume; not along x.
+    """Blur a field along its y and z, as a coarse mesh blurs a plume; not along x.
 
     The difference from the surrounding air is convolved with a Gaussian, so that its sum over all
     space stays the same.  Outside its box a field is the surrounding air: the box grows by what the
@@ -59,18 +59,12 @@ def blurred(field: IndexField, sigma_mm: float) -> IndexField:
             np.pad(difference, width), sigma_mm / step, axis, mode="mirror", truncate=_REACH
         )
         origin[axis] -= before * step
-    return IndexField.from_arrays(
-        field.ambient + difference,
-        origin,
-        field.spacing,
-        ambient=field.ambient,
-        mirror=field.mirror,
-        source=_told(field.source, f"blurred by {sigma_mm:g} mm"),
-    )
+    source = _told(field.source, f"blurred by {sigma_mm:g} mm")
+    return field.with_nodes(field.ambient + difference, origin, source=source)
 
 
 def widened(field: IndexField, factor: float) -> IndexField:
-    """Stretch a field along y about y = 0: a wider plume whose middle stays as hot.
+    """Stretch a field along its y about y = 0: a wider plume whose middle stays as hot.
 
     Everything is stretched, the layer at the solid's wall and the filling inside the solid too,
     and the sum of the difference from the surrounding air grows by the factor.
@@ -91,13 +85,9 @@ def widened(field: IndexField, factor: float) -> IndexField:
     if not 0.0 < factor < math.inf:
         raise InputError(f"widen: the factor is {factor:g}; give a positive one, 1 for none")
     stretch = np.array([1.0, factor, 1.0])
-    return IndexField.from_arrays(
-        field.nodes,
-        field.origin * stretch,
-        field.spacing * stretch,
-        ambient=field.ambient,
-        mirror=field.mirror,
-        source=_told(field.source, f"widened {factor:g} times along y"),
+    source = _told(field.source, f"widened {factor:g} times along y")
+    return field.with_nodes(
+        field.nodes, field.origin * stretch, field.spacing * stretch, source=source
     )
 
 

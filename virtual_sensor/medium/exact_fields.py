@@ -11,25 +11,30 @@ from typing import Any
 import numpy as np
 
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.poses import Movable, Pose
 
 NSquared = Callable[[Any], tuple[Any, Any, Any]]
 
 
 @dataclass(frozen=True)
-class ExactField:
+class ExactField(Movable):
     """A field given by n^2, its gradient and its Hessian at points, in vacuum.
 
     Attributes
     ----------
     n_squared : callable
-        ``n_squared(p) -> (n^2, gradient in 1/mm, Hessian in 1/mm^2)`` for Dr.Jit points in mm.
+        ``n_squared(p) -> (n^2, gradient in 1/mm, Hessian in 1/mm^2)`` for Dr.Jit points of the
+        field's frame, in mm.
     box : ndarray of shape (2, 3)
-        Where it is defined; outside is vacuum.
+        Where it is defined, in the field's frame; outside is vacuum.
+    pose : Pose or None
+        Of the field's frame; None: the world's.
     """
 
     n_squared: NSquared
     box: np.ndarray = field(default_factory=lambda: np.array([[-1e3] * 3, [1e3] * 3]))
     ambient: float = 0.0
+    pose: Pose | None = None
 
     def lookup(self, precision: str) -> "ExactField":
         """Itself: an expression has no precision of its own."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -38,14 +38,11 @@ class FieldFamily:
         (at, first), *others = self.fields.items()
         for temperature, field in others:
             if (field.shape, field.mirror) != (first.shape, first.mirror) or not np.allclose(
-                [*field.box.ravel(), *field.spacing],
-                [*first.box.ravel(), *first.spacing],
-                rtol=1e-9,
-                atol=1e-9,
+                _place(field), _place(first), rtol=1e-9, atol=1e-9
             ):
                 raise InputError(
                     f"the fields of {at:g} and {temperature:g} degC differ in their grids (shape,"
-                    " origin, spacing or mirror planes); bring them onto one grid first"
+                    " origin, spacing, mirror planes or pose); bring them onto one grid first"
                 )
             if not np.isclose(field.ambient, first.ambient, rtol=1e-9, atol=0.0):
                 raise InputError(
@@ -63,13 +60,9 @@ class FieldFamily:
         """
         first = next(iter(self.fields.values()))
         nodes = self._blend([float(p(temperature_c)) for p in self._weights(temperature_c)])
-        return IndexField.from_arrays(
-            first.ambient + nodes,
-            first.origin,
-            first.spacing,
-            ambient=first.ambient,
-            mirror=first.mirror,
-            source=f"between {', '.join(f'{t:g}' for t in self.fields)} degC: {temperature_c:g}",
+        between = ", ".join(f"{t:g}" for t in self.fields)
+        return first.with_nodes(
+            first.ambient + nodes, source=f"between {between} degC: {temperature_c:g}"
         )
 
     def derivative(self, temperature_c: float) -> IndexField:
@@ -82,9 +75,7 @@ class FieldFamily:
         """
         first = next(iter(self.fields.values()))
         weights = [float(p.deriv()(temperature_c)) for p in self._weights(temperature_c)]
-        return IndexField.from_arrays(
-            self._blend(weights), first.origin, first.spacing, mirror=first.mirror
-        )
+        return replace(first.with_nodes(self._blend(weights)), ambient=0.0)
 
     def _weights(self, temperature_c: float) -> list[Polynomial]:
         """Lagrange's polynomials, one for each of the family's temperatures."""
@@ -104,3 +95,9 @@ class FieldFamily:
         for weight, field in zip(weights, self.fields.values(), strict=True):
             blend += weight * (field.nodes - field.ambient)
         return blend
+
+
+def _place(field: IndexField) -> list[float]:
+    """Numbers by which grids are told apart."""
+    frame = field.to_world(np.vstack([np.zeros(3), np.eye(3)]))
+    return [*field.box.ravel(), *field.spacing, *frame.ravel()]

@@ -23,11 +23,12 @@ from virtual_sensor.medium.netcdf import GriddedQuantity, naming, read_field_fil
 from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
+from virtual_sensor.poses import Movable, Pose
 
 
 @dataclass(frozen=True, eq=False)
-class IndexField:
-    """Refractivity on a regular grid in the world frame, in surroundings of uniform air.
+class IndexField(Movable):
+    """Refractivity on a regular grid, in surroundings of uniform air.
 
     Build one with `from_arrays` or `read`.
 
@@ -36,7 +37,7 @@ class IndexField:
     nodes : ndarray of shape (nx, ny, nz)
         n - 1 at the nodes.
     origin, spacing : ndarray of shape (3,)
-        World position of node [0, 0, 0], and the distance of nodes, mm.
+        Position of node [0, 0, 0] in the field's frame, and the distance of nodes, mm.
     ambient : float
         n - 1 of the surrounding air, also outside the box.
     mirror : tuple of three bool
@@ -49,6 +50,8 @@ class IndexField:
         3, or 2 for a field that does not vary along x.
     notes : tuple of str
         What of its file is ignored.
+    pose : Pose or None
+        Of the field's frame, after `moved`; None: it is the world's.
     """
 
     nodes: np.ndarray
@@ -60,6 +63,7 @@ class IndexField:
     interpolation: str = "cubic"
     dimensions: int = 3
     notes: tuple[str, ...] = ()
+    pose: Pose | None = None
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -81,7 +85,7 @@ class IndexField:
         refractivity : array_like of shape (nx, ny, nz)
             n - 1 at the nodes, at least four along each axis. Finite, except inside the solid.
         origin_mm, spacing_mm : array_like of shape (3,)
-            World position of node [0, 0, 0], and the distance of nodes, mm.
+            Position of node [0, 0, 0], and the distance of nodes, mm.
         ambient : float
             n - 1 of the surrounding air.
         mirror : sequence of three bool
@@ -176,18 +180,47 @@ class IndexField:
         Raises
         ------
         InputError
-            If the folder does not exist, or n - 1 is 0.9 or more.
+            If the folder does not exist, n - 1 is 0.9 or more, or the field is turned.
         """
+        if not np.array_equal(self.axes(), np.eye(3)):
+            raise InputError(
+                f"{path}: a field file's axes are the world's, and this field is turned; write it"
+                " before it is moved, and move what is read (IndexField.moved)"
+            )
         quantity = GriddedQuantity(
             "refractivity",
             self.nodes,
-            self.origin,
+            self.to_world(self.origin),
             self.spacing,
             ambient={"ambient_refractivity": self.ambient},
             mirror=self.mirror,
             attributes={"source": self.source} if self.source else {},
         )
         write_quantity(path, quantity, packed=False)
+
+    def with_nodes(
+        self,
+        refractivity: ArrayLike,
+        origin_mm: ArrayLike | None = None,
+        spacing_mm: ArrayLike | None = None,
+        *,
+        solid: ArrayLike | None = None,
+        source: str = "",
+    ) -> IndexField:
+        """Other values, on the same grid or another one, with what else the field has.
+
+        Surroundings, mirror planes and pose stay; see `from_arrays` for the rest.
+        """
+        made = self.from_arrays(
+            refractivity,
+            self.origin if origin_mm is None else origin_mm,
+            self.spacing if spacing_mm is None else spacing_mm,
+            ambient=self.ambient,
+            mirror=self.mirror,
+            solid=solid,
+            source=source,
+        )
+        return replace(made, pose=self.pose)
 
     def simplified(self, interpolation: str = "cubic", dimensions: int = 3) -> IndexField:
         """Give the same nodes seen more simply: what a cruder model of the air would make of them.
@@ -201,7 +234,8 @@ class IndexField:
             "cubic"; or "linear", that of the value along each axis. Its gradient jumps from cell
             to cell, and no ray through it is accurate whatever the step.
         dimensions : int
-            3; or 2: the section x = 0, whatever x is. Rays then keep their slope along x.
+            3; or 2: the section x = 0 of the field's frame, whatever x is. Rays then keep their
+            slope along x.
 
         Raises
         ------
@@ -233,7 +267,7 @@ class IndexField:
 
     @property
     def box(self) -> np.ndarray:
-        """Lowest and highest corner of the field, mirrored parts included; shape (2, 3), mm."""
+        """Lowest and highest corner in the field's frame, mirrored parts included: (2, 3), mm."""
         size = (np.array(self.shape) - 1) * self.spacing
         return np.array([self.origin - np.where(self.mirror, size, 0.0), self.origin + size])
 
@@ -250,10 +284,10 @@ class IndexField:
         ndarray of shape (N,)
             n - 1; that of the surrounding air outside the box, NaN at NaN positions.
         """
-        points, inside = self._locate(points_mm)
-        result = np.where(np.isnan(points).any(axis=1), np.nan, self.ambient)
+        local, inside = self._locate(points_mm)
+        result = np.where(np.isnan(local).any(axis=1), np.nan, self.ambient)
         if inside.any():
-            delta = self.lookup("double").delta(to_vectors(points[inside]))
+            delta = self.lookup("double").delta(to_vectors(local[inside]))
             result[inside] += delta.numpy()
         return result
 
@@ -270,11 +304,11 @@ class IndexField:
         ndarray of shape (N, 3)
             Gradient, 1/mm; zero outside the box, NaN at NaN positions.
         """
-        points, inside = self._locate(points_mm)
-        result = np.where(np.isnan(points).any(axis=1, keepdims=True), np.nan, np.zeros((1, 3)))
+        local, inside = self._locate(points_mm)
+        result = np.where(np.isnan(local).any(axis=1, keepdims=True), np.nan, np.zeros((1, 3)))
         if inside.any():
-            _, gradient = self.lookup("double").delta_and_gradient(to_vectors(points[inside]))
-            result[inside] = to_numpy(gradient)
+            _, gradient = self.lookup("double").delta_and_gradient(to_vectors(local[inside]))
+            result[inside] = to_numpy(gradient) @ self.axes().T
         return result
 
     def border_jump(self) -> np.ndarray:
@@ -308,9 +342,10 @@ class IndexField:
         return self._lookups[key]
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points as float64 (N, 3), and which of them are in the box."""
+        """World points (N, 3) in the field's frame, and which of them are in the box."""
         points = points_of(points_mm)
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
         low, high = self.box
-        return points, ((points >= low) & (points <= high)).all(axis=1)
+        local = self.to_local(points)
+        return local, ((local >= low) & (local <= high)).all(axis=1)

@@ -1,6 +1,6 @@
 """A field's nodes in Dr.Jit: value, gradient and Hessian between them, cubic and linear.
 
-Positions are world positions *inside the box*, mm, in vectors of the lookup's precision
+Positions are those of the field's frame, *inside the box*, mm, in vectors of the lookup's precision
 (`mi.Array3f64` for double, `mi.Vector3f` or the like for single). The methods only trace, so
 symbolic loops may call them; the derivatives cannot themselves be differentiated.
 """
@@ -33,11 +33,11 @@ class GridLookup(ABC):
     difference : ndarray of shape (nx, ny, nz), or (ny, nz)
         n - n_ambient at the nodes.
     origin, spacing : ndarray of shape (3,)
-        World position of the first node and distance of nodes, mm.
+        Position of the first node and distance of nodes, mm.
     mirror : sequence of three bool
         The field is even about the plane through an axis's first node.
     axes : tuple of int
-        World axes of `difference`; the field does not vary along the one that is left out.
+        Axes of `difference`; the field does not vary along the one that is left out.
     precision : str
         "single" or "double".
     """

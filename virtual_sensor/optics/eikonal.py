@@ -15,11 +15,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import BentRays, Field, March, Straight
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
 from virtual_sensor.optics.surfaces import NoSurface, Surface
+from virtual_sensor.poses import Pose
 
 LAST_PIECE_MM = 0.05
 """The last, straight piece of a ray onto a surface: so short that Mitsuba's float32 is exact."""
@@ -88,7 +92,114 @@ def bend(
         more tangent, of rays whose start stays; the ambient does not count, it must not change.
     active : mask
         The rays to march; the others stay where they are with status LEFT.
+
+    Raises
+    ------
+    InputError
+        If a variation is moved otherwise than the field.
     """
+    if field and any(not _same(field.pose, variation.pose) for variation in variations):
+        raise InputError("bend: a field and its variations must be moved by the same motions")
+    if field is None or field.pose is None:
+        return _bent(field, surface, line, march, remaining, tangents, variations, active)
+    inside = _MediumFrame.of(field.pose, march)
+    ray = _bent(
+        field,
+        inside.surface(surface),
+        inside.line(line),
+        march,
+        inside.remaining(remaining, line),
+        tuple((inside.turned(x), inside.turned(v)) for x, v in tangents),
+        variations,
+        active,
+    )
+    return ray.turned(inside.turned_back)
+
+
+@dataclass(frozen=True)
+class _MediumFrame:
+    """The frame of a medium that was moved, for the march in it.
+
+    Attributes
+    ----------
+    x, y, z : vector
+        Its axes, world.
+    origin : vector
+        World, mm.
+    """
+
+    x: Any
+    y: Any
+    z: Any
+    origin: Any
+
+    @staticmethod
+    def of(pose: Pose, march: March) -> "_MediumFrame":
+        """Opaque: one kernel for all poses."""
+        vectors = [*pose.rotation.T, pose.origin_mm]
+        return _MediumFrame(*(dr.opaque(march.vector(*map(float, v))) for v in vectors))
+
+    def turned(self, v: Any) -> Any:
+        """A direction of the world in this frame."""
+        return type(self.x)(dr.dot(self.x, v), dr.dot(self.y, v), dr.dot(self.z, v))
+
+    def turned_back(self, v: Any) -> Any:
+        """A direction of this frame in the world's."""
+        return self.x * v[0] + self.y * v[1] + self.z * v[2]
+
+    def line(self, line: Straight) -> Straight:
+        """Straight rays of the world in this frame."""
+        return Straight(
+            self.turned(line.anchor - self.origin), self.turned(line.direction), line.start
+        )
+
+    def surface(self, surface: Surface) -> Surface:
+        """What stops rays, asked from this frame."""
+        return surface if isinstance(surface, NoSurface) else _SurfaceSeenFrom(surface, self)
+
+    def remaining(self, remaining: Remaining, line: Straight) -> Remaining:
+        """Where rays end, asked from this frame; `line` is the world's."""
+        return lambda _, ray: remaining(line, ray.turned(self.turned_back))
+
+
+@dataclass(frozen=True)
+class _SurfaceSeenFrom:
+    """A surface of the world, for rays in a medium's frame."""
+
+    surface: Surface
+    frame: _MediumFrame
+
+    def _in_world(self, origin: Any, direction: Any) -> tuple[Any, Any]:
+        back = self.frame.turned_back
+        return back(origin) + self.frame.origin, back(direction)
+
+    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
+        """See `Surface`."""
+        return self.surface.distance(*self._in_world(origin, direction), limit, active)
+
+    def starts_inside(self, origin: Any, direction: Any) -> Any:
+        """See `Surface`."""
+        return self.surface.starts_inside(*self._in_world(origin, direction))
+
+
+def _same(one: Pose | None, other: Pose | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    same_turn = np.array_equal(one.rotation, other.rotation)
+    return same_turn and np.array_equal(one.origin_mm, other.origin_mm)
+
+
+def _bent(
+    field: Field | None,
+    surface: Surface,
+    line: Straight,
+    march: March,
+    remaining: Remaining,
+    tangents: tuple[tuple[Any, Any], ...],
+    variations: tuple[Field, ...],
+    active: Any,
+) -> BentRays:
+    """March rays in the field's frame; see `bend`."""
     width = dr.width(line.start)
     mask = dr.full(mi.Mask, True, width) & active
     zero = dr.zeros(march.scalar, width)

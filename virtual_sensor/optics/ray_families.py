@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -31,36 +32,6 @@ _SMALL_PX, _SOLVED_PX = 1e-3, 1e-10
 _REGULAR = 1e-6  # determinant from which on pixels next to each other see different things
 _SAMPLES = 33  # for a fold, between the middle of the image and a pixel
 _NEAR = 2.0  # images: within so many, samples on a grid miss no fold
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a frame stands in the world: ``world = rotation @ local + origin_mm``.
-
-    Attributes
-    ----------
-    rotation : ndarray of shape (3, 3)
-        Columns are the frame's x, y and z axes in world coordinates.
-    origin_mm : ndarray of shape (3,)
-    """
-
-    rotation: Array
-    origin_mm: Array
-
-    @staticmethod
-    def from_matrix(to_world: ArrayLike) -> "Pose":
-        """Pose of a matrix (4, 4) in float32: with the nearest rotation, whose inverse is exact."""
-        matrix = np.asarray(to_world, float)
-        u, _, vt = np.linalg.svd(matrix[:3, :3])
-        return Pose(u @ vt, matrix[:3, 3])
-
-    def to_world(self, points_mm: ArrayLike) -> Array:
-        """Local points (N, 3) in world coordinates (inverse of equation 4)."""
-        return np.asarray(points_mm, float) @ self.rotation.T + self.origin_mm
-
-    def to_local(self, points_mm: ArrayLike) -> Array:
-        """World points (N, 3) in this frame (equation 4)."""
-        return (np.asarray(points_mm, float) - self.origin_mm) @ self.rotation
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,25 @@
 """Rays and how to march them: the straight ray, the bent one beside it, and what bends it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from virtual_sensor.arrays import whole_number
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
+from virtual_sensor.poses import Pose
+
+Array = NDArray[np.float64]
 
 _MOST_STEPS = 2**31 - 1
 
 
 class Lookup(Protocol):
-    """Difference of n - 1 from the surroundings at points in a field's box, in Dr.Jit."""
+    """Difference of n - 1 from the surroundings at points in a field's box and frame, in Dr.Jit."""
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """Value, and gradient in 1/mm."""
@@ -30,7 +35,12 @@ class Field(Protocol):
 
     @property
     def box(self) -> np.ndarray:
-        """Lower and upper corner in mm, shape (2, 3)."""
+        """Lower and upper corner in the field's frame in mm, shape (2, 3)."""
+        ...
+
+    @property
+    def pose(self) -> Pose | None:
+        """Of its frame; None: the world's."""
         ...
 
     @property
@@ -39,7 +49,15 @@ class Field(Protocol):
         ...
 
     def lookup(self, precision: str) -> Lookup:
-        """Evaluator for "single" or "double"."""
+        """Evaluator for "single" or "double", in the field's frame."""
+        ...
+
+    def to_local(self, points_mm: Array) -> Array:
+        """World points (N, 3) in the field's frame, mm."""
+        ...
+
+    def axes(self) -> Array:
+        """Axes of the field's frame, world, as columns: (3, 3)."""
         ...
 
 
@@ -185,3 +203,8 @@ class BentRays:
         """The same rays a straight piece further on."""
         offset = tuple(x + v * dt for x, v in zip(self.offset, self.tau, strict=True))
         return replace(self, t=self.t + dt, offset=offset)
+
+    def turned(self, turn: Callable[[Any], Any]) -> "BentRays":
+        """The same rays with all vectors turned, as seen from another frame."""
+        offset, tau = (tuple(turn(v) for v in vectors) for vectors in (self.offset, self.tau))
+        return replace(self, offset=offset, tau=tau)

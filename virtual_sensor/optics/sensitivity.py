@@ -310,17 +310,19 @@ def _at_the_border(field: Field, rays: RayStarts, by_start: Array) -> Array:
     Where it has not quite faded at its border, they miss some of its pull, as if they were kicked
     there.  The march itself knows nothing of it: it carries derivatives through smooth fields.
     """
-    steep = np.where(rays.direction == 0.0, 1e-30, rays.direction)
-    crossings = (field.box[:, None] - rays.origin) / steep
+    origin, direction = field.to_local(rays.origin), rays.direction @ field.axes()
+    steep = np.where(direction == 0.0, 1e-30, direction)
+    crossings = (field.box[:, None] - origin) / steep
     near, far = crossings.min(axis=0), crossings.max(axis=0)
     distance = near.max(axis=1, keepdims=True)
     enters = (distance > 0.0) & (distance < far.min(axis=1, keepdims=True))
     distance = np.where(enters, distance, 0.0)
     sooner = np.where(enters & (near == distance), 1.0 / steep, 0.0)  # by which shift of the start
-    entry = np.clip(rays.origin + distance * rays.direction, *field.box)
+    entry = np.clip(origin + distance * direction, *field.box)
     delta, gradient = field.lookup("double").delta_and_gradient(to_vectors(entry))
     n = 1.0 + np.array(delta)[:, None] / (1.0 + field.ambient)
     pull = n * to_numpy(gradient) / (1.0 + field.ambient)
+    sooner, pull = sooner @ field.axes().T, pull @ field.axes().T
     # A kick there is a turn at the start together with a shift back.
     by_kick = by_start[:, :, 3:] - distance[:, :, None] * by_start[:, :, :3]
     moves = (by_kick @ pull[:, :, None]) * sooner[:, None]

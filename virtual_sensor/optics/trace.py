@@ -99,7 +99,8 @@ def _marched(field: Field, march: March, origins: Array, directions: Array, leng
     position = to_numpy(ray.position(line))
     status = np.array(ray.status)
     low, high = field.box
-    outside = np.any((position < low) | (position > high), axis=1)
+    local = field.to_local(position)
+    outside = np.any((local < low) | (local > high), axis=1)
     backwards = np.einsum("ij,ij->i", to_numpy(ray.tangent(line)), directions) < 0.0
     ended = status == RayStatus.ENDED
     status[ended & outside] = RayStatus.LEFT

@@ -204,12 +204,9 @@ def _thinned(
 ) -> IndexField:
     """The field of fewer nodes; `solid` are those of the kept ones that are filled again."""
     nodes = tuple(slice(None, None, k) for k in step)
-    return IndexField.from_arrays(
+    return field.with_nodes(
         field.nodes[kept][nodes],
-        field.origin,
-        field.spacing * step,
-        ambient=field.ambient,
-        mirror=field.mirror,
+        spacing_mm=field.spacing * step,
         solid=None if solid is None else solid[nodes],
     )
 

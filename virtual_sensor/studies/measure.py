@@ -284,6 +284,10 @@ def _field_summary(field: IndexField) -> dict[str, Any]:
         "source": field.source,
         "ambient n - 1": field.ambient,
         "box, mm": field.box.tolist(),
+        "moved by": {
+            "rotation": field.axes().tolist(),
+            "shift, mm": field.to_world(np.zeros((1, 3)))[0].tolist(),
+        },
         "largest jump of n - 1 at the border": {face: float(jump) for face, jump in jumps},
     }
 

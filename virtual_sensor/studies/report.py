@@ -1,6 +1,7 @@
 """One page of pictures of a measurement: for people who would rather look than read."""
 
 import textwrap
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,8 @@ def _air(axes: Axes, result: Measurement, across: bool) -> None:
         axes.set_axis_off()
         return
     field, axis = state.scene.field, 1 if across else 0
-    low, high = field.box
+    corners = field.to_world(np.array(list(product(*field.box.T))))
+    low, high = corners.min(axis=0), corners.max(axis=0)
     side, z = np.linspace(low[axis], high[axis], 240), np.linspace(low[2], high[2], 320)
     points = np.zeros((len(side), len(z), 3))
     points[..., axis], points[..., 2] = side[:, None], z

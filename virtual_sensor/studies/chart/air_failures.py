@@ -166,13 +166,8 @@ def too_coarse(air: HotAir, interpolation: str, factors: tuple[int, ...]) -> Fai
 
 def thinned(field: IndexField, factor: int) -> IndexField:
     """Every n-th node along each axis, from the first."""
-    return IndexField.from_arrays(
-        field.nodes[::factor, ::factor, ::factor],
-        field.origin,
-        field.spacing * factor,
-        ambient=field.ambient,
-        mirror=field.mirror,
-    )
+    nodes = field.nodes[::factor, ::factor, ::factor]
+    return field.with_nodes(nodes, spacing_mm=field.spacing * factor)
 
 
 def noisy(air: HotAir, levels: Iterable[float]) -> Failure:
@@ -182,9 +177,8 @@ def noisy(air: HotAir, levels: Iterable[float]) -> Failure:
     levels = tuple(levels)
     for level in levels:
         factor = 1.0 + level * rng.normal(size=air.field.shape)
-        field = _with_nodes(
-            air.field, air.field.ambient + (air.field.nodes - air.field.ambient) * factor
-        )
+        difference = (air.field.nodes - air.field.ambient) * factor
+        field = air.field.with_nodes(air.field.ambient + difference)
         tried.append((f"{level:g}", air.errors_px(field, _MARCH)))
     first, failed, of, told = _first_above(tried)
     lost = sum(int(np.isinf(errors).sum()) for _, errors in tried)
@@ -197,12 +191,6 @@ def noisy(air: HotAir, levels: Iterable[float]) -> Failure:
         failed,
         of,
         "largest errors: " + ", ".join(told),
-    )
-
-
-def _with_nodes(field: IndexField, nodes: Array) -> IndexField:
-    return IndexField.from_arrays(
-        nodes, field.origin, field.spacing, ambient=field.ambient, mirror=field.mirror
     )
 
 
@@ -233,13 +221,7 @@ def kinked(air: HotAir, steps_mm: tuple[float, ...]) -> Failure:
 def cropped(air: HotAir) -> Failure:
     """The field cut off within the plume: what the march leaves out, and what the check says."""
     keep = air.field.shape[2] // 5
-    field = IndexField.from_arrays(
-        air.field.nodes[:, :, :keep],
-        air.field.origin,
-        air.field.spacing,
-        ambient=air.field.ambient,
-        mirror=air.field.mirror,
-    )
+    field = air.field.with_nodes(air.field.nodes[:, :, :keep])
     errors = air.errors_px(field, _MARCH)
     top = field.box[1, 2]
     return Failure(

@@ -57,12 +57,8 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
 
 def contrasted(field: IndexField, factor: float) -> IndexField:
     """The same air, its difference from the surroundings `factor` times as large."""
-    return IndexField.from_arrays(
+    return field.with_nodes(
         field.ambient + factor * (field.nodes - field.ambient),
-        field.origin,
-        field.spacing,
-        ambient=field.ambient,
-        mirror=field.mirror,
         source=f"{field.source}, {factor:g} times the contrast",
     )
 

@@ -87,14 +87,8 @@ def resampled(field: IndexField, factor: int) -> IndexField:
         finer = [(n - 1) * factor + 1 for n in field.shape]
         ratio = [new / old for new, old in zip(finer, field.shape, strict=True)]
         nodes, spacing = zoom(field.nodes, ratio, order=3, mode="nearest"), field.spacing / factor
-    return IndexField.from_arrays(
-        nodes,
-        field.origin,
-        spacing,
-        ambient=field.ambient,
-        mirror=field.mirror,
-        source=f"{field.source}, resampled by {factor}",
-    )
+    source = f"{field.source}, resampled by {factor}"
+    return field.with_nodes(nodes, spacing_mm=spacing, source=source)
 
 
 def by_field(report: Report, quick: bool = False) -> list[Scaling]:

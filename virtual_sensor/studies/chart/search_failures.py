@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
+from virtual_sensor.poses import Pose
 from virtual_sensor.studies.chart.rung import Failure, Report
 from virtual_sensor.studies.chart.searches import HALF_LINE_MM, SCENE, UM_PER_PX
 
@@ -176,13 +176,9 @@ def moved(scene: Scene, beta_deg: float, along_mm: float) -> Scene:
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
     axis = np.array([0.0, *_AXIS_MM])
-
-    def there(pose: Pose) -> Pose:
-        origin = turn @ (pose.origin_mm - axis) + axis + [along_mm, 0.0, 0.0]
-        return Pose(rotation=turn @ pose.rotation, origin_mm=origin)
-
+    motion = Pose(turn, axis - turn @ axis + [along_mm, 0.0, 0.0])
     for name, pose in scene.poses.items():
-        scene = scene.with_pose(name, there(pose))
+        scene = scene.with_pose(name, pose.moved(motion))
     return scene
 
 

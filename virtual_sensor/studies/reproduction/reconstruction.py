@@ -24,9 +24,9 @@ from virtual_sensor.metrology.cylinder_fit import (
 )
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.triangulation import triangulate
-from virtual_sensor.optics.ray_families import Pose
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.poses import Pose
 from virtual_sensor.studies.reproduction.curves import Setting
 from virtual_sensor.studies.reproduction.settings import SCAN
 from virtual_sensor.studies.tables import status_names
@@ -217,13 +217,10 @@ def _fitted(
 
 def _moved(sensor: SensorModel, along_mm: float) -> SensorModel:
     """The same sensor elsewhere along x."""
-
-    def there(pose: Pose) -> Pose:
-        return replace(pose, origin_mm=pose.origin_mm + np.array([along_mm, 0.0, 0.0]))
-
+    motion = Pose(np.eye(3), np.array([along_mm, 0.0, 0.0]))
     return SensorModel(
-        sensor.camera.with_pose(there(sensor.camera.pose)),
-        sensor.laser.with_pose(there(sensor.laser.pose)),
+        sensor.camera.with_pose(sensor.camera.pose.moved(motion)),
+        sensor.laser.with_pose(sensor.laser.pose.moved(motion)),
     )
 
 

@@ -1,0 +1,101 @@
+"""Where things stand in the world: rigid frames, of devices and of the medium.
+
+Frames: world (mm), camera (x along u, y along v, z forward), laser (x across the sheet, y along the
+line, z forward) and medium (that of its grid).
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.errors import InputError
+
+Array = NDArray[np.float64]
+
+_RIGID = 1e-6  # of a rotation's products with its transpose
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a frame stands in the world: ``world = rotation @ local + origin_mm``.
+
+    Also a rigid motion, from places before to places after.
+
+    Attributes
+    ----------
+    rotation : ndarray of shape (3, 3)
+        Columns are the frame's x, y and z axes in world coordinates.
+    origin_mm : ndarray of shape (3,)
+    """
+
+    rotation: Array
+    origin_mm: Array
+
+    @staticmethod
+    def from_matrix(to_world: ArrayLike) -> "Pose":
+        """Pose of a matrix (4, 4) in float32: with the nearest rotation, whose inverse is exact."""
+        matrix = np.asarray(to_world, float)
+        u, _, vt = np.linalg.svd(matrix[:3, :3])
+        return Pose(u @ vt, matrix[:3, 3])
+
+    def to_world(self, points_mm: ArrayLike) -> Array:
+        """Local points (N, 3) in world coordinates (inverse of equation 4)."""
+        return np.asarray(points_mm, float) @ self.rotation.T + self.origin_mm
+
+    def to_local(self, points_mm: ArrayLike) -> Array:
+        """World points (N, 3) in this frame (equation 4)."""
+        return (np.asarray(points_mm, float) - self.origin_mm) @ self.rotation
+
+    def moved(self, motion: "Pose") -> "Pose":
+        """The frame after a rigid motion of the world's points."""
+        return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))
+
+
+class Movable:
+    """Something in a frame of its own, in which it never changes; a frozen dataclass.
+
+    Attributes
+    ----------
+    pose : Pose or None
+        Of its frame; None: the world's.
+    """
+
+    pose: Pose | None
+
+    def moved(self, motion: Pose) -> Self:
+        """The same after a rigid motion, which may follow others.
+
+        Raises
+        ------
+        InputError
+            If the motion is none: no rotation, or not finite.
+        """
+        turn, shift = (np.array(a, float) for a in (motion.rotation, motion.origin_mm))
+        if turn.shape != (3, 3) or shift.shape != (3,) or not np.isfinite(shift).all():
+            raise InputError(
+                "a motion has a rotation (3, 3) and a finite origin_mm (3,), not"
+                f" {turn.shape} and {shift.shape}"
+            )
+        if not (np.abs(turn.T @ turn - np.eye(3)).max() < _RIGID and np.linalg.det(turn) > 0.0):
+            raise InputError(
+                "the motion's rotation does more than turn; give an orthogonal matrix of"
+                " determinant 1"
+            )
+        motion = Pose(turn, shift)
+        return replace(self, pose=self.pose.moved(motion) if self.pose else motion)  # type: ignore[type-var]
+
+    def to_local(self, points_mm: ArrayLike) -> Array:
+        """World points (N, 3) in its frame, mm."""
+        points = np.asarray(points_mm, float)
+        return self.pose.to_local(points) if self.pose else points
+
+    def to_world(self, points_mm: ArrayLike) -> Array:
+        """Points (N, 3) of its frame in the world's, mm."""
+        points = np.asarray(points_mm, float)
+        return self.pose.to_world(points) if self.pose else points
+
+    def axes(self) -> Array:
+        """Unit vectors of its frame's axes, world, as columns: (3, 3)."""
+        return self.pose.rotation if self.pose else np.eye(3)
