@@ -31,10 +31,25 @@ def test_signs_and_units_are_the_papers():
     np.testing.assert_allclose(moved.pixel_px, [[-4.0, 2.0]])
 
 
-def test_differences_close_the_loop():
-    """From A to A_m it is as far by way of B and B_m."""
-    d = deviations(A, B, A_M, B_M, PIXEL_A, PIXEL_B)
-    np.testing.assert_allclose(d.hot_um + d.measured_um, d.incidence_um + d.cold_um, atol=1e-9)
+def test_the_papers_thought_experiment():
+    """Section 5.1: light that is bent in the laser's plane alone, and seen straight, is no error.
+
+    Seen straight, a spot that leaves the plane by d is measured d/sin(60 deg) away from itself.
+    """
+    sensor = paper_sensor()
+    along, down = np.array([0.0, 1.0, 0.0]), np.array([-0.5, 0.0, np.sqrt(0.75)])  # in the plane
+    out = np.array([np.sqrt(0.75), 0.0, 0.5])
+    spot = np.zeros((2, 3))
+    hot = np.stack([0.05 * along - 0.03 * down, 0.02 * out])
+    pixels = [sensor.camera.project(points) for points in (spot, hot)]
+    d = deviations(spot, hot, *(triangulate(sensor, pixel) for pixel in pixels), *pixels)
+    np.testing.assert_allclose(d.incidence_um[0], d.measured_um[0], atol=1e-6)
+    np.testing.assert_allclose(euclidean(d.incidence_um), [np.hypot(50.0, 30.0), 20.0])
+    np.testing.assert_allclose(d.hot_um[0], 0.0, atol=1e-6)
+    expected = 20.0 / np.sin(np.radians(60.0))
+    np.testing.assert_allclose(euclidean(d.hot_um)[1], expected, rtol=1e-4)  # nearly central
+    np.testing.assert_allclose(d.cold_um, 0.0, atol=1e-6)
+    np.testing.assert_allclose(d.pixel_px[0, 0], 50.0 / 22.0, rtol=2e-4)  # the paper's resolution
 
 
 def test_missing_points_stay_missing():
