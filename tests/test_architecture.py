@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -18,11 +19,6 @@ import typer
 import virtual_sensor as vs
 from virtual_sensor import cli
 from virtual_sensor.imaging.scene import find_scene, load_scene, shipped_scenes
-
-try:
-    import tomllib
-except ModuleNotFoundError:  # Python 3.10, where pytest brings this one
-    import tomli as tomllib
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {
@@ -125,6 +121,8 @@ def test_every_module_has_a_place_in_the_house():
         "virtual_sensor_scenes",
         "virtual_sensor_scenes.make_stepped_shaft",
     }
+    named = {room for rooms in (*STAIRS, METROLOGY_KNOWS, WITHOUT_DRJIT) for room in rooms}
+    assert named <= MODULES.keys()
 
 
 def test_imports_only_go_down():

@@ -146,7 +146,7 @@ def field_calls(draw):
     options["points_mm"] = draw(arrays((5, 3)))
 
     def judge(result: Result) -> str:
-        values, points = result["value"], np.asarray(options["points_mm"], float)
+        values, points = result["value"], np.asarray(options["points_mm"], float).reshape(-1, 3)
         known = np.isfinite(points).all(axis=1)
         around = float(options["ambient"])
         low, high = min(nodes.min(), around), max(nodes.max(), around)

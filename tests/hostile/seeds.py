@@ -319,6 +319,9 @@ def call_seeds() -> Iterator[Case]:
         return "" if len(result["value"]) == 0 else "pixels of no rays"
 
     yield case("no rays", nothing, function="ray_search", laser_y_mm=np.zeros(0))
+    yield case("no pixels", nothing, function="triangulate", pixel=[])
+    ends = {"origins_mm": [], "directions": np.zeros((0, 3)), "length_mm": 1.0}
+    yield case("no rays to trace", nothing, function="trace", **ends)
     many = {"function": "ray_search", "laser_y_mm": np.zeros((2, 2))}
     yield refused(case("rays in two dimensions", _anything, **many))
     for spp in (-1, 0, 2**70):
