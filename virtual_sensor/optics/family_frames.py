@@ -43,7 +43,7 @@ class FamilyFrame:
         parameters = copy.copy(family)
         for f in fields(family):  # type: ignore[arg-type]
             value = getattr(family, f.name)
-            if isinstance(value, float):
+            if isinstance(value, int | float) and not isinstance(value, bool):
                 object.__setattr__(parameters, f.name, number(value))
         rotation = family.pose.rotation
         x, y, z = (vector(*(number(v) for v in rotation[:, i])) for i in range(3))
