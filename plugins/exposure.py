@@ -1,4 +1,4 @@
-"""Samples of pixels, chunk by chunk, summed on a film."""
+"""Samples of pixels, chunk by chunk, averaged on a film."""
 
 import threading
 from collections.abc import Callable
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.lit_pixels import film_place, film_rays
+from virtual_sensor_plugins.views import View
 
 from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
@@ -17,6 +17,8 @@ ONE_FRAME = threading.RLock()
 
 Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
 """From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
+
+_GOLDEN = 0x9E3779B9  # seeds of chunks lie so far apart
 
 
 def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
@@ -43,7 +45,7 @@ class Exposure:
 
     Parameters
     ----------
-    sensor : mi.Sensor
+    view : View
     sampler : mi.Sampler
         The frame's own: what another frame takes from the sensor's stays as it is.
     seed : int
@@ -55,16 +57,31 @@ class Exposure:
 
     def __init__(
         self,
-        sensor: mi.Sensor,
+        view: View,
         sampler: mi.Sampler,
         seed: int,
         pixels: int,
         progress: Callable[[float], None] | None,
     ) -> None:
-        self.sensor, self.sampler, self.film = sensor, sampler, sensor.film()
+        self.view, self.sampler, self.film = view, sampler, view.sensor.film()
+        self.film.prepare([])
         self.block = self.film.create_block()
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = self._chunks = 0
+
+    def developed(self, develop: bool = True) -> Any:
+        """Mitsuba's image, on the sensor's film; None if it is to stay there."""
+        self.film.put_block(self.block)
+        if not develop:
+            return None
+        image = self.film.develop()
+        dr.eval(image)
+        return image
+
+    def image(self) -> NDArray[np.float32]:
+        """The radiance, (H, W)."""
+        image = np.array(self.developed(), np.float32)
+        return image.reshape(*image.shape[:2], -1)[:, :, 0]
 
     def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
         """Expose pixels, with so many samples in flight at once."""
@@ -82,12 +99,12 @@ class Exposure:
             row = dr.repeat(dr.arange(mi.UInt32, count), spp) + dr.opaque(mi.UInt32, first)
             pixel = dr.gather(mi.UInt32, numbers, row)
             self.sampler.set_samples_per_wavefront(spp)
-            shuffled = self._seed + self._chunks * 0x9E3779B9 & 0xFFFFFFFF
+            shuffled = self._seed + self._chunks * _GOLDEN & 0xFFFFFFFF
             self.sampler.seed(dr.opaque(mi.UInt32, shuffled), count * spp)
-            place = film_place(self.film, pixel, self.sampler.next_2d())
-            lens = self.sensor.needs_aperture_sample()
+            place = self.view.place(pixel, self.sampler.next_2d())
+            lens = self.view.sensor.needs_aperture_sample()
             aperture = self.sampler.next_2d() if lens else mi.Point2f(0.5)
-            ray, weight = film_rays(self.sensor, place, aperture)
+            ray, weight = self.view.rays(place, aperture)
             value, alpha = shade(ray, row, pixel)
             value = value * weight
             alpha = dr.select(alpha, mi.Float(1.0), 0.0)
@@ -95,7 +112,7 @@ class Exposure:
                 dr.eval(value, alpha)  # together: each by itself would follow all rays again
                 value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
                 own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
-                place = film_place(self.film, dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
+                place = self.view.place(dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
             self.block.put(place, ray.wavelengths, value, alpha)
             dr.eval(self.block.tensor())
             self._chunks += 1

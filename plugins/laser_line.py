@@ -9,7 +9,6 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Sheet
-from virtual_sensor.optics.surfaces import own_variant
 from virtual_sensor.poses import Pose
 
 _FARTHEST_MM = 1e6  # float32 places are good to 0.06 mm there
@@ -118,26 +117,6 @@ class LaserLineEmitter(SourceEmitter):
             dots_mm=_positions(str(props.get("dots", ""))),
         )
         super().__init__(props, source)
-
-
-def laser_of(scene: mi.Scene) -> SourceEmitter:
-    """The scene's only laser line generator.
-
-    Raises
-    ------
-    InputError
-        If there is none, or several.
-    EngineError
-        If the scene is another Mitsuba variant's.
-    """
-    own_variant(scene)
-    found = [e for e in scene.emitters() if isinstance(e, SourceEmitter)]
-    if len(found) != 1:
-        raise InputError(
-            f'{len(found)} emitters of type "laser_line"; a scene for the refractive integrator has'
-            " exactly one"
-        )
-    return found[0]
 
 
 def pose_of(props: mi.Properties) -> Pose:

@@ -1,48 +1,52 @@
-"""Which pixels the laser lights, and what is seen at their centres: the ground truth of a frame."""
+"""Which pixels the sources light, and what is seen at their centres: the truth of a frame."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from virtual_sensor_plugins.laser_line import SourceEmitter
+from virtual_sensor_plugins.views import View
 
-from virtual_sensor.arrays import at_least, in_own_memory
+from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.illumination import Illumination, LightStatus
-from virtual_sensor.optics.ray_maps import Fineness
-from virtual_sensor.poses import Pose
+from virtual_sensor.optics.illumination import LightStatus
+from virtual_sensor.optics.map_cache import MAPS
+from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.ray_maps import NoMapError, displaced, in_coordinates
+from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.transports import (
+    Marched,
+    Sight,
+    Source,
+    Tabulated,
+    Tracer,
+    Transport,
+    rows,
+)
 
-_LATTICE_PX = 16  # displacements are looked at this often before every lit pixel is marched
-_FAR_MM = 2.0  # refraction is taken to move no light further than this
+Array = NDArray[np.float64]
+Pixels = NDArray[np.uint32]
+Columns = NDArray[np.intp]
+
+_SPARE = 1.5  # times what the probes were moved by
+_MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the probes tell
+_EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels at an edge
+_PROBES = 64  # rays of a source's that tell about how far light is moved
+_FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes tell
+_FAR_MM = 2.0  # likewise where no probes can tell
+_MOST_TRIALS = 6
+_OF_EACH = 0.5  # of the tolerance, of the camera and the source: other parts of a frame err too
+_PAD_PX = 2.0  # what the maps hold round the lit pixels
+_PAD_MM = 0.2
+_FARTHEST_MM = np.float32(1e6)
+_THREE = np.ones((3, 3), np.uint8)
 
 
-@dataclass
-class Sight:
-    """What camera rays see; Dr.Jit arrays over the rays.
-
-    Attributes
-    ----------
-    point : vector
-        Hit point, world, mm.
-    heading : vector
-        Unit direction of the camera ray there.
-    hit : mask
-    light : Illumination
-        The laser's at the points.
-    """
-
-    point: Any
-    heading: Any
-    hit: Any
-    light: Illumination
-
-
-@dataclass
+@dataclass(frozen=True)
 class Account:
     """How a frame was made.
 
@@ -52,23 +56,21 @@ class Account:
         "tabulated" or another of `TRANSPORTS`.
     reason : str
         Why it is not the transport that was asked for; "" if it is.
-    camera, laser : Fineness or None
-        Of the tables.
+    nodes : Mapping
+        Nodes of the ray maps, three numbers each, by "camera" and the sources' names.
     error_px : float
-        The tables' own estimate of their error; NaN without tables.
+        The maps' own estimate of their error; NaN without maps.
     march_px : float
         What half the march's step changes at some lit pixels, at most; NaN where none were asked.
     samples, marched : int
-        Samples that looked for the laser's light, and those of them that the tables couldn't tell
-        of and that were marched.
+        Samples that looked for the sources' light, and those of them that were marched.
     folded : int
-        Pixels near the line to whose centre no single laser ray was found: they are black.
+        Pixels near the light to whose centre no single ray of a source was found: they are black.
     """
 
     transport: str
     reason: str = ""
-    camera: Fineness | None = None
-    laser: Fineness | None = None
+    nodes: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     error_px: float = float("nan")
     march_px: float = float("nan")
     samples: int = 0
@@ -76,177 +78,347 @@ class Account:
     folded: int = 0
 
 
-@dataclass
+@dataclass(frozen=True)
 class LitPixels:
-    """Pixels that may receive laser light, and what is seen at their centres.
+    """Pixels that may receive light of sources, and what is seen at their centres.
 
     Attributes
     ----------
     index : ndarray of shape (N,)
         Row-major numbers within the film's crop window.
-    sight : Sight
-        At the pixels' centres, in the same order.
+    names : tuple of str
+        Of the sources whose light is seen, as the tracer has them.
+    tracer : Tracer
+        That tells of the pixels' samples.
     account : Account
-    tables : Tables or None
-        That tell of their samples; None: these are to be marched.
+    sight : Sight or None
+        At the pixels' centres, in their order; None if there are none.
     """
 
-    index: NDArray[np.uint32]
-    sight: Sight
-    account: Account = field(default_factory=lambda: Account("marched"))
-    tables: Any = None
-
-
-def film_place(film: mi.Film, index: Any, within: Any) -> Any:
-    """Place in px on the whole film of points within pixels, both coordinates from 0 to 1."""
-    offset, width = film.crop_offset(), film.crop_size().x
-    corner = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
-    return corner + mi.Point2f(offset) + within
-
-
-def film_rays(sensor: mi.Sensor, place: Any, aperture: Any) -> tuple[Any, Any]:
-    """Camera rays and their weights through places on the film.
-
-    A pinhole's start at the projection centre, not at Mitsuba's near plane: where a camera stands
-    in hot air, light bends in between.
-    """
-    film = sensor.film()
-    in_window = (place - mi.Point2f(film.crop_offset())) / mi.Point2f(film.crop_size())
-    ray, weight = sensor.sample_ray_differential(0.0, 0.5, in_window, aperture)
-    if _has_pinhole(sensor):  # no pose is read: to read numbers waits for all that is under way
-        ray.o = mi.Point3f(sensor.world_transform().translation()) + mi.Vector3f(0.0 * ray.d)
-    return ray, weight
-
-
-def _has_pinhole(sensor: mi.Sensor) -> bool:
-    return sensor.class_name() == "PerspectiveCamera"
-
-
-def pinhole(sensor: mi.Sensor) -> Pose | None:
-    """Pose of a pinhole camera's projection centre, z forward; None of any other camera."""
-    if not _has_pinhole(sensor):
-        return None
-    to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
-    return Pose.from_matrix(to_world)
-
-
-def centre_rays(sensor: mi.Sensor, pixels: NDArray[np.uint32] | None = None) -> Any:
-    """Camera rays through the centres of pixels; of all without their numbers."""
-    film, middle = sensor.film(), mi.Point2f(0.5)
-    if pixels is None:
-        size = film.crop_size()
-        index = dr.arange(mi.UInt32, size.x * size.y)
-    else:
-        index = in_own_memory(pixels, mi.UInt32)
-    return film_rays(sensor, film_place(film, index, middle), middle)[0]
-
-
-def rows(tree: Any, index: Any) -> Any:
-    """Gather some rows of Dr.Jit arrays nested in tuples and dataclasses; NumPy's numbers serve."""
-    if isinstance(index, np.ndarray):
-        index = in_own_memory(index, mi.UInt32)
-    if isinstance(tree, tuple):
-        return tuple(rows(leaf, index) for leaf in tree)
-    if is_dataclass(tree) and not isinstance(tree, type):
-        return replace(tree, **{f.name: rows(getattr(tree, f.name), index) for f in fields(tree)})
-    return tree if tree is None else dr.gather(type(tree), tree, index)
+    index: Pixels
+    names: tuple[str, ...]
+    tracer: Tracer
+    account: Account
+    sight: Sight | None = None
 
 
 def find_lit_pixels(
-    scene: mi.Scene,
-    sensor: mi.Sensor,
-    emitter: SourceEmitter,
-    look: Callable[[Any], Sight],
-    account: Account,
+    view: View,
+    surface: SceneSurface,
+    medium: Field | None,
+    sources: Mapping[str, Source],
+    transport: Transport,
+    column: Columns | None = None,
 ) -> LitPixels:
-    """Find the pixels that the laser reaches, marching no more rays than that takes.
+    """Find the pixels that sources light; of some columns, if they are given.
 
-    1. Straight rays of all pixels give each one's laser coordinates without refraction.
-    2. Bent rays of a lattice of pixels tell about how far refraction moves these.
-    3. Bent rays of the pixels that may be lit then tell which are; their neighbours count too.
+    1. Straight rays of all pixels, and a few bent ones, tell where to search.
+    2. Maps of what is there are made to the tolerance, if the transport is by maps.
+    3. The transport tells which pixels are lit; their neighbours count too.
     """
-    width, height = (int(n) for n in sensor.film().crop_size())
-    a, b, pixel_mm = _straight_coordinates(scene, sensor, emitter)
-    every = np.arange(width * height, dtype=np.uint32)
-    middle = _LATTICE_PX // 2
-    on_lattice = (every % width % _LATTICE_PX == middle) & (every // width % _LATTICE_PX == middle)
-    near = every[on_lattice & reached(emitter, a, b, (_FAR_MM, _FAR_MM))]
-    margin = (_FAR_MM, _FAR_MM)
-    if near.size:
-        light = look(centre_rays(sensor, near)).light
-        moved_a, margin_a = _spread(light.s.numpy() - a[near], near, width, height)
-        moved_b, margin_b = _spread(light.t.numpy() - b[near], near, width, height)
-        a, b = a + moved_a, b + moved_b
-        margin = (pixel_mm + margin_a, pixel_mm + margin_b)
-    # A pixel whose centre looks past an edge may see light beside it: neighbours count too.
-    candidates = at_least(1, every[grown(reached(emitter, a, b, margin), height, width)])
-    sight = look(centre_rays(sensor, candidates))
-    dr.eval(sight)
-    account.folded = int(np.sum(np.array(sight.light.status) == LightStatus.FOLDED))
-    lit = np.zeros(width * height, bool)
-    near = emitter.source.reaches(sight.light.s, sight.light.t, (pixel_mm, pixel_mm))
-    lit[candidates] = near.numpy()
-    keep = at_least(1, np.flatnonzero(grown(lit, height, width)[candidates]).astype(np.uint32))
-    return LitPixels(candidates[keep], rows(sight, keep), account)
+    field, march = (None if transport.name == "straight" else medium), transport.march
+    by_maps = transport.name in ("tabulated", "straight")
+    account, reason = Account(transport.name), ""
+    try:
+        region = _searched(view, surface, field, march, sources)
+    except NoMapError as why:
+        region, reason = _guessed(view, surface, sources), str(why)
+    if column is not None:
+        region = region.in_columns(column)
+    beams = region.beams
+    marched = Marched(field, surface, tuple(beam.source for beam in beams.values()), march)
+    tracer: Tracer = marched
+    if not beams:
+        return LitPixels(np.zeros(0, np.uint32), (), tracer, account)
+    account = replace(account, march_px=region.march_px)
+    if by_maps:
+        try:
+            if reason:
+                raise NoMapError(reason)
+            tracer = region.tabulated(marched, transport.tolerance_px)
+            account = _with_maps(account, tracer, tuple(beams), region.pixel_mm)
+        except NoMapError as why:
+            account = replace(account, transport="marched", reason=str(why))
+    sight, _ = tracer.sight(view.centres(region.candidates))
+    lit, folded = region.lit(sight)
+    account = replace(account, folded=folded)
+    if not lit.size:
+        return LitPixels(np.zeros(0, np.uint32), (), tracer, account)
+    index = region.candidates[lit]
+    return LitPixels(index, tuple(beams), tracer, account, rows(sight, lit.astype(np.uint32)))
 
 
-def _straight_coordinates(
-    scene: mi.Scene, sensor: mi.Sensor, emitter: SourceEmitter
-) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Straight laser coordinates (a, b) in mm at all pixels' centres, and a pixel's size there."""
-    ray = centre_rays(sensor)
-    met = scene.ray_intersect_preliminary(ray)
-    frame = FamilyFrame.of(emitter.source.family, mi.Array3f)
-    a, b, _ = frame.coordinates(mi.Array3f(ray(met.t)))
-    missed = ~met.is_valid()
-    a[missed], b[missed] = dr.nan, dr.nan
-    spread = dr.norm(ray.d_x - ray.d) * dr.select(missed, 0.0, met.t)
-    return a.numpy(), b.numpy(), float(dr.max(spread)[0])
+def _with_maps(
+    account: Account, tracer: Tabulated, names: tuple[str, ...], pixel_mm: float
+) -> Account:
+    camera, *others = (map_.fineness for map_ in (tracer.camera, *tracer.maps))
+    nodes = dict(zip(("camera", *names), (f.nodes for f in (camera, *others)), strict=True))
+    error_mm = camera.error_mm + max(f.error_mm for f in others)
+    return replace(account, nodes=nodes, error_px=error_mm / pixel_mm)
 
 
-def _spread(
-    moved_mm: NDArray[np.floating], at: NDArray[np.uint32], width: int, height: int
-) -> tuple[NDArray[np.float32], float]:
-    """Displacements of all pixels by the nearest on the lattice, and a bound for what is left.
+def _opaque(margin: Array) -> tuple[Any, ...]:
+    """A margin out of the compiler's sight: another air has another, and one kernel serves all."""
+    return tuple(dr.opaque(mi.Float, float(m)) for m in margin)
 
-    The bound is what neighbours on the lattice differ by, with something to spare.
+
+@dataclass(frozen=True)
+class _Beam:
+    """What of a source's light may be seen.
+
+    Attributes
+    ----------
+    source : Source
+    per_mm : ndarray of shape (2,)
+        Units of its coordinates per mm, at most.
+    pixel_mm : float
+        A pixel's size in the middle of them.
+    index : ndarray of shape (N,)
+        Pixels.
+    point : ndarray of shape (N, 3)
+        Where they look if light runs straight, world, mm.
+    margin : ndarray of shape (2,)
+        By how much the source's light on the part may be moved, in its coordinates.
+    moved : ndarray of shape (2,)
+        Likewise its rays.
+    sight_mm, march_mm : float
+        By how much what a pixel sees may be moved; and what half the march's step changes.
     """
-    shape = -(-height // _LATTICE_PX), -(-width // _LATTICE_PX)
-    lattice = np.full(shape, np.nan, np.float32)
-    lattice[at // width // _LATTICE_PX, at % width // _LATTICE_PX] = moved_mm
-    steps = np.concatenate([np.diff(lattice, axis=axis).ravel() for axis in (0, 1)])
-    bound = float(np.nanmax(np.abs(steps), initial=0.0)) if np.isfinite(steps).any() else _FAR_MM
-    unknown = np.isnan(lattice)
-    if unknown.all():
-        return np.zeros(width * height, np.float32), _FAR_MM
-    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    whole = lattice[tuple(nearest)].repeat(_LATTICE_PX, axis=0).repeat(_LATTICE_PX, axis=1)
-    return whole[:height, :width].ravel(), min(1.5 * bound, _FAR_MM)
+
+    source: Source
+    per_mm: Array
+    pixel_mm: float
+    index: Pixels
+    point: Array
+    margin: Array
+    moved: Array
+    sight_mm: float = 0.0
+    march_mm: float = float("nan")
+
+    def near(self) -> "_Beam":
+        """Those of its pixels that are within the margin; all, if none is."""
+        s, t, _ = self.source.family.coordinates(self.point).T
+        near = np.asarray(self.source.reaches(s, t, tuple(self.margin)))
+        return replace(self, index=self.index[near], point=self.point[near]) if near.any() else self
 
 
-def reached(
-    emitter: SourceEmitter,
-    a: NDArray[np.floating],
-    b: NDArray[np.floating],
-    margin_mm: Sequence[float],
-) -> NDArray[np.bool_]:
-    """Which laser coordinates in mm the line reaches, or misses by no more than a margin."""
-    # Opaque, since it is another number for any air, and the kernel is to serve them all.
-    margin = tuple(dr.opaque(mi.Float, float(m)) for m in margin_mm)
-    a, b = (in_own_memory(x, mi.Float) for x in (a, b))
-    return np.asarray(emitter.source.reaches(a, b, margin).numpy(), bool)
+@dataclass(frozen=True)
+class _Region:
+    """Where light of the sources may be seen.
+
+    Attributes
+    ----------
+    view : View
+    beams : dict of _Beam
+        By the sources' names; those that none of is seen are left out.
+    candidates : ndarray of shape (N,)
+        Pixels.
+    beyond_px : float
+        By how many pixels these reach beyond the beams'.
+    pixel_mm : float
+        A pixel's size in the middle of them.
+    """
+
+    view: View
+    beams: dict[str, _Beam]
+    candidates: Pixels
+    beyond_px: float
+    pixel_mm: float
+
+    def in_columns(self, column: Columns) -> "_Region":
+        """The same with the candidates of some columns only; none if there is none."""
+        keep = self.candidates[np.isin(self.candidates % self.view.width, column)]
+        return replace(self, candidates=keep, beams=self.beams if keep.size else {})
+
+    @property
+    def march_px(self) -> float:
+        """What half the march's step changes, at most."""
+        return max(beam.march_mm for beam in self.beams.values()) / self.pixel_mm
+
+    def tabulated(self, marched: Marched, tolerance_px: float) -> Tabulated:
+        """Maps of the camera's and the sources' rays, made to a tolerance.
+
+        Raises
+        ------
+        NoMapError
+            If there is none that can be trusted.
+        """
+        camera, march, medium = self.view.camera, marched.march, marched.medium
+        assert camera is not None
+        error_mm = _OF_EACH * tolerance_px * self.pixel_mm
+        places = camera.coordinates(np.concatenate([b.point for b in self.beams.values()]))
+        pad = np.append(np.full(2, (self.beyond_px + _PAD_PX) * self.view.pitch), _PAD_MM)
+        seen = places.min(axis=0) - pad, places.max(axis=0) + pad
+        maps, pads = [], []
+        for beam in self.beams.values():
+            family, spare = beam.source.family, _PAD_MM * beam.per_mm
+            places = family.coordinates(beam.point)
+            low, high = beam.source.extent
+            # A line may be much longer than what of it is seen.
+            around = np.append(beam.margin + spare, _PAD_MM)
+            first, last = places.min(axis=0) - around, places.max(axis=0) + around
+            first[:2] = np.maximum(first[:2], low - beam.moved - spare)
+            last[:2] = np.minimum(last[:2], high + beam.moved + spare)
+            maps.append(MAPS.inverse(medium, family, first, last, march, error_mm))
+            pads.append(spare)
+        sight = MAPS.forward(medium, camera, *seen, march, error_mm)
+        return Tabulated(sight, tuple(maps), tuple(pads), marched)
+
+    def lit(self, sight: Sight) -> tuple[NDArray[np.intp], int]:
+        """Which candidates are lit, or beside such; and how many have light that is folded."""
+        lit, folded = mi.Mask(False), mi.Mask(False)
+        for beam, light in zip(self.beams.values(), sight.lights, strict=True):
+            margin = _opaque(self.pixel_mm * beam.per_mm)
+            lit |= beam.source.reaches(light.s, light.t, margin)
+            folded |= light.status == int(LightStatus.FOLDED)
+        dr.eval(lit, folded)
+        mask = np.zeros((self.view.height, self.view.width), np.uint8)
+        mask.ravel()[self.candidates] = np.array(lit)
+        beside = cv2.dilate(mask, _THREE).ravel()[self.candidates]
+        return np.flatnonzero(beside), int(np.sum(np.array(folded)))
 
 
-def grown(mask: NDArray[np.bool_], height: int, width: int) -> NDArray[np.bool_]:
-    """The pixels of a mask and their neighbours."""
-    image = mask.astype(np.uint8).reshape(height, width)
-    return cv2.dilate(image, np.ones((3, 3), np.uint8)).ravel() > 0
+def _searched(
+    view: View,
+    surface: SceneSurface,
+    field: Field | None,
+    march: March,
+    sources: Mapping[str, Source],
+) -> _Region:
+    """Where light may be seen, as a few bent rays tell.
+
+    Raises
+    ------
+    NoMapError
+        If they can't.
+    """
+    if view.camera is None:
+        raise NoMapError("the camera is no pinhole")
+    per_mm = {name: _per_mm(source, surface) for name, source in sources.items()}
+    margins = {name: _FIRST_MARGIN_MM * per_mm[name] for name in sources}
+    for _ in range(_MOST_TRIALS):
+        beams, distance = _straight(view, surface, sources, per_mm, margins)
+        found = {n: _probed(beam, view.camera, surface, field, march) for n, beam in beams.items()}
+        if all(np.all(beam.margin <= margins[name]) for name, beam in found.items()):
+            return _region(view, {name: beam.near() for name, beam in found.items()}, distance)
+        margins |= {name: 2.0 * beam.margin for name, beam in found.items()}
+    raise NoMapError("refraction moves light too far for what is lit to be found beforehand")
 
 
-def guess_from(light: Illumination) -> tuple[Any, Any, tuple[Any, Any, Any, Any]]:
-    """What is known near samples, from the light at their pixels' centres; straight if nothing."""
-    sound = dr.isfinite(light.s)
-    identity = (1.0, 0.0, 0.0, 1.0)
-    known = light.jacobian or identity
-    jacobian = (dr.select(sound, j, i) for j, i in zip(known, identity, strict=True))
-    return *(dr.select(sound, shift, 0.0) for shift in light.shift), tuple(jacobian)
+def _guessed(view: View, surface: SceneSurface, sources: Mapping[str, Source]) -> _Region:
+    """Where light may be seen if refraction moves none of it far."""
+    per_mm = {name: _per_mm(source, surface) for name, source in sources.items()}
+    margins = {name: _FAR_MM * per_mm[name] for name in sources}
+    return _region(view, *_straight(view, surface, sources, per_mm, margins))
+
+
+def _per_mm(source: Source, surface: SceneSurface) -> Array:
+    """Units of a source's coordinates per mm among the shapes, at most."""
+    low, high = (np.array(corner, float) for corner in surface.corners)
+    corners = np.array([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])
+    s, t, depth = source.family.coordinates(corners).T
+    x_s, x_t, y_s, y_t = source.family.by_coordinates(s, t, depth)
+    return np.array([1.0 / np.min(np.hypot(x_s, y_s)), 1.0 / np.min(np.hypot(x_t, y_t))])
+
+
+def _straight(
+    view: View,
+    surface: SceneSurface,
+    sources: Mapping[str, Source],
+    per_mm: Mapping[str, Array],
+    margins: Mapping[str, Array],
+) -> tuple[dict[str, _Beam], NDArray[np.float32]]:
+    """What straight rays of pixels meet near the sources' straight light; and all distances."""
+    ray = view.centres()
+    distance = surface.distance(mi.Array3f(ray.o), mi.Array3f(ray.d), ray.maxt, True)
+    point = mi.Array3f(ray(distance))
+    near = {}
+    for name, source in sources.items():
+        s, t, _ = FamilyFrame.of(source.family, mi.Array3f).coordinates(point)
+        near[name] = dr.isfinite(distance) & source.reaches(s, t, _opaque(margins[name]))
+    dr.eval(distance, *near.values())
+    distances, beams = distance.numpy(), {}
+    for name, mask in near.items():
+        index = np.array(dr.compress(mask), np.uint32)
+        if index.size:
+            pixel_mm = view.pitch * float(np.mean(distances[index]))
+            point_mm = _points(view, index, distances[index])
+            what = sources[name], per_mm[name], pixel_mm, index, point_mm
+            beams[name] = _Beam(*what, margins[name], margins[name])
+    return beams, distances
+
+
+def _points(view: View, index: Pixels, distance: NDArray[np.float32]) -> Array:
+    """World points (N, 3) at distances from the camera along the straight rays of pixels."""
+    ray = view.centres(index)
+    point = mi.Array3f(ray(in_own_memory(distance, mi.Float)))
+    dr.eval(point)
+    return to_numpy(point)
+
+
+def _probed(
+    beam: _Beam, camera: Pinhole, surface: SceneSurface, field: Field | None, march: March
+) -> _Beam:
+    """How far a few bent rays are moved."""
+    family, spare = beam.source.family, 2.0 * beam.pixel_mm * beam.per_mm
+    if field is None:
+        return replace(beam, margin=spare, moved=np.zeros(2), sight_mm=0.0, march_mm=0.0)
+    some = beam.point[np.linspace(0, len(beam.point) - 1, _PROBES).astype(int)]
+    seen_at, lit_at = camera.coordinates(some), family.coordinates(some)
+    (sideways, moved), finer = (
+        (
+            displaced(field, camera, steps, seen_at)[:, :2],
+            displaced(field, family, steps, lit_at)[:, :2],
+        )
+        for steps in (march, replace(march, step_mm=march.step_mm / 2.0))
+    )
+    apart = (np.abs(one - two).max() for one, two in zip((sideways, moved), finer, strict=True))
+    # On the surface's tangent plane, the point seen moves along the ray too.
+    heading = camera.rays(*seen_at[:, :2].T)[1]
+    normal = surface.normals(some, heading)
+    lean = np.einsum("ij,ij->i", normal, heading)
+    lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
+    seen = sideways @ camera.pose.rotation[:, :2].T
+    seen = seen - heading * (np.einsum("ij,ij->i", normal, seen) / lean)[:, None]
+    local = seen @ family.pose.rotation
+    slope = np.stack(np.broadcast_arrays(*family.slope(*lit_at[:, :2].T)), axis=1)
+    seen = in_coordinates(family, lit_at, local[:, :2] - slope * local[:, 2:])
+    rays = _SPARE * np.abs(in_coordinates(family, lit_at, moved)).max(axis=0) + spare
+    return replace(
+        beam,
+        margin=rays + _SPARE * np.abs(seen).max(axis=0),
+        moved=rays,
+        sight_mm=_SPARE * float(np.abs(sideways).max()),
+        march_mm=float(sum(apart)),
+    )
+
+
+def _region(view: View, beams: dict[str, _Beam], distance: NDArray[np.float32]) -> _Region:
+    """The beams' pixels, those beside them, and more where there are edges.
+
+    Bent rays see past edges of the part.
+    """
+    if not beams:
+        return _Region(view, beams, np.zeros(0, np.uint32), 0.0, float("nan"))
+    pixel_mm = float(np.mean([beam.pixel_mm for beam in beams.values()]))
+    sight_px = max(beam.sight_mm for beam in beams.values()) / pixel_mm
+    mask = np.zeros((view.height, view.width), np.uint8)
+    for beam in beams.values():
+        mask.ravel()[beam.index] = 1
+    inner = cv2.boundingRect(mask)
+    border = 2 * int(np.ceil(sight_px)) + 2
+    left, top, width, height = inner
+    part = (
+        slice(max(top - border, 0), top + height + border),
+        slice(max(left - border, 0), left + width + border),
+    )
+    square = np.ones((border - 1, border - 1), np.uint8)
+    depth = np.minimum(distance.reshape(mask.shape)[part], _FARTHEST_MM)
+    edge = cv2.dilate(depth, _THREE) - cv2.erode(depth, _THREE) > _EDGE_PX * pixel_mm
+    beside = cv2.dilate(mask[part], square) & cv2.dilate(edge.astype(np.uint8), square)
+    mask[part] = cv2.dilate(mask[part], _THREE) | beside
+    outer = cv2.boundingRect(mask)
+    beyond = [inner[i] - outer[i] for i in (0, 1)]
+    beyond += [outer[i] + outer[i + 2] - inner[i] - inner[i + 2] for i in (0, 1)]
+    candidates = np.flatnonzero(mask).astype(np.uint32)
+    return _Region(view, beams, candidates, float(max(beyond)), pixel_mm)

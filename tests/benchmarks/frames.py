@@ -11,8 +11,9 @@ import numpy as np
 from problem import timed
 
 from virtual_sensor.engine import dr
+from virtual_sensor.imaging.render import frame_anew
 from virtual_sensor.imaging.scene import Scene, load_scene
-from virtual_sensor.studies.chart.frames import SCENE, frame_anew, frame_direct, with_lamp
+from virtual_sensor.studies.chart.frames import SCENE, frame_direct, with_lamp
 
 # Marched rays to every pixel of a lit scene take minutes a frame, and tell nothing of speed.
 LIGHTS: dict[str, tuple[Callable[..., Scene], tuple[str, ...]]] = {

@@ -109,7 +109,7 @@ def test_lit_points_lie_on_the_part(coarse):
 def test_truth_is_nan_outside_the_light(coarse):
     """Nothing is claimed where the laser does not reach; what shines has a truth, but for edges."""
     _, frame = coarse
-    for truth in (frame.point_mm[..., 0], frame.depth_mm, *np.moveaxis(frame.laser_mm, -1, 0)):
+    for truth in (frame.point_mm[..., 0], frame.depth_mm, *np.moveaxis(frame.coordinates(), -1, 0)):
         np.testing.assert_array_equal(np.isfinite(truth), frame.lit)
     bright = frame.radiance > 0.2 * frame.radiance.max()
     assert np.mean(frame.lit[bright]) > 0.98
@@ -172,7 +172,7 @@ def test_a_pixel_is_lit_where_its_centre_is_bright(temperature, beam):
     assert np.count_nonzero(bright) > 100
     apart = np.count_nonzero(frame.lit != bright)
     assert apart <= 2e-4 * np.count_nonzero(bright)  # rounding, at the very border
-    for truth in (frame.point_mm[..., 0], frame.depth_mm, *np.moveaxis(frame.laser_mm, -1, 0)):
+    for truth in (frame.point_mm[..., 0], frame.depth_mm, *np.moveaxis(frame.coordinates(), -1, 0)):
         np.testing.assert_array_equal(np.isfinite(truth), frame.lit)
 
 
@@ -181,7 +181,7 @@ def test_laser_coordinates_are_those_of_the_ray_search(coarse):
     scene, frame = coarse
     y = np.linspace(-10.5, 10.5, 31)
     u, v = vs.ray_search(scene, y, "newton").pixel.T
-    a, b = (map_coordinates(frame.laser_mm[..., i], [v, u], order=1) for i in (0, 1))
+    a, b = (map_coordinates(frame.coordinates()[..., i], [v, u], order=1) for i in (0, 1))
     np.testing.assert_allclose(a, 0.0, atol=1e-3)
     np.testing.assert_allclose(b, y, atol=1e-3)
 
@@ -199,14 +199,14 @@ def test_exr_file_holds_the_frame_and_its_truth(coarse, tmp_path):
     point = np.stack([held[f"point.{axis}"] for axis in "XYZ"], axis=-1)
     np.testing.assert_array_equal(point, frame.point_mm)
     laser = np.stack([held["laser.a"], held["laser.b"]], axis=-1)
-    np.testing.assert_array_equal(laser, frame.laser_mm)
+    np.testing.assert_array_equal(laser, frame.coordinates())
 
 
 def test_line_breaks_off_where_the_camera_cannot_look():
     """The groove of the stepped shaft hides the laser: the frame and the search agree where."""
     scene = vs.load_scene("stepped_shaft", width=1024, height=1024, spp=4).cold()
     frame = render_frame(scene)
-    a, b = np.moveaxis(frame.laser_mm, -1, 0)
+    a, b = np.moveaxis(frame.coordinates(), -1, 0)
     lit = np.sort(b[(frame.radiance > 0.0) & (np.abs(a) < 0.02)])
     y = np.linspace(-10.9, 10.9, 219)
     seen = vs.ray_search(scene, y, "newton").status == SearchStatus.FOUND
@@ -233,4 +233,4 @@ def test_a_frame_is_the_same_to_the_bit_with_any_number_of_threads():
         dr.set_thread_count(threads)
     for frame in frames[1:]:
         assert (frame.radiance != frames[0].radiance).sum() == 0
-        np.testing.assert_array_equal(frame.laser_mm, frames[0].laser_mm)
+        np.testing.assert_array_equal(frame.coordinates(), frames[0].coordinates())

@@ -77,7 +77,7 @@ def test_a_step_too_long_is_measured_and_noted():
     for step in (2, 16, 48):
         frame = render_frame(vs.load_scene("hot_cylinder", **size, step=step))
         both = frame.lit & exact.lit
-        apart_mm = np.abs(frame.laser_mm - exact.laser_mm)[both].max(axis=-1)
+        apart_mm = np.abs(frame.coordinates() - exact.coordinates())[both].max(axis=-1)
         true_px = np.quantile(apart_mm, 0.99) / (45.056 / 256)
         errors_px[step] = frame.account.march_px
         assert 0.3 * true_px < frame.account.march_px < 5.0 * true_px + 2e-3
@@ -146,7 +146,7 @@ def test_a_line_much_longer_than_the_image_costs_no_more():
         render_frame(vs.load_scene("hot_cylinder", **size, line_length=x)) for x in (100, 500)
     ]
     for table in ("camera", "laser"):
-        nodes = [getattr(frame.account, table).nodes for frame in frames]
+        nodes = [frame.account.nodes[table] for frame in frames]
         assert nodes[0] == nodes[1]
     assert frames[1].account.transport == "tabulated"
     np.testing.assert_allclose(5.0 * frames[1].radiance, frames[0].radiance, rtol=1e-4, atol=1e-9)
@@ -189,7 +189,7 @@ def test_threads_that_share_a_scene_get_the_frames_of_one():
         for image, frame in frames:
             np.testing.assert_array_equal(image, alone[name][0])
             np.testing.assert_array_equal(frame.radiance, alone[name][1].radiance)
-            np.testing.assert_array_equal(frame.laser_mm, alone[name][1].laser_mm)
+            np.testing.assert_array_equal(frame.coordinates(), alone[name][1].coordinates())
 
 
 @pytest.mark.parametrize("scene", ["hot_cylinder", "my/scene.xml", None, 7])

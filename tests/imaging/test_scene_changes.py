@@ -62,7 +62,7 @@ def test_a_scene_knows_its_cameras_and_sources_by_their_ids(hot):
     assert hot.source is hot.sources["laser"]
     assert (hot.sensor.camera, hot.sensor.laser) == (hot.camera, hot.source)
     assert hot.mitsuba_camera.id() == "camera"
-    assert hot.mitsuba_sources["laser"].id() == "laser"
+    assert hot.sources["laser"] is hot.loaded.sources["laser"].source
 
 
 def test_elements_without_an_id_get_a_name_that_no_other_has(tmp_path):

@@ -82,7 +82,7 @@ def test_only_leaves_one_of_each(two):
             assert one.camera is two.cameras[camera]
             assert one.source is two.sources[source]
             assert one.mitsuba_camera.id() == camera
-            assert list(one.mitsuba_sources) == [source]
+            assert list(one.sources) == [source]
             assert one.medium is None
             assert one == two.only(source=source).only(camera=camera).cold()
     assert two.only() == two

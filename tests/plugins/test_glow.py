@@ -7,7 +7,7 @@ from virtual_sensor.devices.planck import band_radiance
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import render, render_frame
+from virtual_sensor.imaging.render import arrangement, render, render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.studies.chart.frames import with_lamp
@@ -24,7 +24,7 @@ def test_without_emissivity_the_frame_is_that_of_the_laser_alone():
     """Off by default: the same samples, on the pixels that the laser reaches and no others."""
     scene = load_scene("hot_cylinder", **FILM)
     frame = render_frame(scene)
-    assert scene.integrator.glow(scene.mitsuba) == 0.0
+    assert arrangement(scene).glow == 0.0
     assert np.mean(frame.radiance > 0.0) < 0.1
     assert check_scene(scene) == []
 

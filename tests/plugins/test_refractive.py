@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
-from virtual_sensor_plugins.lit_pixels import LitPixels, centre_rays
+from virtual_sensor_plugins.lit_pixels import Account, LitPixels
+from virtual_sensor_plugins.renderer import Prepared
 
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import arrangement, render_frame
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.optics.ray_maps import NoMapError
 
+DIRECT = {"type": "direct"}
 COARSE = {"width": 512, "height": 512, "spp": 4}
 
 # A plane lit from above, with a screen 20 mm over its y = 2 ... 5 mm, seen from 30 degrees.
@@ -57,9 +59,9 @@ def screened(folder, other_light="", **parameters):
     return scene.with_medium(vs.IndexField.from_arrays(nothing, [-44.0] * 3, [8.0] * 3))
 
 
-def image_by(integrator, scene, **options):
-    """Radiance (H, W)."""
-    return np.array(integrator.render(scene.mitsuba, scene.mitsuba.sensors()[0], **options))[..., 0]
+def stock(scene, seed=0):
+    """Radiance (H, W) by Mitsuba's own `direct` integrator."""
+    return np.array(mi.render(scene.mitsuba, integrator=mi.load_dict(DIRECT), seed=seed))[..., 0]
 
 
 def crop(scene, offset, size):
@@ -73,9 +75,9 @@ def crop(scene, offset, size):
 def test_zero_field_gives_mitsubas_own_image(tmp_path):
     """The laser's samples have no chance in them: equal to rounding, marched or straight."""
     scene = screened(tmp_path)
-    direct = image_by(mi.load_dict({"type": "direct"}), scene)
-    for integrator in (scene.integrator, scene.cold().integrator):
-        image = image_by(integrator, scene)
+    direct = stock(scene)
+    for each in (scene, scene.cold()):
+        image = vs.render(each)
         np.testing.assert_allclose(image, direct, rtol=1e-3, atol=1e-4 * direct.max())
 
 
@@ -84,8 +86,8 @@ def test_stock_lights_give_mitsubas_image_within_its_noise(light, tmp_path):
     """Welch's z of every pixel over independent renders, background included."""
     scene = screened(tmp_path, light, size=48, spp=16, jitter="true")
     runs, mean, variance = 10, [], []
-    for number, integrator in enumerate((mi.load_dict({"type": "direct"}), scene.integrator)):
-        images = [image_by(integrator, scene, seed=runs * number + k) for k in range(runs)]
+    for number, render in enumerate((stock, vs.render)):
+        images = [render(scene, seed=runs * number + k) for k in range(runs)]
         mean.append(np.mean(images, axis=0))
         variance.append(np.var(images, axis=0, ddof=1) / runs)
     difference, spread = mean[1] - mean[0], np.sqrt(sum(variance))
@@ -108,11 +110,10 @@ def test_no_lit_pixel_is_overlooked(temperature):
     scene = scene if temperature == "hot" else scene.cold()
     size = (160, 128)
     crop(scene, (250, 490), size)
-    sensor = scene.mitsuba.sensors()[0]
-    every = np.arange(size[0] * size[1], dtype=np.uint32)
-    sight = scene.integrator.look(scene.mitsuba, centre_rays(sensor, every))
-    whole = image_by(scene.integrator, scene, lit=LitPixels(every, sight))
-    found = image_by(scene.integrator, scene)
+    every, given = np.arange(size[0] * size[1], dtype=np.uint32), arrangement(scene)
+    sight, _ = given.marched.sight(given.view.centres(every))
+    lit = LitPixels(every, tuple(given.sources), given.marched, Account("marched"), sight)
+    whole, found = Prepared(given, lit).exposed(4, 0)[0].image(), vs.render(scene)
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
     found, whole = found[inner], whole[inner]
     lit = whole > 1e-3 * whole.max()
@@ -125,7 +126,7 @@ def test_no_lit_pixel_is_overlooked(temperature):
 def coarse(request):
     """The cylinder on a coarse film, and its image."""
     scene = vs.load_scene(f"{request.param}_cylinder", **COARSE, line_length=21.7)
-    return scene, image_by(scene.integrator, scene)
+    return scene, vs.render(scene)
 
 
 def test_mirrored_scene_gives_mirrored_image(coarse):
@@ -138,7 +139,7 @@ def test_cropping_changes_no_pixel(coarse):
     """The same samples of the same rays, to the tolerance of the tables, which are others."""
     scene, image = coarse
     crop(scene, (140, 250), (101, 37))
-    part = image_by(scene.integrator, scene)
+    part = vs.render(scene)
     assert np.count_nonzero(part) > 500
     np.testing.assert_allclose(part, image[250:287, 140:241], atol=5e-4 * image.max())
 
@@ -170,8 +171,8 @@ def test_where_no_map_holds_the_whole_film_its_pixels_are_marched(tmp_path, monk
     def refuse(*given):
         raise NoMapError("too rough")
 
-    monkeypatch.setattr("virtual_sensor_plugins.refractive.Elsewhere", refuse)
-    frame = render_frame(scene)
+    monkeypatch.setattr("virtual_sensor_plugins.whole_film.WholeFilm.of", refuse)
+    frame = render_frame(screened(tmp_path, POINT, size=64))
     assert "too rough" in frame.account.reason
     apart = np.abs(frame.radiance - expected.radiance)
     assert np.mean(apart > 1e-3 * expected.radiance.max()) < 0.005
@@ -179,7 +180,7 @@ def test_where_no_map_holds_the_whole_film_its_pixels_are_marched(tmp_path, monk
 
 def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):
     """L = rho E / pi with E = P / (length w) sqrt(2/pi) in the middle of a line square to it."""
-    a, b = np.moveaxis(screened_frame.laser_mm, -1, 0)
+    a, b = np.moveaxis(screened_frame.coordinates(), -1, 0)
     middle = (np.abs(a) < 0.5) & (np.abs(b) < 1.0)
     density = 0.1 / 20.0 / 2.0 * np.sqrt(2.0 / np.pi) * np.exp(-2.0 * (a[middle] / 2.0) ** 2)
     np.testing.assert_allclose(screened_frame.radiance[middle], 0.5 / np.pi * density, rtol=0.002)

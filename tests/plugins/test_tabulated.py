@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_sensor_plugins.lit_pixels import film_place, film_rays
+from virtual_sensor_plugins.renderer import Prepared
 
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import arrangement, render_frame
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.optics.illumination import LightStatus
 
@@ -32,8 +32,8 @@ def stronger(scene, contrast):
 
 
 def nodes(account):
-    """Nodes of both tables."""
-    return np.prod(account.camera.nodes) + np.prod(account.laser.nodes)
+    """Nodes of both maps."""
+    return sum(np.prod(each) for each in account.nodes.values())
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -69,7 +69,7 @@ def test_the_truth_is_that_of_marched_rays(frames):
     apart_mm = np.linalg.norm(frame.point_mm - exact.point_mm, axis=-1)[both]
     pixel_mm = PIXEL_MM[1]
     assert np.quantile(apart_mm, 0.98) < 3.0 * 0.002 * pixel_mm  # edges are seen or just missed
-    astray_mm = np.abs(frame.laser_mm - exact.laser_mm)[both].max(axis=-1)
+    astray_mm = np.abs(frame.coordinates() - exact.coordinates())[both].max(axis=-1)
     assert np.quantile(astray_mm, 0.98) < 3.0 * 0.002 * pixel_mm
 
 
@@ -84,16 +84,17 @@ def step():
         held["film.crop_offset"] = mi.ScalarPoint2u(410, 525)
         held["film.crop_size"] = mi.ScalarVector2u(72, 24)
         held.update()
-        images[name] = np.array(scene.integrator.render(scene.mitsuba, sensor))[..., 0]
+        images[name] = vs.render(scene)
         if name == "marched":
-            pixels = dr.arange(mi.UInt32, 72 * 24)
+            given, pixels = arrangement(scene), dr.arange(mi.UInt32, 72 * 24)
+            devices = list(given.sources.values())
             place = [(k + 0.5) / 2.0 for k in range(2)]
             images["alone"] = 0.0
             for within in ((x, y) for x in place for y in place):
-                on_film = film_place(sensor.film(), pixels, mi.Point2f(*within))
-                ray, _ = film_rays(sensor, on_film, mi.Point2f(0.5))
-                sight = scene.integrator.look(scene.mitsuba, ray)
-                seen = scene.integrator.radiance(scene.mitsuba, sensor.sampler(), sight)
+                on_film = given.view.place(pixels, mi.Point2f(*within))
+                ray, _ = given.view.rays(on_film, mi.Point2f(0.5))
+                sight, _ = given.marched.sight(ray)
+                seen = given.radiance(sight, devices, [])
                 images["alone"] += np.array(seen)[0].reshape(24, 72) / 4.0
     return images
 
@@ -134,7 +135,7 @@ def test_the_error_stays_within_the_tolerance(small, by_tolerance, tolerance):
     assert np.count_nonzero(both) > 1000
     # A point errs along the surface; square to the line of sight it errs by no more than this.
     apart = np.linalg.norm(frame.point_mm - small.point_mm, axis=-1)[both]
-    astray = np.abs(frame.laser_mm - small.laser_mm)[both].max(axis=-1)
+    astray = np.abs(frame.coordinates() - small.coordinates())[both].max(axis=-1)
     assert np.maximum(0.5 * apart, astray).max() < tolerance * pixel_mm
 
 
@@ -171,7 +172,7 @@ def test_choices_of_the_model_are_taken(small, choice, least_px):
     """Rationale: each shows in the picture by a little, and by no more."""
     other = render_frame(vs.load_scene("hot_cylinder", **SMALL, **choice))
     both = other.lit & small.lit
-    astray = np.abs(other.laser_mm - small.laser_mm)[both].max(axis=-1) / PIXEL_MM[0]
+    astray = np.abs(other.coordinates() - small.coordinates())[both].max(axis=-1) / PIXEL_MM[0]
     assert least_px < np.median(astray) < 1.0
 
 
@@ -209,26 +210,23 @@ def test_an_old_scenes_way_is_refused_with_the_new_name(tmp_path):
 
 
 def halved(lit):
-    """Lit pixels whose camera's table ends in the middle of what they see."""
-    camera = lit.tables.camera
+    """Lit pixels whose camera's map ends in the middle of what they see."""
+    camera = lit.tracer.camera
     grid, ends = camera.table.grid, replace(camera.table.grid, high=camera.table.grid.high.copy())
     ends.high[0] = 0.5 * (grid.low[0] + grid.high[0])
     part = type(camera.table)(ends, np.zeros((*grid.shape, 4)))
-    part_of = replace(camera, table=part)
-    return replace(lit, tables=replace(lit.tables, camera=part_of)), part
+    return replace(lit, tracer=replace(lit.tracer, camera=replace(camera, table=part)))
 
 
 def test_samples_off_the_tables_are_marched_and_counted(small):
     """Rationale: half of the line is off one table; what is on it is given as nought there."""
     scene = vs.load_scene("hot_cylinder", **SMALL)
-    sensor = scene.mitsuba.sensors()[0]
-    whole = np.array(scene.integrator.render(scene.mitsuba, sensor))[..., 0]
-    lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
-    off, _ = halved(lit)
-    image = np.array(scene.integrator.render(scene.mitsuba, sensor, lit=off))[..., 0]
-    samples = 4 * lit.index.size
-    assert off.account.samples == samples
-    assert 0.2 * samples < off.account.marched < 0.6 * samples
+    whole = vs.render(scene)
+    prepared = Prepared.of(arrangement(scene))
+    exposure, account = replace(prepared, lit=halved(prepared.lit)).exposed(4, 0)
+    image, samples = exposure.image(), 4 * prepared.lit.index.size
+    assert account.samples == samples
+    assert 0.2 * samples < account.marched < 0.6 * samples
     apart = np.abs(image - small.radiance) / small.radiance.max()
     one, other = apart[:, :126].max(), apart[:, 130:].max()  # p grows along u, or against it
     assert min(one, other) < 2e-3 < 0.05 < max(one, other)
@@ -248,7 +246,7 @@ def test_a_folded_map_falls_back_to_marching_and_says_why(folded):
     _, frame = folded
     assert frame.account.transport == "marched"
     assert "folds" in frame.account.reason or "caustic" in frame.account.reason
-    assert frame.account.camera is None
+    assert not frame.account.nodes
     assert np.isnan(frame.account.error_px)
     exact = stronger(vs.load_scene("hot_cylinder", **SMALL, transport="marched"), 14.0)
     np.testing.assert_array_equal(frame.radiance, render_frame(exact).radiance)
@@ -256,13 +254,10 @@ def test_a_folded_map_falls_back_to_marching_and_says_why(folded):
 
 def test_where_the_map_is_folded_there_is_no_light_and_no_truth(folded):
     """Rationale: black and NaN, not a plausible wrong ray."""
-    scene, frame = folded
-    sensor = scene.mitsuba.sensors()[0]
-    lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
-    status = np.array(lit.sight.light.status)
-    dark = lit.index[status == LightStatus.FOLDED]
+    _, frame = folded
+    dark = frame.truth.index[frame.truth.status["laser"] == LightStatus.FOLDED]
     assert dark.size > 10
-    assert np.all(np.isnan(frame.laser_mm.reshape(-1, 2)[dark]))
+    assert np.all(np.isnan(frame.coordinates().reshape(-1, 2)[dark]))
     assert not np.any(frame.lit.ravel()[dark])
     assert np.all(frame.radiance.ravel()[dark] == 0.0)
     assert np.all(np.isfinite(frame.radiance))
@@ -307,7 +302,7 @@ def test_tables_give_the_same_bits_with_any_number_of_threads():
     assert frames[0].account.transport == "tabulated"
     for frame in frames[1:]:
         np.testing.assert_array_equal(frame.radiance, frames[0].radiance)
-        np.testing.assert_array_equal(frame.laser_mm, frames[0].laser_mm)
+        np.testing.assert_array_equal(frame.coordinates(), frames[0].coordinates())
 
 
 @pytest.mark.parametrize(

@@ -106,7 +106,7 @@ def hot():
 
 
 def truth_of(scene, frame):
-    return TrueLine.of_coordinates(frame.laser_mm[:, :, 0], scene.sensor.laser.radius_mm)
+    return TrueLine.of_coordinates(frame.coordinates()[:, :, 0], scene.sensor.laser.radius_mm)
 
 
 def test_the_truth_of_a_frame_is_the_ray_searchs(hot):

@@ -9,6 +9,7 @@ from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.field_solid import check_solid
+from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import check_geometry
@@ -116,7 +117,7 @@ def _check_pair(scene: Scene) -> list[str]:
 
 def _tell_glow(scene: Scene, line: LitLine) -> list[str]:
     """How bright a glowing part is beside the line, if it glows."""
-    glow = scene.integrator.glow(scene.mitsuba)
+    glow = arrangement(scene).glow
     if not glow:
         return []
     irradiance = scene.sensor.laser.irradiance(line.points_mm).max()

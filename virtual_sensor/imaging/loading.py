@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from virtual_sensor_plugins import laser_line
+from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
 from virtual_sensor.engine import mi
@@ -181,7 +181,7 @@ def load(
     here : Path
         Folder from which relative paths start, beside the scene's own.
     poses : Mapping
-        By the names of cameras and lasers: matrices (4, 4) in place of their `to_world`.
+        By the names of cameras and sources: matrices (4, 4) in place of their `to_world`.
     """
     main = files[0].elements[0].file
     config = mi.parser.ParserConfig(mi.variant())
@@ -205,8 +205,7 @@ def load(
             scene = mi.parser.instantiate(config, state)
             notes += warnings_of(main, heard)
             cameras = {sensor.id(): sensor for sensor in scene.sensors()}
-            device = laser_line.SourceEmitter  # of the variant that is set
-            sources = {each.id(): each for each in scene.emitters() if isinstance(each, device)}
+            sources = {each.id(): each for each in scene.emitters() if is_source(each)}
             _check_samples(cameras, samples)
             return Loaded(scene, cameras, sources, tuple(notes))
         except InputError:

@@ -1,22 +1,25 @@
-"""Frames: what the camera records, with the ground truth of every pixel that the laser lights."""
+"""Frames: what a camera records, with the ground truth of every pixel that a source lights."""
 
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.lit_pixels import Account
-from virtual_sensor_plugins.refractive import laser_of
+from virtual_sensor_plugins.lit_pixels import Account, Columns
+from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
-from virtual_sensor.arrays import whole_number
-from virtual_sensor.engine import dr, mi
+from virtual_sensor.arrays import to_numpy, whole_number
+from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.optics.illumination import LightStatus
+from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.sight import check_scene_given
 
 Image = NDArray[np.float32]
@@ -24,8 +27,39 @@ Image = NDArray[np.float32]
 _MOST_SAMPLES = 1 << 20  # a pixel's are in flight at once
 _LARGEST_SEED = 2**32 - 1
 
+_MOST_KEPT = 4
+_KEPT: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
+class LitPixels:
+    """The pixels of a frame that may be lit, and the truth at their centres.
+
+    Attributes
+    ----------
+    index : ndarray of shape (N,)
+        Row-major numbers of the pixels.
+    point_mm : ndarray of shape (N, 3)
+        Where the bent line of sight meets the surface, world; NaN where no source reaches.
+    depth_mm : ndarray of shape (N,)
+        Of that point along the camera's axis.
+    source_coordinates : dict
+        By the sources' names, ndarray of shape (N, 2): (s, t) of the source's ray that lights the
+        pixel, across the sheet and along the line of a laser; NaN where it does not reach.
+    status : dict
+        By the sources' names, ndarray of shape (N,): `LightStatus`.
+    account : Account
+    """
+
+    index: NDArray[np.uint32]
+    point_mm: Image
+    depth_mm: Image
+    source_coordinates: Mapping[str, Image]
+    status: Mapping[str, NDArray[np.uint8]]
+    account: Account
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A rendered frame, and the truth at its pixels' centres.
 
@@ -33,28 +67,68 @@ class Frame:
     ----------
     radiance : ndarray of shape (H, W)
         W/(mm^2 sr), averaged over each pixel.
-    point_mm : ndarray of shape (H, W, 3)
-        Where the bent line of sight meets the surface, world; NaN where the laser does not reach.
-    depth_mm : ndarray of shape (H, W)
-        Of that point along the camera's axis.
-    laser_mm : ndarray of shape (H, W, 2)
-        Coordinates (a, b), across the sheet and along the line, of the laser ray that lights it.
-    lit : ndarray of shape (H, W)
-        Whether the laser reaches the pixel's centre.
+    truth : LitPixels
+        The truth where there is one; `point_mm` and its kin are images of it.
     account : Account
-        How the frame was made: the transport, the tables' fineness and error, samples marched.
+        How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
 
     radiance: Image
-    point_mm: Image
-    depth_mm: Image
-    laser_mm: Image
-    lit: NDArray[np.bool_]
+    truth: LitPixels
     account: Account
 
+    @cached_property
+    def point_mm(self) -> Image:
+        """World point that the bent line of sight meets, (H, W, 3); NaN where no source reaches."""
+        return self._image(self.truth.point_mm)
 
-def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
-    """Render the scene's camera image: radiance in W/(mm^2 sr), shape (H, W).
+    @cached_property
+    def depth_mm(self) -> Image:
+        """Depth of that point along the camera's axis, (H, W)."""
+        return self._image(self.truth.depth_mm)
+
+    @cached_property
+    def source_coordinates(self) -> dict[str, Image]:
+        """By source, (s, t) of its ray that lights the pixel, (H, W, 2); NaN where none does."""
+        return {name: self._image(st) for name, st in self.truth.source_coordinates.items()}
+
+    def coordinates(self, source: str | None = None) -> Image:
+        """(s, t) of one source's rays, (H, W, 2); without a name, of the only source.
+
+        Raises
+        ------
+        InputError
+            If there is no such source, or there are several.
+        """
+        held = self.source_coordinates
+        name = next(iter(held)) if source is None and len(held) == 1 else source
+        if name not in held:
+            raise InputError(
+                f"the frame has the sources {', '.join(held) or '(none)'}, and not '{source}'; say"
+                " which (source=)"
+            )
+        return held[name]
+
+    @cached_property
+    def lit(self) -> NDArray[np.bool_]:
+        """Whether a source reaches the pixel's centre, (H, W)."""
+        lit = np.zeros(self.radiance.shape, bool)
+        lit.ravel()[self.truth.index] = np.isfinite(self.truth.depth_mm)
+        return lit
+
+    def _image(self, values: Image) -> Image:
+        """An image of numbers (N, ...) at the lit pixels, channel by channel as files want it."""
+        channels = values.reshape(len(values), -1).T
+        height, width = self.radiance.shape
+        image = np.full((len(channels), height * width), np.nan, np.float32)
+        for channel, numbers in zip(image, channels, strict=True):
+            channel[self.truth.index] = numbers
+        image = np.moveaxis(image.reshape(-1, height, width), 0, -1)
+        return image if values.ndim > 1 else image[:, :, 0]
+
+
+def render(scene: Scene, spp: int | None = None, seed: int = 0, camera: str | None = None) -> Image:
+    """Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
 
     Parameters
     ----------
@@ -63,31 +137,19 @@ def render(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
         Samples per pixel; the scene's own if not given.
     seed : int
         Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
+    camera : str, optional
+        Its name; it can be left out where the scene has one.
 
     Raises
     ------
     InputError
-        If it is no scene, or one of the numbers can't be used.
+        If it is no scene, it has no such camera, or one of the numbers can't be used.
     EngineError
         If the scene was loaded under another Mitsuba variant.
     """
-    samples, seed = _checked("render", scene, spp, seed)
-    sensor = scene.mitsuba.sensors()[0]
-    return _first_channel(scene.integrator.render(scene.mitsuba, sensor, seed, samples))
-
-
-def _checked(asker: str, scene: Scene, spp: int | None, seed: int) -> tuple[int, int]:
-    """Samples a pixel, 0 for the scene's own, and seed."""
-    check_scene_given(asker, scene)
-    laser_of(scene.mitsuba)
-    samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
-    return samples, whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
-
-
-def _first_channel(image: Any) -> Image:
-    """Mitsuba's image (H, W, C) as an array (H, W)."""
-    height, width = image.shape[:2]
-    return np.array(image, np.float32).reshape(height, width, -1)[:, :, 0]
+    scene, samples, seed = _checked("render", scene, spp, seed, camera)
+    with ONE_FRAME:
+        return _prepared(scene).exposed(samples, seed)[0].image()
 
 
 def render_frame(
@@ -95,48 +157,117 @@ def render_frame(
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
+    camera: str | None = None,
 ) -> Frame:
-    """Render the scene's camera image together with its ground truth.
+    """Render a camera's image together with its ground truth.
 
-    `progress` is told the fraction of the samples done.  Raises as `render` does.
+    `progress` is told the fraction of the samples done; else as `render`.
     """
-    samples, seed = _checked("render_frame", scene, spp, seed)
-    camera = scene.sensor.camera
-    width, height = camera.size
-    sensor = scene.mitsuba.sensors()[0]
+    scene, samples, seed = _checked("render_frame", scene, spp, seed, camera)
     with ONE_FRAME:
-        lit = scene.integrator.lit_pixels(scene.mitsuba, sensor)
-        image = scene.integrator.render(
-            scene.mitsuba, sensor, seed, samples, lit=lit, progress=progress
-        )
+        prepared = _prepared(scene)
+        exposure, account = prepared.exposed(samples, seed, progress)
+        return Frame(exposure.image(), _truth(prepared), account)
 
-    light = lit.sight.light
-    a, b = light.s.numpy(), light.t.numpy()
-    reached = (scene.integrator.irradiance(scene.mitsuba, light) > 0.0).numpy()
-    point = np.array(lit.sight.point)
-    depth = camera.pose.to_local(point.T)[:, 2]
-    # Channel by channel, as files want it.  Dr.Jit has the memory: new one takes 0.1 s to fill.
-    truth = dr.opaque(mi.Float, np.nan, 6 * height * width).numpy().reshape(6, -1)
-    index = np.asarray(lit.index)[reached]
-    for channel, values in zip(truth, (*point, depth, a, b), strict=True):
-        channel[index] = values[reached]
-    is_lit = np.zeros(height * width, bool)
-    is_lit[index] = True
-    channels = truth.reshape(6, height, width)
-    return Frame(
-        _first_channel(image),
-        np.moveaxis(channels[:3], 0, -1),
-        channels[3],
-        np.moveaxis(channels[4:], 0, -1),
-        is_lit.reshape(height, width),
-        lit.account,
+
+def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
+    """Radiance (H, W) of the pixels that sources light in some columns; zero in all others."""
+    scene, samples, seed = _checked("render_columns", scene, spp, seed)
+    with ONE_FRAME:
+        exposure, _ = _prepared(scene, column).exposed(samples, seed, others=False)
+        return exposure.image()
+
+
+def frame_anew(scene: Scene, spp: int | None = None) -> Image:
+    """An image as of a scene that was never rendered: all is found and made again."""
+    scene, samples, seed = _checked("frame_anew", scene, spp, 0)
+    with ONE_FRAME:
+        MAPS.clear()
+        prepared = Prepared.of(arrangement(scene))
+        image = prepared.exposed(samples, seed)[0].image()
+        _ = _truth(prepared)
+        return image
+
+
+def lit_pixels(scene: Scene) -> LitPixels:
+    """The pixels that the sources light, with the truth at their centres, and no frame."""
+    check_scene_given("lit_pixels", scene)
+    with ONE_FRAME:
+        return _truth(_prepared(scene))
+
+
+def arrangement(scene: Scene) -> Arrangement:
+    """What the renderer is given of a scene."""
+    return Arrangement(
+        scene.mitsuba,
+        scene.mitsuba_camera,
+        scene.camera,
+        scene.sources,
+        scene.medium,
+        scene.transport,
+        scene.hot,
     )
+
+
+def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
+    """What frames of a scene need: kept while the scene lives and stays as it is.
+
+    A frame is equal to the bit to a first one, as its samples are of the same rays by the same
+    maps.  What is kept is found by identity: what a scene consists of never changes.
+    """
+    given = arrangement(scene)
+    film = given.sensor.film()
+    parts = scene.loaded, given.sensor, given.camera, given.medium, *given.sources.values()
+    window = (*film.crop_offset(), *film.crop_size())
+    columns = None if column is None else np.asarray(column).tobytes()
+    what = tuple(given.sources), window, given.transport, given.hot, columns
+    key = *(id(part) for part in parts), what
+    prepared = _KEPT.pop(key, None)
+    if prepared is None:
+        prepared = Prepared.of(given, column)  # it holds its parts, so that no id is given again
+        weakref.finalize(scene.loaded, _KEPT.pop, key, None).atexit = False
+    _KEPT[key] = prepared  # the latest last
+    for old in list(_KEPT)[:-_MOST_KEPT]:
+        _KEPT.pop(old, None)
+    return prepared
+
+
+def _truth(prepared: Prepared) -> LitPixels:
+    lit, sources = prepared.lit, prepared.arrangement.sources
+    index, sight, count = lit.index, lit.sight, lit.index.size
+    coordinates = {name: np.full((count, 2), np.nan, np.float32) for name in sources}
+    statuses = {name: np.full(count, LightStatus.NO_POINT, np.uint8) for name in sources}
+    point, depth = np.full((count, 3), np.nan, np.float32), np.full(count, np.nan, np.float32)
+    if sight is not None:
+        reached = np.zeros(count, bool)
+        for name, light in zip(lit.names, sight.lights, strict=True):
+            power = sources[name].flux(light.s, light.t) * light.concentration
+            shines = (power > 0.0).numpy()
+            coordinates[name][shines] = np.stack([light.s.numpy(), light.t.numpy()], 1)[shines]
+            statuses[name] = np.array(light.status, np.uint8)
+            reached |= shines
+        points = to_numpy(sight.point)
+        point[reached] = points[reached]
+        if camera := prepared.arrangement.camera:
+            depth[reached] = camera.pose.to_local(points)[reached, 2]
+    return LitPixels(index, point, depth, coordinates, statuses, lit.account)
+
+
+def _checked(
+    asker: str, scene: Scene, spp: int | None, seed: int, camera: str | None = None
+) -> tuple[Scene, int, int]:
+    """The scene with one camera, samples a pixel, 0 for the scene's own, and seed."""
+    check_scene_given(asker, scene)
+    samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
+    seed = whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
+    return scene.only(camera=camera), samples, seed
 
 
 def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
     """Write radiance and ground truth as float32 channels, with the scene's parameters as header.
 
-    Channels: Y (radiance), point.X/Y/Z, depth.Z, laser.a, laser.b, lit.
+    Channels: Y (radiance), point.X/Y/Z, depth.Z, lit, and by the sources' names, such as laser.a
+    and laser.b, the coordinates of their rays.
     """
     channels = {
         "Y": frame.radiance,
@@ -144,10 +275,10 @@ def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
         "point.Y": frame.point_mm[:, :, 1],
         "point.Z": frame.point_mm[:, :, 2],
         "depth.Z": frame.depth_mm,
-        "laser.a": frame.laser_mm[:, :, 0],
-        "laser.b": frame.laser_mm[:, :, 1],
         "lit": frame.lit.astype(np.float32),
     }
+    for name, coordinates in frame.source_coordinates.items():
+        channels |= {f"{name}.a": coordinates[:, :, 0], f"{name}.b": coordinates[:, :, 1]}
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
     pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with written_whole(path) as temporary:

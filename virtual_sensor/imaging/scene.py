@@ -34,8 +34,8 @@ from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
-import virtual_sensor_plugins as plugins
 from numpy.typing import NDArray
+from virtual_sensor_plugins import refractive
 
 from virtual_sensor import engine
 from virtual_sensor.arrays import to_vectors
@@ -153,6 +153,11 @@ class Scene:
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
+    def loaded(self) -> Loaded:
+        """What Mitsuba made of the file: all scenes have the same that differ in air alone."""
+        return self._stage.loaded
+
+    @property
     def mitsuba(self) -> Any:
         """Mitsuba's scene, with all its cameras and sources."""
         return self._stage.loaded.scene
@@ -207,17 +212,6 @@ class Scene:
     def mitsuba_camera(self) -> Any:
         """Mitsuba's sensor of the only camera."""
         return self._stage.loaded.cameras[self._one("camera", self.cameras)]
-
-    @property
-    def mitsuba_sources(self) -> dict[str, Any]:
-        """Mitsuba's emitters of the sources, by name; others of the scene's do not shine."""
-        return {name: self._stage.loaded.sources[name] for name in self.sources}
-
-    @property
-    def integrator(self) -> Any:
-        """Mitsuba's integrator, with the scene's air and transport."""
-        integrator = self.mitsuba.integrator()
-        return integrator.given(self.medium, self.transport, self.hot)
 
     def only(self, camera: str | None = None, source: str | None = None) -> Scene:
         """The same scene with one camera or one source: the others neither see nor shine.
@@ -446,7 +440,7 @@ def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
     path = origin.path
     files, values, folders = _read(path, origin.given, origin.here)
     loaded = load(files, origin.given, values, origin.here, poses)
-    if not isinstance(loaded.scene.integrator(), plugins.refractive.Refractive):
+    if not isinstance(loaded.scene.integrator(), refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
             ' type="refractive"/> in its place'

@@ -73,7 +73,7 @@ def illuminate(
     points: Any,
     march: March,
     *,
-    guess: tuple[Any, Any, tuple[Any, Any, Any, Any]] | None = None,
+    near: Illumination | None = None,
     active: Any = True,
 ) -> Illumination:
     """Find the ray of a source that lights each point.
@@ -84,14 +84,14 @@ def illuminate(
         The source's.
     points : vector
         World points in mm in the march's precision, on the surface or free.
-    guess : tuple, optional
-        What is known from a near-by point: its ``shift`` and its Jacobian.  It saves marches.
+    near : Illumination, optional
+        Marched light at a point close to each: it saves marches.
     active : mask
 
     Notes
     -----
-    Without a guess the first two marches carry tangents, which give the Jacobian; the later ones
-    keep it (the chord method), and also look for shadows.
+    Without light near by the first two marches carry tangents, which give the Jacobian; the later
+    ones keep it (the chord method), and also look for shadows.
     """
     frame = FamilyFrame.of(family, march.vector)
     x, y, depth = frame.local(points)
@@ -99,13 +99,16 @@ def illuminate(
     straight = frame.coordinates(points)[:2]
     s, t = straight
     jacobian: Any = None
-    if guess is not None:
-        s, t, jacobian = s + guess[0], t + guess[1], guess[2]
+    if near is not None and near.jacobian is not None:
+        known = dr.isfinite(near.s)
+        s, t = (x0 + dr.select(known, d, 0.0) for x0, d in zip(straight, near.shift, strict=True))
+        pairs = zip(near.jacobian, frame.family.by_coordinates(*straight, depth), strict=True)
+        jacobian = tuple(dr.select(known, j, march.scalar(j0)) for j, j0 in pairs)
     heading = frame.z + 0.0 * points
     shadowed = dr.full(mi.Mask, False, dr.width(points))
     settled = dr.full(mi.Mask, False, dr.width(points))
     for number in range(_MAX_MARCHES):
-        newton = guess is None and number < 2
+        newton = near is None and number < 2
         origin, direction, by_start = frame.rays(s, t)
         line = Straight.through(origin, direction, march)
         to_plane = depth - frame.local(line.anchor)[2]
@@ -131,8 +134,8 @@ def illuminate(
         if not newton:
             shadowed |= wanted & ~settled & (ray.status == int(RayStatus.HIT))
             settled |= shadowed
-        near = dr.maximum(dr.abs(miss[0]), dr.abs(miss[1])) < _SETTLED_MM
-        settled |= go & near & (not newton)
+        close = dr.maximum(dr.abs(miss[0]), dr.abs(miss[1])) < _SETTLED_MM
+        settled |= go & close & (not newton)
         dr.eval(s, t, jacobian, heading, settled, shadowed)
         if not dr.any(wanted & ~settled):
             break

@@ -3,8 +3,14 @@
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import EngineError
+
+_NEAR_MM = 1.0  # float32 hits from so near are good to 0.03 um
 
 
 class Surface(Protocol):
@@ -64,6 +70,12 @@ class SceneSurface:
         ray.maxt = mi.Float(limit)
         met = self.scene.ray_intersect_preliminary(ray, active=active)
         return type(direction.x)(dr.select(met.is_valid(), met.t, dr.inf))
+
+    def normals(self, points: NDArray[np.float64], directions: NDArray[np.float64]) -> Any:
+        """Geometric normals (N, 3) at points on it that unit directions come to; 0 for none."""
+        start, heading = to_vectors(points - _NEAR_MM * directions), to_vectors(directions)
+        met = self.scene.ray_intersect(mi.Ray3f(mi.Point3f(start), mi.Vector3f(heading)))
+        return to_numpy(met.n)
 
     def starts_inside(self, origin: Any, direction: Any) -> Any:
         """True where the first face met is seen from behind, by a ray from among the shapes."""

@@ -1,12 +1,25 @@
 """Transports: how light gets from a camera to a surface, and from there to its sources."""
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from virtual_sensor.arrays import in_own_memory
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.rays import March
+from virtual_sensor.optics.eikonal import bend
+from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
+from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap
+from virtual_sensor.optics.ray_status import RayStatus
+from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.tabulated_light import hits
+from virtual_sensor.optics.tabulated_light import light as light_by
+
+Array = NDArray[np.float64]
 
 TRANSPORTS = ("tabulated", "marched", "first_order", "straight")
 """How bent rays are found, by name."""
@@ -50,3 +63,213 @@ class Transport:
     def by(self, name: str | None = None, **march: Any) -> "Transport":
         """Another transport, or the same one with other settings of its march."""
         return replace(self, name=name or self.name, march=replace(self.march, **march))
+
+
+class Source(Protocol):
+    """What a transport needs of a device that shines."""
+
+    @property
+    def family(self) -> RayFamily:
+        """Its rays."""
+        ...
+
+    @property
+    def extent(self) -> tuple[Array, Array]:
+        """Lowest and highest (s, t) with light that counts, each of shape (2,)."""
+        ...
+
+    def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
+        """Mask of the coordinates with light that counts, or near it; NaN has none."""
+        ...
+
+
+@dataclass
+class Sight:
+    """What camera rays see; Dr.Jit arrays over the rays.
+
+    Attributes
+    ----------
+    point : vector
+        Hit point, world, mm.
+    heading : vector
+        Unit direction of the camera ray there.
+    hit : mask
+    lights : tuple of Illumination
+        Of each source, at the points.
+    """
+
+    point: Any
+    heading: Any
+    hit: Any
+    lights: tuple[Illumination, ...]
+
+
+class Tracer(Protocol):
+    """A transport through a scene's air, to its surface and from its sources."""
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """Whose light is found."""
+        ...
+
+    @property
+    def uses_near(self) -> bool:
+        """Whether what rays close by see saves it work."""
+        ...
+
+    def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
+        """What camera rays see, evaluated; and how many of them were marched.
+
+        Parameters
+        ----------
+        ray : mi.Ray3f
+            Straight rays of the camera.
+        near : Sight, optional
+            What rays close by see, one for each: it may save marches.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Marched:
+    """Rays are marched to the surface; there, each source's ray is found by Newton's method.
+
+    Attributes
+    ----------
+    medium : Field or None
+        None: light runs straight.
+    surface : SceneSurface
+    sources : tuple of Source
+    march : March
+    """
+
+    medium: Field | None
+    surface: SceneSurface
+    sources: tuple[Source, ...]
+    march: March
+
+    @property
+    def uses_near(self) -> bool:
+        """See `Tracer`."""
+        return True
+
+    def hits(self, ray: Any) -> Sight:
+        """Where camera rays meet the surface, and none of the light there."""
+        line = Straight.through(ray.o, ray.d, self.march)
+        bent = bend(self.medium, self.surface, line, self.march)
+        hit = bent.status == int(RayStatus.HIT)
+        point, heading = bent.position(line), dr.normalize(bent.tangent(line))
+        dr.eval(point, heading, hit)  # else what uses them would march again
+        return Sight(point, heading, hit, ())
+
+    def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
+        """See `Tracer`."""
+        seen, count = self.hits(ray), dr.width(ray.d)
+        centres = near.lights if near else [None for _ in self.sources]
+        lights = [self._light(x, seen, c) for x, c in zip(self.sources, centres, strict=True)]
+        seen = replace(seen, lights=tuple(lights))
+        if near is None:
+            return seen, count
+        doubtful = mi.Mask(False)
+        for light, centre in zip(lights, near.lights, strict=True):
+            # A dark centre beside a step leads astray; a folded one stays dark.
+            folded = centre.status == int(LightStatus.FOLDED)
+            light.concentration = dr.select(folded, 0.0, light.concentration)
+            sure = dr.isfinite(centre.s) & (light.status == int(LightStatus.LIT))
+            doubtful |= seen.hit & ~sure & ~folded
+        dr.eval(seen, doubtful)
+        return self.again(ray, seen, doubtful)[0], count
+
+    def again(self, ray: Any, seen: Sight, doubtful: Any) -> tuple[Sight, int]:
+        """A sight whose doubtful rows are marched, from nothing known; and their number."""
+        if not dr.any(doubtful):
+            return seen, 0
+        which = dr.compress(doubtful)
+        marched, count = self.sight(rows(ray, which))
+        return with_rows(seen, which, marched), count
+
+    def _light(self, source: Source, seen: Sight, near: Illumination | None = None) -> Illumination:
+        light = illuminate(
+            source.family,
+            self.medium,
+            self.surface,
+            seen.point,
+            self.march,
+            near=near,
+            active=seen.hit,
+        )
+        dr.eval(light)
+        return light
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """Ray maps tell of camera and sources; rays of which they can't tell are marched.
+
+    Attributes
+    ----------
+    camera : ForwardMap
+    maps : tuple of InverseMap
+        Of the sources.
+    pads : tuple of ndarray of shape (2,)
+        How near to a source's light, in its coordinates, its map must tell of a ray.
+    marched : Marched
+    """
+
+    camera: ForwardMap
+    maps: tuple[InverseMap, ...]
+    pads: tuple[Array, ...]
+    marched: Marched
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """See `Tracer`."""
+        return self.marched.sources
+
+    @property
+    def uses_near(self) -> bool:
+        """See `Tracer`."""
+        return False
+
+    def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
+        """See `Tracer`: one kernel serves pixels and samples of any number."""
+        surface = self.marched.surface
+        dr.eval(ray.o, ray.d)
+        seen = hits(self.camera, surface, ray, self.marched.march)
+        lights: tuple[Illumination, ...] = ()
+        doubtful = seen.lost
+        for source, table, pad in zip(self.sources, self.maps, self.pads, strict=True):
+            light, off = light_by(table, surface, seen.point, seen.hit)
+            margin = tuple(dr.opaque(mi.Float, float(m)) for m in pad)
+            near_light = source.reaches(light.s, light.t, margin)
+            doubtful |= seen.hit & near_light & (seen.off | off)
+            lights = (*lights, light)
+        sight = Sight(seen.point, seen.heading, seen.hit, lights)
+        dr.eval(sight, doubtful)
+        return self.marched.again(ray, sight, doubtful)
+
+
+def rows(tree: Any, index: Any) -> Any:
+    """Some rows of Dr.Jit arrays nested in tuples and dataclasses; NumPy's numbers serve."""
+    if isinstance(index, np.ndarray):
+        index = in_own_memory(index, mi.UInt32)
+    if isinstance(tree, tuple):
+        return tuple(rows(leaf, index) for leaf in tree)
+    if is_dataclass(tree) and not isinstance(tree, type):
+        return replace(tree, **{f.name: rows(getattr(tree, f.name), index) for f in fields(tree)})
+    return tree if tree is None else dr.gather(type(tree), tree, index)
+
+
+def with_rows(tree: Any, index: Any, given: Any) -> Any:
+    """Dr.Jit arrays nested in dataclasses and tuples, with some rows replaced by those given."""
+    if isinstance(tree, tuple):
+        return tuple(with_rows(a, index, b) for a, b in zip(tree, given, strict=True))
+    if is_dataclass(tree) and not isinstance(tree, type):
+        names = [f.name for f in fields(tree)]
+        new = {n: with_rows(getattr(tree, n), index, getattr(given, n)) for n in names}
+        return replace(tree, **new)
+    if tree is None:
+        return None
+    copy = type(tree)(tree)
+    dr.scatter(copy, type(tree)(given), index)
+    return copy

@@ -197,7 +197,7 @@ def _measure_state(scene: Scene, probe_y: Array, dense_y: Array, report: Report)
     if not np.any(frame.radiance > 0.0):
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
-    laser, across_mm = scene.sensor.laser, frame.laser_mm[:, :, 0]
+    laser, across_mm = scene.sensor.laser, frame.coordinates()[:, :, 0]
     by_frame = compare_line(line, TrueLine.of_coordinates(across_mm, laser.radius_mm), cut=True)
     compared: LineErrors | DotErrors
     if laser.dots_mm.size:
@@ -340,16 +340,14 @@ def _state_summary(state: State) -> dict[str, Any]:
 
 def frame_account(account: Account) -> dict[str, Any]:
     """How a frame was made, in words."""
-    camera, laser = account.camera, account.laser
     return {
         "transport": account.transport,
         "why not as asked": account.reason or None,
         "tables": {
-            "nodes of the camera's": camera.nodes,
-            "nodes of the laser's": laser.nodes,
+            **{f"nodes of the {name}'s": nodes for name, nodes in account.nodes.items()},
             "estimated error, px": account.error_px,
         }
-        if camera and laser
+        if account.nodes
         else None,
         "samples": account.samples,
         "of them marched, where the tables could not tell": account.marched,

@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.lit_pixels import LitPixels, rows
 
-from virtual_sensor.arrays import at_least
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.render import lit_pixels, render_columns
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -148,7 +147,7 @@ def _straight(
     step_mm = scene.transport.march.step_mm
     tried = scene_on(scene, "straight", step_mm, tolerance_px)
     left_px = tolerance_px - sum(left_out.values())
-    spp, error, words = _samples(tried, lit_pixels(tried), column, left_px)
+    spp, error, words = _samples(tried, column, left_px)
     estimate = left_out | {"samples": error}
     return Rung("straight", step_mm, spp, tolerance_px, estimate, [*why, words])
 
@@ -173,14 +172,14 @@ def _bent(
     if estimate.get("march", 0.0) > tolerance_px:
         return Rung("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
     tried = scene_on(scene, "tabulated", step, table_px)
-    lit = lit_pixels(tried)
-    if lit.account.transport == "tabulated":
-        estimate["tables"] = lit.account.error_px
+    made = lit_pixels(tried).account
+    if made.transport == "tabulated":
+        estimate["tables"] = made.error_px
     else:
-        why.append(f"no tables: {lit.account.reason}")
+        why.append(f"no tables: {made.reason}")
     left_px = tolerance_px - sum(estimate.values())
-    spp, estimate["samples"], words = _samples(tried, lit, column, left_px)
-    return Rung(lit.account.transport, step, spp, table_px, estimate, [*why, words])
+    spp, estimate["samples"], words = _samples(tried, column, left_px)
+    return Rung(made.transport, step, spp, table_px, estimate, [*why, words])
 
 
 def with_rung(scene: Scene, rung: Rung) -> Scene:
@@ -206,12 +205,6 @@ def scene_on(scene: Scene, name: str, step_mm: float, table_px: float) -> Scene:
     return scene.with_transport(transport)
 
 
-def lit_pixels(scene: Scene) -> LitPixels:
-    """The pixels that the laser lights."""
-    found: LitPixels = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
-    return found
-
-
 def whole_columns(found: FoundPixels) -> Index:
     """Columns that lie wholly on a searched line: only these can have its centre."""
     u = found.pixel[np.isfinite(found.pixel[:, 0]), 0]
@@ -231,17 +224,9 @@ def groups(column: Index, middle: Array) -> Index:
     return np.unique(column.take(beside, mode="clip"))
 
 
-def in_columns(lit: LitPixels, width: int, column: Index) -> LitPixels:
-    """Lit pixels of some columns only."""
-    keep = at_least(1, np.flatnonzero(np.isin(lit.index % width, column)).astype(np.uint32))
-    return replace(lit, index=lit.index[keep], sight=rows(lit.sight, keep))
-
-
-def line_of(scene: Scene, lit: LitPixels, spp: int) -> LineCentres:
-    """The line's centres in a frame of lit pixels."""
-    sensor = scene.mitsuba_camera
-    image = np.array(scene.integrator.render(scene.mitsuba, sensor, spp=spp, lit=lit))
-    return line_centres(image.reshape(*image.shape[:2], -1)[:, :, 0])
+def line_of(scene: Scene, column: Index, spp: int) -> LineCentres:
+    """The line's centres in some columns of a frame."""
+    return line_centres(render_columns(scene, column, spp))
 
 
 def largest_error(line: LineCentres, truth: TrueLine) -> float:
@@ -291,19 +276,16 @@ def _step(
     return step, error
 
 
-def _samples(
-    scene: Scene, lit: LitPixels, column: Index, tolerance_px: float
-) -> tuple[int, float, str]:
+def _samples(scene: Scene, column: Index, tolerance_px: float) -> tuple[int, float, str]:
     """The fewest samples a pixel whose centres keep a tolerance, their error in px, and words."""
-    some = in_columns(lit, scene.sensor.camera.size[0], column)
-    best = TrueLine.of_rows(line_of(scene, some, _MANY_SAMPLES).row)
+    best = TrueLine.of_rows(line_of(scene, column, _MANY_SAMPLES).row)
     if not best.columns().size:
         raise InputError(
             "no column has a line centre with which a tolerance could be judged; give a wider line"
             " (line_radius) or a finer film (width, height)"
         )
     for spp in SAMPLES:
-        error = largest_error(line_of(scene, some, spp), best)
+        error = largest_error(line_of(scene, column, spp), best)
         if error <= tolerance_px:
             break
     return spp, error, f"{spp} samples a pixel err by {error:.2g} px"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import frame_anew, lit_pixels, render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import Status
@@ -21,7 +21,6 @@ from virtual_sensor.studies.chart.frames import (
     QUICK_FILM_PX,
     SCENE,
     Reference,
-    frame_anew,
     reference,
 )
 from virtual_sensor.studies.chart.rung import Failure, Report
@@ -88,26 +87,19 @@ class Told:
     reason: str
 
 
-def _statuses(scene: Scene) -> NDArray[np.uint32]:
-    """`LightStatus` of the pixels that the laser may reach."""
-    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
-    return np.array(lit.sight.light.status)
-
-
 def told_by(scene: Scene) -> Told:
     """Render a scene, and count what it tells."""
-    lit = scene.integrator.lit_pixels(scene.mitsuba, scene.mitsuba_camera)
-    status = np.array(lit.sight.light.status)
     frame = render_frame(scene)
-    unlit = np.asarray(lit.index)[status != LightStatus.LIT]
-    known = np.isfinite(frame.laser_mm[:, :, 0]).ravel()[unlit]
+    (status,) = frame.truth.status.values()
+    unlit = frame.truth.index[status != LightStatus.LIT]
+    known = np.isfinite(frame.coordinates()[:, :, 0]).ravel()[unlit]
     line = line_centres(frame.radiance)
     return Told(
         {member: int(np.sum(status == member)) for member in LightStatus},
         int(known.sum()),
         int(np.sum(line.status == Status.OK)),
         frame.point_mm[:, :, 1][frame.lit],
-        lit.account.reason,
+        frame.account.reason,
     )
 
 
@@ -122,7 +114,7 @@ def folding(transport: str, contrasts: Sequence[float], doubt: float = 1.05) -> 
     usual = told_by(scene)
 
     def folds(factor: float) -> bool:
-        status = _statuses(scene.with_medium(contrasted(air, factor)))
+        (status,) = lit_pixels(scene.with_medium(contrasted(air, factor))).status.values()
         lit = int(np.sum(status == LightStatus.LIT))
         # Where all is folded, no pixel is taken for one that the laser may reach.
         return bool(np.any(status == LightStatus.FOLDED)) or lit < 0.1 * usual.counts[LIT]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import scratch_folder
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import frame_anew, render_columns
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -65,27 +65,15 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
 
     The whole line would take minutes, and shows no more than these windows do.
     """
-    best = {
-        "transport": "marched",
-        "method": "rk4",
-        "precision": "double",
-        "step": step_mm,
-        "spp": spp,
-    }
-    scene = load_scene(SCENE, width=film_px, height=film_px, **(best | settings))
+    best = {"transport": "marched", "method": "rk4", "precision": "double", "step": step_mm}
+    scene = load_scene(SCENE, width=film_px, height=film_px, spp=spp, **(best | settings))
     half = 0.5 * scene.sensor.laser.length_mm
     seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
     image = np.zeros((film_px, film_px), np.float32)
     keep = np.zeros(film_px, bool)
-    sensor = scene.mitsuba_camera
-    held = mi.traverse(sensor)
     for left, right in _windows(first, last, inner=6 if film_px > QUICK_FILM_PX else 1):
-        held["film.crop_offset"] = mi.ScalarPoint2u(left, 0)
-        held["film.crop_size"] = mi.ScalarVector2u(right - left, film_px)
-        held.update()
-        part = scene.integrator.render(scene.mitsuba, sensor)
-        image[:, left:right] = np.array(part, np.float32).reshape(film_px, right - left, -1)[..., 0]
+        image[:, left:right] = render_columns(scene, np.arange(left, right), spp)[:, left:right]
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
         keep[sound] = True
     line = line_centres(image)
@@ -172,11 +160,6 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
             settings = {"spp": spp} | ({"light": light} if light else {})
             measured(DIRECT, scene, partial(frame_direct, scene), settings)
     return made
-
-
-def frame_anew(scene: Scene) -> NDArray[np.float32]:
-    """The whole work of a frame: tables are made and lit pixels looked for as if it were new."""
-    return render_frame(scene.with_medium(scene.field)).radiance
 
 
 def frame_direct(scene: Scene) -> NDArray[np.float32]:

@@ -14,9 +14,10 @@ import numpy as np
 from scipy.ndimage import zoom
 
 from virtual_sensor import engine
+from virtual_sensor.imaging.render import frame_anew
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE, frame_anew
+from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE
 from virtual_sensor.studies.chart.rung import Report, Rung, Scaling, timed
 
 TRANSPORTS = ("marched", "tabulated")

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.lit_pixels import LitPixels
 
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import frame_anew
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.optics.rays import March
@@ -24,16 +23,15 @@ from virtual_sensor.studies.tolerance import (
     Rung,
     choose,
     groups,
-    in_columns,
     largest_error,
     line_of,
-    lit_pixels,
     scene_on,
     search_line,
     whole_columns,
 )
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
 TOLERANCES_PX = (0.003, 0.3)
 NOISE_S = 0.02
@@ -151,7 +149,7 @@ def trial(
     middle = np.concatenate([[0.0, 1.0], rng.random(_GROUPS - 2)])
     truth = _reference(scene, middle)
     chosen = scene_on(scene, rung.transport, rung.step_mm, rung.table_px)
-    columns = _columns(chosen, truth)
+    columns = _columns(truth)
     error = largest_error(line_of(chosen, columns, rung.spp), truth)
     result = Trial(parameters, tolerance_px, rung, error)
     if clock is None:
@@ -180,29 +178,26 @@ def _sigma_px(drawn: dict[str, Any]) -> float:
 
 def _reference(scene: Scene, middle: Array) -> TrueLine:
     """The line by marched rays in float64, in some columns."""
-    marched = scene_on(scene, "marched", 2.0, 1.0)
     column = groups(whole_columns(search_line(scene)), middle)
-    some = in_columns(lit_pixels(marched), scene.sensor.camera.size[0], column)
     best = scene.with_transport(Transport("marched", _REFERENCE, 1.0))
-    return TrueLine.of_rows(line_of(best, some, _REFERENCE_SPP).row)
+    return TrueLine.of_rows(line_of(best, column, _REFERENCE_SPP).row)
 
 
-def _columns(scene: Scene, truth: TrueLine) -> LitPixels:
-    """The lit pixels of the columns that have a true centre, and of some beside them."""
-    beside = truth.columns()[:, None] + np.arange(-_BESIDE, _BESIDE + 1)
-    return in_columns(lit_pixels(scene), scene.sensor.camera.size[0], np.unique(beside))
+def _columns(truth: TrueLine) -> Index:
+    """The columns that have a true centre, and some beside them."""
+    return np.unique(truth.columns()[:, None] + np.arange(-_BESIDE, _BESIDE + 1))
 
 
 def _that_would_do(scene: Scene, truth: TrueLine, tolerance_px: float) -> list[tuple[Scene, int]]:
     """Rungs that keep the tolerance, none of which has both shorter steps and more samples."""
 
     def fewest(tried: Scene, choices: tuple[int, ...]) -> int | None:
-        columns = _columns(tried, truth)
         for spp in choices:
             if largest_error(line_of(tried, columns, spp), truth) <= tolerance_px:
                 return spp
         return None
 
+    columns = _columns(truth)
     straight = scene_on(scene, "straight", STEPS_MM[0], tolerance_px)
     if spp := fewest(straight, SAMPLES):
         return [(straight, spp)]
@@ -225,7 +220,7 @@ def _seconds(rungs: list[tuple[Scene, int]], clock: Callable[[], float]) -> list
         for (scene, spp), times in zip(rungs, taken, strict=True):
             dr.sync_thread()
             began = clock()
-            render_frame(scene, spp)
+            frame_anew(scene, spp)
             dr.sync_thread()
             if run:
                 times.append(clock() - began)

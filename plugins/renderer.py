@@ -1,0 +1,284 @@
+"""A frame: from a scene with its air, camera, sources and transport to radiance."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from virtual_sensor_plugins import glow
+from virtual_sensor_plugins.exposure import Exposure, own_sampler
+from virtual_sensor_plugins.lit_pixels import Account, Columns, LitPixels, find_lit_pixels
+from virtual_sensor_plugins.views import View, pinhole_of
+from virtual_sensor_plugins.whole_film import WholeFilm
+
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
+from virtual_sensor.optics.illumination import Illumination
+from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.ray_maps import NoMapError
+from virtual_sensor.optics.surfaces import SceneSurface, own_variant
+from virtual_sensor.optics.transports import Marched, Sight, Source, Transport, rows
+
+# Samples in flight at once: enough to fill the cores, and progress is seen.
+_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 22}
+
+_FAR_MM = 20.0  # Mitsuba's float32 hits from nearer are good to 0.03 um
+_NEAR_MM = 1.0
+_ASIDE_MM = 1e-3
+
+
+class Device(Source, Protocol):
+    """A source with its radiometry."""
+
+    def flux(self, s: Any, t: Any) -> Any:
+        """Power per unit of both coordinates, W; none for NaN."""
+        ...
+
+
+def devices_of(scene: mi.Scene) -> dict[str, Device]:
+    """The devices of a scene's emitters that are such, by their names."""
+    return {emitter.id(): emitter.source for emitter in scene.emitters() if is_source(emitter)}
+
+
+def is_source(emitter: mi.Emitter) -> bool:
+    """Whether an emitter's light is followed along bent rays: it is a plugin over a device."""
+    return hasattr(emitter, "source")
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangement:
+    """What a frame is made of.
+
+    Attributes
+    ----------
+    scene : mitsuba.Scene
+        Its shapes, and its emitters that are no sources.
+    sensor : mitsuba.Sensor
+        Its film and sampler.
+    camera : Pinhole or None
+        The sensor's rays; None: they are Mitsuba's.
+    sources : Mapping
+        Devices by name.  Others of the scene do not shine.
+    medium : Field or None
+        None: light runs straight.
+    transport : Transport
+    hot : bool
+        Whether surfaces glow, those that can.
+    """
+
+    scene: mi.Scene
+    sensor: mi.Sensor
+    camera: Pinhole | None
+    sources: Mapping[str, Device]
+    medium: Field | None
+    transport: Transport
+    hot: bool = True
+
+    def __post_init__(self) -> None:
+        own_variant(self.scene)
+
+    @cached_property
+    def view(self) -> View:
+        """The camera's rays through its film."""
+        return View(self.sensor, self.camera)
+
+    @cached_property
+    def surface(self) -> SceneSurface:
+        """What rays meet."""
+        return SceneSurface(self.scene)
+
+    @cached_property
+    def lamps(self) -> list[mi.Emitter]:
+        """The emitters beside the sources that shine: a cold part does not glow."""
+        cold = self.cold
+        return [e for e in self.scene.emitters() if not is_source(e) and e not in cold]
+
+    @cached_property
+    def cold(self) -> list[mi.Emitter]:
+        """The surfaces that would glow, but are cold or have no emissivity."""
+        glows = [e for e in self.scene.emitters() if isinstance(e, glow.Glow)]
+        return [e for e in glows if not (self.hot and e.radiance > 0.0)]
+
+    @property
+    def glow(self) -> float:
+        """Radiance of the brightest glowing surface, W/(mm^2 sr); 0 if none glows."""
+        return max((e.radiance for e in self.lamps if isinstance(e, glow.Glow)), default=0.0)
+
+    @property
+    def refracting(self) -> Field | None:
+        """The air that bends light."""
+        return None if self.transport.name == "straight" else self.medium
+
+    @property
+    def marched(self) -> Marched:
+        """All sources' light by marching."""
+        march = self.transport.march
+        return Marched(self.refracting, self.surface, tuple(self.sources.values()), march)
+
+    # ---------------------------------------------------------------- radiance
+
+    def draws(self, sampler: mi.Sampler) -> list[Any]:
+        """What the lamps' samples need of chance."""
+        return [sampler.next_2d() for e in self.lamps if not isinstance(e, glow.Glow)]
+
+    def radiance(self, sight: Sight, devices: list[Device], draws: list[Any]) -> Any:
+        """Radiance in W/(mm^2 sr) that leaves what is seen towards the camera."""
+        heading = mi.Vector3f(sight.heading)
+        last = mi.Ray3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
+        si = self.scene.ray_intersect(last, sight.hit)
+        valid = sight.hit & si.is_valid()
+        lights = list(zip(devices, sight.lights, strict=True))
+        return self._shaded(si, last.d, valid, lights, draws)
+
+    def radiance_along(self, ray: Any, draws: list[Any]) -> tuple[Any, Any]:
+        """The lamps' radiance against straight rays, and which of these meet a surface.
+
+        From afar, Mitsuba's float32 puts hits inside a cylinder, where no lamp shines: those rays
+        start again close to what they meet.  So does the ray in some millions that slips through
+        the seam of two triangles, and meets the next face from behind, a micrometre aside.
+        """
+        low, high = (dr.opaque(mi.Point3f(corner)) for corner in self.surface.corners)
+        inverse = dr.rcp(dr.select(ray.d == 0.0, 1e-30, ray.d))
+        enters = dr.max(dr.minimum((low - ray.o) * inverse, (high - ray.o) * inverse))
+        start = dr.maximum(enters - _NEAR_MM, 0.0)
+        near = mi.Ray3f(ray(start), ray.d)
+        si = self.scene.ray_intersect(near)
+        slipped = dr.dot(si.n, ray.d) > 0.0
+        again = si.is_valid() & ((si.t > _FAR_MM) | slipped)
+        nearer = near(dr.maximum(si.t - _NEAR_MM, 0.0))
+        nearer += dr.select(slipped, _ASIDE_MM, 0.0) * mi.Frame3f(ray.d).s
+        closer = self.scene.ray_intersect(mi.Ray3f(nearer, ray.d), again)
+        si = dr.select(again, closer, si)
+        valid = si.is_valid()
+        return self._shaded(si, ray.d, valid, [], draws), valid
+
+    def _shaded(
+        self,
+        si: Any,
+        direction: Any,
+        valid: Any,
+        lights: list[tuple[Device, Illumination]],
+        draws: list[Any],
+    ) -> Any:
+        bsdf, context = si.bsdf(), mi.BSDFContext()
+        si.wi = dr.select(valid, si.wi, -direction)  # what meets nothing sees the environment
+        radiance = mi.Spectrum(0.0)
+        if self.lamps:
+            seen, shines = si.emitter(self.scene), mi.Bool(True)
+            for emitter in self.cold:
+                shines &= seen != mi.EmitterPtr(emitter)
+            radiance += seen.eval(si, shines)
+        for device, light in lights:
+            irradiance = device.flux(light.s, light.t) * light.concentration
+            value = bsdf.eval(context, si, si.to_local(-mi.Vector3f(light.heading)), valid)
+            radiance += dr.select(valid, value * mi.Spectrum(mi.Float(irradiance)), 0.0)
+        lamps = [e for e in self.lamps if not isinstance(e, glow.Glow)]  # a glow lights nothing
+        for emitter, draw in zip(lamps, draws, strict=True):
+            ds, weight = emitter.sample_direction(si, draw, valid)
+            lit = valid & (ds.pdf > 0.0)
+            lit &= ~self.scene.ray_test(si.spawn_ray_to(ds.p), lit)
+            value = bsdf.eval(context, si, si.to_local(ds.d), lit) * weight
+            radiance += dr.select(lit, value, 0.0)
+        return radiance
+
+
+def arrangement_of(
+    scene: mi.Scene, sensor: mi.Sensor, medium: Field | None, transport: Transport
+) -> Arrangement:
+    """What Mitsuba's scene itself has."""
+    return Arrangement(scene, sensor, pinhole_of(sensor), devices_of(scene), medium, transport)
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """What frames of an arrangement need, whatever their samples.
+
+    Attributes
+    ----------
+    arrangement : Arrangement
+    lit : LitPixels
+    """
+
+    arrangement: Arrangement
+    lit: LitPixels
+
+    @staticmethod
+    def of(arrangement: Arrangement, column: Columns | None = None) -> "Prepared":
+        """Find the lit pixels, all or those of some columns, and what tells of their samples."""
+        view, surface = arrangement.view, arrangement.surface
+        given = arrangement.medium, arrangement.sources, arrangement.transport, column
+        return Prepared(arrangement, find_lit_pixels(view, surface, *given))
+
+    @cached_property
+    def film(self) -> tuple[WholeFilm | None, str]:
+        """For the lamps' light in pixels that no source lights; else why these are marched."""
+        arrangement = self.arrangement
+        if isinstance(self.lit.tracer, Marched) and self.lit.names:
+            return None, ""
+        try:
+            march = arrangement.transport.march
+            field = arrangement.refracting
+            return WholeFilm.of(arrangement.view, arrangement.surface, field, march), ""
+        except NoMapError as why:
+            return None, f"pixels without light of a source were marched: {why}"
+
+    def exposed(
+        self,
+        spp: int,
+        seed: int,
+        progress: Callable[[float], None] | None = None,
+        others: bool = True,
+    ) -> tuple[Exposure, Account]:
+        """A frame's samples, and how it was made.
+
+        Parameters
+        ----------
+        spp : int
+            Samples a pixel; 0: as many as the scene's sampler has.
+        seed : int
+        progress : callable, optional
+            Told the fraction done.
+        others : bool
+            Whether pixels that no source lights are exposed too, if there are lamps.
+        """
+        arrangement, lit = self.arrangement, self.lit
+        sampler = own_sampler(arrangement.sensor, spp)
+        devices = [arrangement.sources[name] for name in lit.names]
+        account, view = lit.account, arrangement.view
+        rest, film = np.zeros(0, np.uint32), None
+        if others and arrangement.lamps:
+            film, why = self.film
+            account = replace(account, reason=why or account.reason)
+            dark = np.ones(view.pixels, bool)
+            dark[lit.index] = False
+            rest = np.flatnonzero(dark).astype(np.uint32)
+        exposure = Exposure(view, sampler, seed, lit.index.size + rest.size, progress)
+        samples = marched = 0
+
+        def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            nonlocal samples, marched
+            draws = arrangement.draws(sampler)
+            near = rows(lit.sight, row) if lit.tracer.uses_near else None
+            sight, count = lit.tracer.sight(ray, near)
+            samples, marched = samples + dr.width(row), marched + count
+            return arrangement.radiance(sight, devices, draws), sight.hit
+
+        def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            assert film is not None
+            draws = arrangement.draws(sampler)
+            return arrangement.radiance_along(film.bent(ray, pixel), draws)
+
+        def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+            draws = arrangement.draws(sampler)
+            sight = dark_tracer.hits(ray)
+            return arrangement.radiance(sight, [], draws), sight.hit
+
+        dark_tracer = replace(arrangement.marched, sources=())
+        lanes = "marched" if isinstance(lit.tracer, Marched) else "tabulated"
+        exposure.add(lit.index, by_tracer, _LANES[lanes])
+        if film is None:
+            exposure.add(rest, by_marching, _LANES["marched"])
+        else:
+            exposure.add(rest, by_tangents, _LANES["whole film"])
+        return exposure, replace(account, samples=samples, marched=marched)

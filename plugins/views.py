@@ -1,0 +1,109 @@
+"""A camera's straight rays through its film."""
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import in_own_memory, to_numpy
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.poses import Pose
+
+# Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
+_OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
+
+
+def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
+    """K and pose of Mitsuba's pinhole camera; None of any other."""
+    if sensor.class_name() != "PerspectiveCamera":
+        return None
+    held = mi.traverse(sensor)
+    width, height = (int(n) for n in sensor.film().size())
+    focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
+    shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
+    shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
+    # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
+    centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
+    matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
+    to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
+    pose = Pose.from_matrix(to_world)
+    turned = Pose(pose.rotation @ _OURS_FROM_MITSUBAS, pose.origin_mm)
+    return Pinhole(matrix, turned, (width, height))
+
+
+class View:
+    """Straight rays of a camera through its film.
+
+    A pinhole's are made of its numbers, and start at the projection centre, not at Mitsuba's near
+    plane: where a camera stands in hot air, light bends in between.
+
+    Parameters
+    ----------
+    sensor : mitsuba.Sensor
+        With the film; its rays are taken where there is no `camera`.
+    camera : Pinhole or None
+    """
+
+    def __init__(self, sensor: mi.Sensor, camera: Pinhole | None) -> None:
+        film = sensor.film()
+        self.sensor, self.camera = sensor, camera
+        self.width, self.height = (int(n) for n in film.crop_size())
+        self._corner = mi.Point2f(film.crop_offset())
+        if camera is None:
+            return
+        frame = FamilyFrame.of(camera, mi.Array3f)
+        self._axes = frame.x, frame.y, frame.z
+        self._far = dr.opaque(mi.Float, float(sensor.far_clip()))
+        self._origin = dr.opaque(mi.Array3f(*map(float, camera.pose.origin_mm)))
+        inverse = np.linalg.inv(camera.matrix[:2, :2]).ravel()
+        numbers = [*(camera.matrix[:2, 2] + 0.5), *inverse]  # Mitsuba's half pixel
+        self._numbers = [dr.opaque(mi.Float, float(n)) for n in numbers]
+
+    @property
+    def pixels(self) -> int:
+        """How many there are."""
+        return self.width * self.height
+
+    def place(self, index: Any, within: Any) -> Any:
+        """Place in px on the whole film of points within pixels, both coordinates from 0 to 1.
+
+        Pixels are numbered by rows within the film's crop window.
+        """
+        corner = mi.Point2f(mi.Float(index % self.width), mi.Float(index // self.width))
+        return corner + self._corner + within
+
+    def rays(self, place: Any, aperture: Any) -> tuple[Any, Any]:
+        """Straight rays through places on the film, and their weights."""
+        if self.camera is None:
+            size = self.sensor.film().crop_size()
+            in_window = (place - self._corner) / mi.Point2f(size)
+            ray, weight = self.sensor.sample_ray(0.0, 0.5, in_window, aperture)
+            return ray, weight
+        u0, v0, a, b, c, d = self._numbers
+        u, v = place.x - u0, place.y - v0
+        x, y, z = self._axes
+        slope = x * (a * u + b * v) + y * (c * u + d * v) + z
+        ray = mi.Ray3f(mi.Point3f(self._origin), mi.Vector3f(dr.normalize(slope)))
+        ray.maxt = self._far * dr.norm(slope)
+        return ray, mi.Spectrum(1.0)
+
+    def centres(self, pixels: NDArray[np.uint32] | None = None) -> Any:
+        """Rays through the centres of pixels; of all without their numbers."""
+        middle = mi.Point2f(0.5)
+        if pixels is None:
+            index = dr.arange(mi.UInt32, self.pixels)
+        else:
+            index = in_own_memory(pixels, mi.UInt32)
+        return self.rays(self.place(index, middle), middle)[0]
+
+    @cached_property
+    def pitch(self) -> float:
+        """Angle between rays of pixels side by side, in the middle of the film, rad."""
+        if self.camera is not None:
+            return float(np.linalg.norm(np.linalg.inv(self.camera.matrix[:2, :2]), axis=0).max())
+        middle = self.pixels // 2 + self.width // 2
+        one, other = to_numpy(self.centres(np.array([middle, middle + 1], np.uint32)).d)
+        return float(np.linalg.norm(one - other))
