@@ -270,6 +270,14 @@ def test_the_extent_holds_what_all_pixels_see(lens):
     assert np.all((high - low) < 1.2 * np.ptp(corners, axis=0))
 
 
+def test_a_pixel_is_as_large_as_what_it_sees(lens):
+    """In the middle of the image: two points beside each other, a pixel apart."""
+    p, q = lens.of_pixels([[1023.5, 1000.0], [1024.5, 1000.0]])
+    points = along(lens, p, q, np.full(2, 280.0))
+    apart = np.linalg.norm(points[1] - points[0])
+    assert_allclose(lens.pixel_mm(points), apart, rtol=0.02)
+
+
 def test_the_papers_camera_is_a_pinhole():
     """`artificial` describes it apart from the scenes: its axis meets the origin, 300 mm away."""
     camera = artificial.paper_sensor().camera

@@ -257,8 +257,7 @@ def _border_crossing(
     across = ray[np.arange(len(ray)), axis]
     cosine = np.abs(across) / distance
     turn = jump * np.sqrt(1.0 - cosine**2) / np.maximum(cosine, 1e-3)
-    depth = sensor.camera.pose.to_local(line_mm)[:, 2]
-    shift = turn * (1.0 - along) * distance * sensor.camera.matrix[0, 0] / depth
+    shift = turn * (1.0 - along) * distance / sensor.camera.pixel_mm(line_mm)
     face = np.where(outside, 2 * axis + (across < 0.0), -1)
     return BorderCrossing(face, field.to_world(place), jump, shift)
 

@@ -100,8 +100,7 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
 def _missed(scene: Scene, points_mm: Array) -> str:
     """Light is there, and no sample met it."""
     camera, width_mm = scene.sensor.camera, 2.0 * scene.sensor.laser.radius_at(points_mm)
-    depth_mm = camera.pose.to_local(points_mm)[:, 2]
-    width_px = float(np.mean(width_mm / depth_mm)) * abs(camera.matrix[0, 0])
+    width_px = float(np.mean(width_mm / camera.pixel_mm(points_mm)))
     if scene.field and width_px > 1.0:
         return (
             '<integrator type="refractive">: by straight light the line is seen, and no bent ray'

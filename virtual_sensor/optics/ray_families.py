@@ -321,6 +321,10 @@ class Pinhole(RayFamily):
         _, by_ideal, _ = self._derivatives(ideal)
         return np.stack(by_ideal, axis=-1).reshape(by_pq.shape) @ by_pq
 
+    def pixel_mm(self, points_mm: ArrayLike) -> Array:
+        """Size (N,) of a pixel along u at the depths of world points (N, 3), mm per px."""
+        return self.pose.to_local(points_mm)[..., 2] / abs(self.matrix[0, 0])
+
     def project(self, points_mm: ArrayLike) -> Array:
         """Project world points (N, 3) straight onto the sensor: pixels (N, 2), equation 2.
 

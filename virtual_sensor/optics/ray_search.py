@@ -232,7 +232,7 @@ def _checked(
     depth_um = np.abs(delta[:, 2]) * 1e3
     near = depth_um <= z_max_mm * 1e3
     apart_px = camera.project(found.seen_point_mm) - camera.project(found.laser_point_mm)
-    um_per_px = camera.pose.to_local(found.laser_point_mm)[:, 2] / camera.matrix[0, 0] * 1e3
+    um_per_px = camera.pixel_mm(found.laser_point_mm) * 1e3
     apart_um = np.linalg.norm(apart_px, axis=1) * um_per_px
     in_line = apart_um <= r_max_um + _LEAN * depth_um
     close = found.distance_um <= r_max_um

@@ -260,7 +260,7 @@ def _step(
     camera, march = scene.sensor.camera, scene.transport.march
     laser = scene.sensor.laser.family
     seen, lit = camera.coordinates(point), laser.coordinates(point)
-    pixel_mm = seen[:, 2] / camera.matrix[0, 0]
+    pixel_mm = camera.pixel_mm(point)
 
     def moved_px(march: March) -> Array:
         camera_mm = displaced(field, camera, march, seen)[:, :2]
