@@ -409,3 +409,23 @@ def test_of_several_peaks_each_is_compared_with_its_own_row():
     assert result.count == 2 * WIDTH - 1
     np.testing.assert_allclose(result.error_px, 0.01, atol=1e-9)
     assert result.lost.size == 0
+
+
+def test_a_frames_line_ends_at_a_step_and_at_no_slope():
+    """Rationale: where the line jumps to another surface its columns are lit in part."""
+    row = 40.0 + 0.4 * COLUMNS + np.where(COLUMNS >= 150, 30.0, 0.0)
+    truth = TrueLine.of_coordinates(across(row), RADIUS_MM)
+    np.testing.assert_array_equal(truth.columns(3.5), np.setdiff1d(COLUMNS, range(147, 153)))
+
+
+def test_a_column_that_sees_one_whole_line_is_not_cut():
+    """Rationale: columns are counted once: over a shoulder the second line may be cut."""
+    light = across(ROWS)
+    below = across(ROWS + 60.0)
+    below[np.arange(HEIGHT)[:, None] > ROWS + 64.0] = np.nan
+    light = np.where(np.isfinite(light), light, below)
+    truth = TrueLine.of_coordinates(light, RADIUS_MM)
+    result = compare_line(line(ROWS), truth)
+    assert (result.count, result.expected, result.cut) == (WIDTH, WIDTH, 0)
+    result = compare_line(line(ROWS + 60.0), truth)
+    assert (result.count, result.cut_centres, result.cut) == (0, WIDTH, 0)
