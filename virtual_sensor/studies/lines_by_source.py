@@ -1,0 +1,69 @@
+"""The lines of a scene's sources in one image of one camera, told apart."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.imaging.render import lit_pixels
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.bands import lines_in_bands
+from virtual_sensor.metrology.centres import LineCentres
+from virtual_sensor.metrology.detectors import Foreign
+
+MARGIN_PX = 2.0
+
+
+def lines_by_source(
+    scene: Scene,
+    image: ArrayLike,
+    method: str | Foreign = "gaussian",
+    *,
+    camera: str | None = None,
+    margin_px: float = MARGIN_PX,
+    **options: Any,
+) -> dict[str, LineCentres]:
+    """Find the line of each source where the scene expects its light, through its air.
+
+    Parameters
+    ----------
+    scene : Scene
+        With any number of sources.
+    image : array_like of shape (H, W)
+        Of one of its cameras: rendered, or recorded.
+    camera : str, optional
+        Its name; it can be left out where the scene has one.
+    margin_px : float
+        By so much the image may differ from the scene: by the lens's blur, a part or a pose that is
+        known to so much.
+    method, **options
+        See `line_centres`.
+
+    Returns
+    -------
+    dict from str to LineCentres
+        By the sources' names.  Columns in which the light of two meets are OVERLAPPING.
+
+    Raises
+    ------
+    InputError
+        If the scene has several cameras and none is named, the image is not of its size, or as
+        `line_centres` does.
+    """
+    bands = expected_light(scene.only(camera=camera), margin_px)
+    return lines_in_bands(image, bands, method, **options)
+
+
+def expected_light(scene: Scene, margin_px: float = MARGIN_PX) -> dict[str, NDArray[np.bool_]]:
+    """By source, the pixels (H, W) of the scene's camera that it lights, and those near them."""
+    width, height = scene.camera.size
+    truth = lit_pixels(scene)
+    across = 2 * int(np.ceil(margin_px)) + 1
+    near = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (across, across))
+    bands = {}
+    for name, coordinates in truth.source_coordinates.items():
+        lit = np.zeros(height * width, np.uint8)
+        lit[truth.index] = np.isfinite(coordinates[:, 0])
+        bands[name] = cv2.dilate(lit.reshape(height, width), near).astype(bool)
+    return bands
