@@ -39,3 +39,18 @@ def test_the_shape_of_the_page_on_scenes_loads(tmp_path):
     path.write_text(re.sub("<shape.*</shape>", shape, cold, flags=re.DOTALL), encoding="utf-8")
     (part,) = vs.load_scene(path).mitsuba.shapes()
     np.testing.assert_allclose(part.bbox().max, [25.4, 12.7, 6.35 - 3.0], atol=1e-5)
+
+
+def test_the_source_of_the_page_on_scenes_lights_a_part(tmp_path):
+    """Its middle ray meets the part where the laser's does, and a ray beside it closer by."""
+    (block,) = re.findall(r"```python\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)
+    exec(block, {})
+    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    emitter = '<emitter type="focused_sheet"><float name="focus" value="380"/><transform'
+    text = re.sub(r'<emitter type="laser_line".*?<transform', emitter, cold, flags=re.DOTALL)
+    (tmp_path / "scene.xml").write_text(text, encoding="utf-8")
+    scene = vs.load_scene(tmp_path / "scene.xml", width=256, height=256, spp=1)
+    family = scene.source.family
+    np.testing.assert_allclose(family.coordinates([[0.0, 0.0, 0.0]])[0, :2], 0.0, atol=1e-4)
+    assert family.spread(0.0, 0.0, 300.0) == 1.0 - 300.0 / 380.0
+    assert np.sum(vs.render(scene) > 0.0) > 100
