@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
@@ -25,18 +26,13 @@ class SourceEmitter(mi.Emitter):
     Parameters
     ----------
     props : mi.Properties
-    source : LaserLine
-        Or another device with a family, its flux, what it reaches and its extent.
+    source : Device
     """
 
-    def __init__(self, props: mi.Properties, source: LaserLine) -> None:
+    def __init__(self, props: mi.Properties, source: Device) -> None:
         super().__init__(props)
         self.source = source
         self.m_flags = mi.EmitterFlags.DeltaDirection
-
-    def irradiance(self, s: Any, t: Any, concentration: Any) -> Any:
-        """Flux density in W/mm^2 square to the light, by `Illumination`'s numbers; none for NaN."""
-        return mi.Float(self.source.flux(s, t) * concentration)
 
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: Any = True
@@ -56,7 +52,7 @@ class SourceEmitter(mi.Emitter):
         ds.delta = True
         ds.emitter = mi.EmitterPtr(self)
         lit = active & (spread > 0.0) & (ds.dist > 0.0)
-        return ds, mi.Spectrum(self.irradiance(s, t, dr.rcp(spread))) & lit
+        return ds, mi.Spectrum(self.source.flux(s, t) / spread) & lit
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Any = True) -> Any:
         """Nothing: the device itself is not seen."""

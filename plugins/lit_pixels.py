@@ -17,11 +17,11 @@ from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError, displaced, in_coordinates
+from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.transports import (
     Marched,
     Sight,
-    Source,
     Tabulated,
     Tracer,
     Transport,

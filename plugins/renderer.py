@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins import glow
@@ -12,13 +12,14 @@ from virtual_sensor_plugins.lit_pixels import Account, Columns, LitPixels, find_
 from virtual_sensor_plugins.views import View, pinhole_of
 from virtual_sensor_plugins.whole_film import WholeFilm
 
+from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
 from virtual_sensor.optics.illumination import Illumination
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError
 from virtual_sensor.optics.surfaces import SceneSurface, own_variant
-from virtual_sensor.optics.transports import Marched, Sight, Source, Transport, rows
+from virtual_sensor.optics.transports import Marched, Sight, Transport, rows
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 22}
@@ -26,14 +27,6 @@ _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 22}
 _FAR_MM = 20.0  # Mitsuba's float32 hits from nearer are good to 0.03 um
 _NEAR_MM = 1.0
 _ASIDE_MM = 1e-3
-
-
-class Device(Source, Protocol):
-    """A source with its radiometry."""
-
-    def flux(self, s: Any, t: Any) -> Any:
-        """Power per unit of both coordinates, W; none for NaN."""
-        ...
 
 
 def devices_of(scene: mi.Scene) -> dict[str, Device]:

@@ -1,7 +1,7 @@
 """Bent laser rays and lines of sight, from the sensor to the surface: what searches march."""
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,10 @@ from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend, in_plane
-from virtual_sensor.optics.ray_families import Pinhole, RayFamily
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import NoSurface, Surface
 
 Array = NDArray[np.float64]
@@ -20,19 +21,6 @@ Array = NDArray[np.float64]
 REFERENCE = March(step_mm=0.1, method="leapfrog", precision="double")
 """The march of the searches: it errs by 3e-7 px on the field that comes with the program, less than
 methods of higher order with as many lookups, and one lookup a step keeps its kernels small."""
-
-
-class Source(Protocol):
-    """What optics knows of a source of light: its rays, and which of them are lit."""
-
-    @property
-    def family(self) -> RayFamily: ...  # noqa: D102
-    @property
-    def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest coordinates with light, each of shape (2,)."""
-
-    def reaches(self, s: Any, t: Any) -> Any:
-        """Mask of the coordinates with light, of NumPy's arrays as of Dr.Jit's."""
 
 
 class Sensor(Protocol):

@@ -11,10 +11,10 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend
 from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
-from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.tabulated_light import hits
 from virtual_sensor.optics.tabulated_light import light as light_by
@@ -63,24 +63,6 @@ class Transport:
     def by(self, name: str | None = None, **march: Any) -> "Transport":
         """Another transport, or the same one with other settings of its march."""
         return replace(self, name=name or self.name, march=replace(self.march, **march))
-
-
-class Source(Protocol):
-    """What a transport needs of a device that shines."""
-
-    @property
-    def family(self) -> RayFamily:
-        """Its rays."""
-        ...
-
-    @property
-    def extent(self) -> tuple[Array, Array]:
-        """Lowest and highest (s, t) with light that counts, each of shape (2,)."""
-        ...
-
-    def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
-        """Mask of the coordinates with light that counts, or near it; NaN has none."""
-        ...
 
 
 @dataclass
