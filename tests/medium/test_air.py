@@ -55,6 +55,14 @@ def test_hot_air_continues_cool_air_without_a_step(relative_humidity):
     assert steps.max() < 3e-5 * refractivity.max() * (10.0 if relative_humidity else 1.0)
 
 
+@pytest.mark.parametrize("co2_ppm", [0.0, 1000.0, 2000.0])
+def test_carbon_dioxide_raises_refractivity_as_birch_and_downs_say(co2_ppm):
+    """Their equation (1994) is another than ours: 1 + 0.5327e-6 (x - 400), x in ppm."""
+    more, usual = air_refractivity(co2_ppm=np.array([co2_ppm, 450.0]))
+    expected = (1.0 + 0.5327e-6 * (co2_ppm - 400.0)) / (1.0 + 0.5327e-6 * 50.0)
+    assert more / usual == pytest.approx(expected, abs=3e-6)
+
+
 def test_humidity_below_freezing_counts_over_ice():
     """At -20 degC vapour saturates at 103.3 Pa over ice, not at 125 Pa as over water.
 

@@ -79,6 +79,20 @@ def test_leapfrog_goes_back_the_way_it_came():
 
 # ------------------------------------------------------------------------------------- invariants
 
+
+@pytest.mark.parametrize(("precision", "rounding"), [("double", 1e-14), ("single", 3e-7)])
+def test_tangents_are_unit_vectors_outside_however_strong_the_border(precision, rounding):
+    """Inside |T| is n, which is 1.1 at this field's border and jumps to 1 there."""
+    field = linear(1.2, (0.01, 0.0, 0.002), box=np.array([[-10.0] * 3, [10.0] * 3]))
+    _, T, status, _ = bent(
+        field, STARTS * [2.0, 1.0, 1.0], DIRECTIONS, March(1.0, "rk4", precision)
+    )
+    np.testing.assert_array_equal(status, RayStatus.LEFT)
+    np.testing.assert_allclose(np.linalg.norm(T, axis=1), 1.0, rtol=0, atol=rounding)
+    turned = np.linalg.norm(np.cross(T, DIRECTIONS), axis=1)
+    assert turned.min() > 1e-3
+
+
 SPHERICAL = {
     "hot_spot": hot_spot(0.3, 8.0, box=BOX),
     "fish_eye": fish_eye(1.8, 15.0, box=BOX),

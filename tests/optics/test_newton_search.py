@@ -13,7 +13,7 @@ from virtual_sensor.engine import mi
 from virtual_sensor.optics import newton_search
 from virtual_sensor.optics.ray_search import SearchStatus
 from virtual_sensor.optics.rays import March
-from virtual_sensor.optics.sight import REFERENCE
+from virtual_sensor.optics.sight import REFERENCE, misses
 from virtual_sensor.optics.surfaces import SceneSurface
 
 FINE = March(step_mm=0.04, method="leapfrog")
@@ -84,3 +84,17 @@ def test_what_hides_a_point_or_lies_on_the_line_is_seen(scene):
     assert single.status[12] == SearchStatus.UNDERCUT
     np.testing.assert_allclose(found.laser_point_mm[rows], single.laser_point_mm, atol=1e-6)
     np.testing.assert_allclose(found.pixel[rows], single.pixel, rtol=0, atol=2e-5)  # float32's hits
+
+
+@pytest.mark.parametrize("along_px", [0.0, 3.0])
+def test_a_miss_leads_from_the_line_of_sight_to_the_point(along_px):
+    """In air of no field: by a pinhole's own geometry, in the plane through the point."""
+    cold = vs.load_scene("hot_cylinder", beta=12.0).cold()
+    camera, f = cold.camera, cold.camera.matrix[0, 0]
+    points = np.array([[1.0, -4.0, 2.0], [0.0, 0.0, 0.0], [-2.0, 6.0, -3.0]])
+    pixel = camera.project(points) - [along_px, 2.0 * along_px]
+    depth_mm = camera.pose.to_local(points)[:, 2]
+    expected = np.column_stack([along_px * depth_mm / f, 2.0 * along_px * depth_mm / f])
+    for count in (3, 1):
+        found = misses(cold, points[:count], pixel[:count])
+        np.testing.assert_allclose(found, expected[:count], rtol=0, atol=1e-9)

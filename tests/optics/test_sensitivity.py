@@ -145,6 +145,22 @@ def test_a_step_along_the_line(scene, exact):
     np.testing.assert_allclose(exact.along_line, expected, rtol=0, atol=atol)
 
 
+@pytest.mark.parametrize("name", ["camera_z", "laser_z", "sensor_y"])
+def test_air_that_ends_before_it_has_faded(scene, name):
+    """Rays that start elsewhere enter it sooner or later: without that, 1e-3 of it is wrong."""
+    field, low = scene.field, 41  # nodes: up to z = 14 mm, where it is hot
+    assert field.origin[2] + low * field.spacing[2] < 16.0
+    where = {"ambient": field.ambient, "mirror": field.mirror}
+    cut = IndexField.from_arrays(field.nodes[:, :, :low], field.origin, field.spacing, **where)
+    assert cut.border_jump()[5] > 1e-4
+    cropped, e = replace(scene, field=cut), 0.002
+    body, axis = name.split("_")
+    shift = np.eye(3)["xyz".index(axis)] * e
+    parts = BOTH if body == "sensor" else (body,)
+    ends = [moved(cropped, parts, shift_mm=s * shift) for s in (1, -1)]
+    assert_agree(line_sensitivity(cropped, Y, [name]).of_pixel[name], ends, e)
+
+
 # -------------------------------------------------------------------------------------------- air
 
 
