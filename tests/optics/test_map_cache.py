@@ -3,7 +3,7 @@
 import gc
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,30 +225,27 @@ def test_a_fold_just_beyond_a_box_leaves_its_map(spot):
 # ------------------------------------------------------------------------------------ rigid motion
 
 
-@dataclass(frozen=True)
-class Moved:
-    """A medium with a pose: to be told from others, not to be marched through."""
-
-    nodes: np.ndarray
-    pose: Pose | None = None
-    origin = spacing = np.zeros(3)
-    mirror, ambient, interpolation, dimensions = (), 0.0, "cubic", 3
-
-
-def test_device_and_medium_moved_together_keep_their_map(spot):
-    """Rationale: nothing changes between them; the map's points move along."""
-    maps = Maps()
-    maps.made._make = lambda medium, *asked: forward_map(spot, *asked)
-    nodes, motion = np.zeros(3), pose([30.0, -4.0, 7.0], (10.0, 20.0, 30.0))
-    still = Pose(np.eye(3), np.zeros(3))
-    first = maps.sight(Moved(nodes, still))
-    there = Pose(motion.rotation @ CAMERA.pose.rotation, motion.to_world(CAMERA.pose.origin_mm))
-    moved = maps.sight(Moved(nodes, motion), replace(CAMERA, pose=there))
+def test_device_and_medium_moved_together_keep_their_map():
+    """Rationale: nothing changes between them; the map's points move along, as if made there."""
+    maps, field, motion = Maps(), gridded(), pose([30.0, -4.0, 7.0], (10.0, 20.0, 30.0))
+    there, moved_field = replace(CAMERA, pose=CAMERA.pose.moved(motion)), field.moved(motion)
+    first = maps.sight(field)
+    moved = maps.sight(moved_field, there)
     assert maps.made.count == 1
     assert moved.table is first.table
-    places = 0.5 * (BOX[0] + BOX[1])[None]
+    assert first.largest_mm > 0.1
+    places = BOX[0] + np.random.default_rng(6).random((40, 3)) * (BOX[1] - BOX[0])
+    points = moved.points(places).point_mm
     expected = motion.to_world(first.points(places).point_mm)
-    np.testing.assert_allclose(moved.points(places).point_mm, expected, rtol=0, atol=1e-10)
-    maps.sight(Moved(nodes, motion))
-    maps.sight(Moved(nodes, still), replace(CAMERA, pose=there))
+    np.testing.assert_allclose(points, expected, rtol=0, atol=1e-10)
+    anew = forward_map(moved_field, there, *BOX, MARCH, TOLERANCE_MM).points(places).point_mm
+    np.testing.assert_allclose(points, anew, rtol=0, atol=TOLERANCE_MM)
+
+
+def test_a_device_or_a_medium_moved_alone_needs_another_map():
+    """Rationale: the device then looks through another part of the medium."""
+    maps, field, motion = Maps(), gridded(), pose([30.0, -4.0, 7.0], (10.0, 20.0, 30.0))
+    maps.sight(field)
+    maps.sight(field.moved(motion))
+    maps.sight(field, replace(CAMERA, pose=CAMERA.pose.moved(motion)))
     assert maps.made.count == 3

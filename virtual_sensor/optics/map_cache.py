@@ -186,13 +186,15 @@ def roomier(low: Array, high: Array) -> tuple[Array, Array]:
 
 def _medium(medium: Field | None) -> tuple[Any, Hashable, Pose | None]:
     """What a medium is by identity and by value, and its pose; the nodes of one that has them."""
+    if medium is None:
+        return None, None, None
     nodes = getattr(medium, "nodes", None)
     if nodes is None:
-        return medium, None, getattr(medium, "pose", None)
+        return medium, None, medium.pose
     field: Any = medium
     lattice = field.origin.tobytes(), field.spacing.tobytes(), field.mirror
     values = *lattice, field.ambient, field.interpolation, field.dimensions
-    return nodes, values, getattr(field, "pose", None)
+    return nodes, values, medium.pose
 
 
 def _rays(family: RayFamily, medium: Pose | None, low: Array, high: Array) -> Array:
