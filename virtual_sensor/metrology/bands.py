@@ -60,7 +60,7 @@ def lines_in_bands(
     masks = {name: _checked(name, band, image.shape) for name, band in bands.items()}
     if along == "rows":
         image, masks = image.T, {name: band.T for name, band in masks.items()}
-    looks_along = not (isinstance(method, str) and method in COLUMNWISE)
+    goes_along = not (isinstance(method, str) and method in COLUMNWISE)
     found = {}
     for name, own in masks.items():
         others = [band for other, band in masks.items() if other != name]
@@ -69,7 +69,7 @@ def lines_in_bands(
         # What is left of a line where others are taken out would be called cut, and its neighbours.
         lit = _without(image, hidden | (own & meets))
         line = line_centres(lit, method, saturation=saturation, **options)
-        if looks_along:  # within a band's breadth of where the line is taken out
+        if goes_along:  # within a band's breadth of where the line is taken out
             breadth = int(own.sum(axis=0).max(initial=0))
             meets = maximum_filter1d(meets, 2 * breadth + 1)
         line = _within(line, own, meets)

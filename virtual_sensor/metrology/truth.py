@@ -186,6 +186,11 @@ class TrueLine:
         status = np.where(np.isfinite(row), Status.OK, Status.NO_PEAK).astype(np.uint8)
         return LineCentres(column, row, blank, blank, blank, blank, np.full(width, 90.0), status)
 
+    def __repr__(self) -> str:
+        counts = {s: n for s in TruthStatus if (n := (self.status == s).any(axis=0).sum())}
+        words = ", ".join(f"{number} {s.name}" for s, number in counts.items())
+        return f"TrueLine: of {self.row.shape[1]} columns {words}"
+
 
 @dataclass(frozen=True)
 class LineErrors:
@@ -337,12 +342,12 @@ def _nearest(rows: Array, u: Array, v: Array, column: Index) -> tuple[Array, Ind
 
 def _status_of_columns(line: LineCentres, width: int) -> NDArray[np.uint8]:
     """Why a column has no centre: the status of its highest peak; (W,)."""
-    told = np.full(width, Status.NO_PEAK, np.uint8)
+    reason = np.full(width, Status.NO_PEAK, np.uint8)
     column = np.ravel(line.column)[::-1].astype(float)  # the highest is written last
     status = np.ravel(line.status)[::-1]
     known = (column > -0.5) & (column < width - 0.5)
-    told[np.rint(column[known]).astype(int)] = status[known]
-    return told
+    reason[np.rint(column[known]).astype(int)] = status[known]
+    return reason
 
 
 @dataclass(frozen=True)
@@ -465,11 +470,21 @@ def _jump(across_mm: NDArray[np.floating], radius_mm: float) -> float:
     return max(radius_mm, 2.0 * float(np.median(known))) if known.size else radius_mm
 
 
+def _lit(across_mm: NDArray[np.floating]) -> tuple[int, NDArray[np.floating]]:
+    """The rows that see light, from which on; a dark one on each side stands for those beyond."""
+    light = np.flatnonzero(np.isfinite(across_mm).any(axis=1))
+    if not light.size:
+        return 0, across_mm[:0]
+    top = max(int(light[0]) - 1, 0)
+    return top, across_mm[top : light[-1] + 2]
+
+
 def _crossings(across_mm: NDArray[np.floating], radius_mm: float) -> tuple[Index, Index, Array]:
     """Where columns see the sheet's middle: the pixel before, the column, the row; (L,) each.
 
     A cubic through the four pixels about it tells the row, or a line where there are but two.
     """
+    top, across_mm = _lit(across_mm)
     upper, lower, jump = across_mm[:-1], across_mm[1:], _jump(across_mm, radius_mm)
     near = np.abs(lower - upper) < jump
     number, column = np.nonzero((np.signbit(upper) != np.signbit(lower)) & near)
@@ -487,17 +502,15 @@ def _crossings(across_mm: NDArray[np.floating], radius_mm: float) -> tuple[Index
         weight = np.prod([a[j] / (a[j] - a[i]) for j in others], axis=0)
         cubic += weight * (number[smooth] + i - 1)
     place[smooth] = cubic
-    return number, column, place
+    return number + top, column, place + top
 
 
 def _sees_whole_profile(row: Array, across_mm: NDArray[np.floating], radius_mm: float) -> Mask:
     """Whether rows (K, W) see the profile from edge to edge, on one part of the surface."""
     known = np.isfinite(row)
-    light = np.flatnonzero(np.isfinite(across_mm).any(axis=1))
-    if not light.size:
+    top, across_mm = _lit(across_mm)
+    if not across_mm.size:
         return np.zeros_like(known)
-    top = max(light[0] - 1, 0)  # a dark row on each side stands for all those beyond
-    across_mm = across_mm[top : light[-1] + 2]
     middle = np.where(known, np.rint(row) - top, 0).astype(int).clip(0, len(across_mm) - 1)
     column = np.arange(across_mm.shape[1])
     number = np.arange(len(across_mm))[:, None]
