@@ -51,6 +51,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.errors",
     "virtual_sensor.files",
     "virtual_sensor.metrology",
+    "virtual_sensor.optics.crossing_status",
     "virtual_sensor.optics.ray_families",
     "virtual_sensor.poses",
 )

@@ -13,6 +13,7 @@ from virtual_sensor.arrays import at_least, by_rows, in_own_memory, to_numpy, to
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.optics.newton_search import newton_along_line
+from virtual_sensor.optics.projection import projected_points
 from virtual_sensor.optics.sensitivity import laser_y_at, line_sensitivity
 from virtual_sensor.optics.sight import incidence_points, misses, seen_points
 from virtual_sensor.studies.field_info import inside_part
@@ -25,10 +26,16 @@ EMPTY = {
     "air_refractivity": lambda: vs.air_refractivity(532.0, NONE),
     "ray_search": lambda: vs.ray_search(HOT, NONE),
     "ray_search, of a list, by Newton": lambda: vs.ray_search(HOT, [], "newton"),
+    "ray_search, by maps": lambda: vs.ray_search(HOT, NONE, "tabulated"),
+    "project": lambda: vs.project(HOT, POINTS),
+    "project, of a list, straight": lambda: vs.project(HOT, [], through_medium=False),
+    "projected_points, by Newton": lambda: projected_points(HOT, POINTS, method="newton"),
     "trace": lambda: vs.trace(HOT.field, POINTS, POINTS, NONE),
     "trace, of lists": lambda: vs.trace(HOT.field, [], [], 3.0),
     "triangulate": lambda: vs.triangulate(HOT.sensor, PIXELS),
     "triangulate, of a list": lambda: vs.triangulate(HOT.sensor, []),
+    "triangulate, bent": lambda: vs.triangulate(HOT, PIXELS, medium=HOT.medium),
+    "triangulate, bent, of a list": lambda: vs.triangulate(HOT, [], medium=HOT.medium),
     "IndexField.refractivity": lambda: HOT.field.refractivity(POINTS),
     "IndexField.gradient": lambda: HOT.field.gradient([]),
     "line_sensitivity": lambda: line_sensitivity(HOT, NONE),

@@ -119,7 +119,7 @@ def test_the_doctor_finds_this_machine_fit():
         ("search hot_cylinder -D temperature=1000", r"1000C.*\.nc: there is no such file; .*1250C"),
         ("measure hot_cylinder -D beta=120", "under the floor .* turn the sensor less"),
         ("search cold_cylinder -D alpha=0", "turn the camera out of the plane"),
-        ("search cold_cylinder --method old", "--method old: choose paper or newton"),
+        ("search cold_cylinder --method old", "--method old: choose paper, newton or tabulated"),
         ("search cold_cylinder -y 1 -y nan", r"y are \[1\.0, nan\]; give finite numbers in mm"),
         ("search cold_cylinder -y 1 --rays 5", "-y and --rays: choose one of them"),
         ("--variant scalar_rgb search cold_cylinder", "scalar_rgb"),

@@ -4,7 +4,7 @@
 >>> scene = vs.load_scene("hot_cylinder", beta=15)
 >>> image = vs.render(scene)
 >>> line = vs.line_centres(image)
->>> points_mm = vs.triangulate(scene.sensor, line.pixel)
+>>> points_mm = vs.triangulate(scene, line.pixel)
 
 Names are loaded when first used: those that compute with Dr.Jit start the engine then. Whoever
 imports drjit or mitsuba afterwards gets an LLVM library that is proven to work.
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.centres import LineCentres, Status
     from virtual_sensor.metrology.line_peaks import line_centres
     from virtual_sensor.metrology.triangulation import triangulate
+    from virtual_sensor.optics.projection import project
     from virtual_sensor.optics.ray_search import ray_search
     from virtual_sensor.optics.ray_status import RayStatus
     from virtual_sensor.optics.trace import trace
@@ -42,6 +43,7 @@ _HOME = {
     "air_refractivity": "medium.air",
     "line_centres": "metrology.line_peaks",
     "load_scene": "imaging.scene",
+    "project": "optics.projection",
     "ray_search": "optics.ray_search",
     "record": "imaging.camera_noise",
     "render": "imaging.render",
@@ -62,6 +64,7 @@ __all__ = [
     "air_refractivity",
     "line_centres",
     "load_scene",
+    "project",
     "ray_search",
     "record",
     "render",

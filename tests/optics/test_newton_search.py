@@ -76,7 +76,9 @@ def test_what_hides_a_point_or_lies_on_the_line_is_seen(scene):
         },
     }
     surface = SceneSurface(mi.load_dict({"type": "scene", "part": tube, **spheres}))
-    with_beads = SimpleNamespace(sensor=scene.sensor, field=scene.field, surface=surface)
+    with_beads = SimpleNamespace(
+        camera=scene.camera, sensor=scene.sensor, field=scene.field, surface=surface
+    )
     rows = np.concatenate([np.arange(at - 60, at + 61, 5) for at in (hidden, raised)])
     found = ray_search(with_beads, y, "newton")
     single = ray_search(with_beads, y[rows], "newton", march=REFERENCE)

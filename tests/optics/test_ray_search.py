@@ -12,7 +12,7 @@ from virtual_sensor import ray_search
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.optics.ray_search import METHODS, REFERENCE, SearchStatus
 from virtual_sensor.optics.surfaces import SceneSurface
 
 NINE = np.linspace(0.0, -10.0, 9)
@@ -128,7 +128,7 @@ def test_the_middle_ray_stays_in_the_middle(newton):
     assert newton.pixel[0, 0] == pytest.approx(1023.5, abs=1e-9)
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 def test_cold_light_is_found_at_once(scene, method):
     """The start pixel of step 2.1 is the straight projection, and light runs straight."""
     found = ray_search(scene.cold(), NINE, method)
@@ -137,13 +137,13 @@ def test_cold_light_is_found_at_once(scene, method):
     assert found.distance_um.max() < 1e-8
     np.testing.assert_allclose(found.pixel, expected, rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.laser_point_mm[:, 1], NINE, rtol=0, atol=1e-12)
-    assert np.all(found.iterations == (1 if method == "paper" else 2))
+    assert np.all(found.iterations == {"paper": 1, "newton": 2, "tabulated": 0}[method])
 
 
 # ------------------------------------------------------------------------------------- statuses
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("hot", [True, False], ids=["hot", "cold"])
 def test_a_ray_beside_the_cylinder_has_no_pixel(scene, method, hot):
     """And does not disturb its neighbours; nor do they need it."""
@@ -157,7 +157,7 @@ def test_a_ray_beside_the_cylinder_has_no_pixel(scene, method, hot):
     assert np.all(found.iterations[missed] == 0)
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
     """Then there is nothing to march back to; a single ray may come as a plain number."""
     found = ray_search(scene, [20.0, 15.0], method)
@@ -167,7 +167,7 @@ def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
     np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("laser", "lit"),
     [
@@ -204,12 +204,12 @@ def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
     assert np.all(found.iterations[above] == 15)
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 def test_a_pixel_beside_the_sensor_is_not_used(scene, newton, method):
     """A narrower sensor about the same axis loses the outer rays."""
     camera = replace(scene.sensor.camera, size=(900, 2048))
     sensor = SensorModel(camera, scene.source)
-    narrow = SimpleNamespace(sensor=sensor, field=scene.field, surface=scene.surface)
+    narrow = SimpleNamespace(camera=camera, sensor=sensor, field=scene.field, surface=scene.surface)
     found = ray_search(narrow, NINE, method)
     outside = newton.pixel[:, 0] > 899.5
     assert 0 < outside.sum() < len(NINE)
@@ -218,7 +218,7 @@ def test_a_pixel_beside_the_sensor_is_not_used(scene, newton, method):
     assert np.all(np.isfinite(found.laser_point_mm))
 
 
-@pytest.mark.parametrize("method", ["newton", "paper"])
+@pytest.mark.parametrize("method", METHODS)
 def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
     """A bead before the camera hides one laser point; its pixel sees the bead and is not used."""
     cold = scene.cold()
@@ -239,7 +239,7 @@ def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
             }
         )
     )
-    screened = SimpleNamespace(sensor=cold.sensor, field=None, surface=surface)
+    screened = SimpleNamespace(camera=cold.camera, sensor=cold.sensor, field=None, surface=surface)
     found = ray_search(screened, [-2.0, -4.0, -6.0], method)
     expected = [SearchStatus.FOUND, SearchStatus.UNDERCUT, SearchStatus.FOUND]
     np.testing.assert_array_equal(found.status, expected)
@@ -248,5 +248,65 @@ def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
 
 
 def test_an_unknown_method_is_refused(scene):
-    with pytest.raises(InputError, match="paper or newton"):
+    with pytest.raises(InputError, match="one of paper, newton, tabulated"):
         ray_search(scene, NINE, "secant")
+
+
+# --------------------------------------------------------------------------------------- by maps
+
+
+@pytest.mark.parametrize("tolerance_px", [1e-2, 1e-3, 1e-4])
+def test_the_search_by_maps_keeps_its_tolerance(scene, tolerance_px):
+    """Rationale: its pixels are Newton's to within what was asked for, and so are its points."""
+    y = np.random.default_rng(1).uniform(-10.9, 10.9, 500)
+    exact = ray_search(scene, y, "newton", march=REFERENCE)
+    found = ray_search(scene, y, "tabulated", tolerance_px=tolerance_px)
+    np.testing.assert_array_equal(found.status, exact.status)
+    assert np.abs(found.pixel - exact.pixel).max() <= tolerance_px
+    off_um = 1e3 * np.linalg.norm(found.laser_point_mm - exact.laser_point_mm, axis=1)
+    assert off_um.max() <= 2.0 * tolerance_px * PIXEL_UM
+    assert found.distance_um.max() < 1e-2
+    assert found.iterations.max() == 0  # no line of sight was marched
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "y"),
+    [
+        ("stepped_shaft", {}, np.linspace(-11.5, 11.5, 1201)),
+        ("hot_cylinder", {"line_length": 28, "beta": 20}, np.linspace(-13.6, 13.6, 801)),
+        ("hot_cylinder", {"fan": 3, "alpha": 40}, np.linspace(-10.9, 10.9, 201)),
+        ("cold_cylinder", {}, np.linspace(-13.6, 13.6, 201)),
+    ],
+    ids=lambda each: each if isinstance(each, str) else "",
+)
+def test_the_search_by_maps_has_newtons_statuses(name, parameters, y):
+    """Rationale: undercuts, the limb, what is missed and unlit; a ray in 200 may be borderline."""
+    scene = vs.load_scene(name, **parameters)
+    exact = ray_search(scene, y, "newton", march=replace(REFERENCE, step_mm=0.5))
+    found = ray_search(scene, y, "tabulated")
+    other = found.status != exact.status
+    assert other.mean() <= 0.005
+    both = ~other & np.isfinite(found.pixel[:, 0])
+    assert both.sum() > 0.5 * len(y)
+    grazing = exact.distance_um > 1e-2
+    assert np.abs(found.pixel - exact.pixel)[both & ~grazing].max() <= 0.005
+
+
+def test_rays_without_a_map_are_searched_by_newtons_method(scene):
+    """Rationale: no ray is lost, and none is made up, where a tolerance can't be met."""
+    y = [-5.0, 0.0, np.nan, 30.0]
+    found = ray_search(scene, y, "tabulated", tolerance_px=1e-9)
+    exact = ray_search(scene, y, "newton")
+    np.testing.assert_array_equal(found.status, exact.status)
+    np.testing.assert_allclose(found.pixel, exact.pixel, atol=1e-9)
+    assert found.iterations.max() > 0
+
+
+def test_thousands_of_rays_and_none_are_searched_by_maps(scene):
+    """Rationale: what is looked up does not depend on how many rays there are, or on which."""
+    y = np.linspace(-10.9, 10.9, 5001)
+    many = ray_search(scene, y, "tabulated")
+    assert (many.status == SearchStatus.FOUND).all()
+    few = ray_search(scene, y[::1000], "tabulated")
+    np.testing.assert_allclose(few.pixel, many.pixel[::1000], atol=1e-3)
+    assert ray_search(scene, [], "tabulated").pixel.shape == (0, 2)

@@ -141,7 +141,9 @@ def measure(
 def search(
     scene: SceneArgument,
     define: Definitions = None,
-    method: Annotated[str, typer.Option(help="paper or newton.")] = "paper",
+    method: Annotated[
+        str, typer.Option(help="paper, newton or tabulated (by ray maps).")
+    ] = "paper",
     y: ProbeRays = None,
     rays: Annotated[
         int | None, typer.Option(min=2, help="So many rays along the whole line, in place of -y.")
@@ -159,8 +161,8 @@ def search(
     from virtual_sensor.studies.search import search as run
     from virtual_sensor.studies.tables import in_words, write_csv
 
-    if method not in ("paper", "newton"):
-        raise InputError(f"--method {method}: choose paper or newton")
+    if method not in ("paper", "newton", "tabulated"):
+        raise InputError(f"--method {method}: choose paper, newton or tabulated")
     if y and rays:
         raise InputError("-y and --rays: choose one of them")
     if output:

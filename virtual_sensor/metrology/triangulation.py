@@ -1,14 +1,16 @@
 """From pixels to points: the line of sight meets the laser plane (Beermann et al. 2018, 3.3)."""
 
-from typing import Protocol
+from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import points_of, unmasked
+from virtual_sensor.arrays import number_within, points_of, unmasked
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
+from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
@@ -64,40 +66,154 @@ def check_geometry(sensor: Sensor) -> None:
         )
 
 
-def triangulate(sensor: Sensor, pixel: ArrayLike) -> Array:
-    """Measure the points on the laser plane E that pixels see along straight lines of sight g.
+@dataclass(frozen=True)
+class TriangulatedPoints:
+    """What pixels measure.
+
+    Attributes
+    ----------
+    point_mm : ndarray of shape (..., 3)
+        World; NaN unless OK.
+    status : ndarray of shape (...)
+        `CrossingStatus`.
+    """
+
+    point_mm: Array
+    status: NDArray[np.uint8]
+
+
+def triangulate(
+    sensor: Any,
+    pixel: ArrayLike,
+    *,
+    medium: Any = None,
+    camera: str | None = None,
+    source: str | None = None,
+    coordinate: ArrayLike = 0.0,
+) -> Array:
+    """Measure the points that pixels see on a source's rays, along straight or bent lines of sight.
+
+    `triangulated_points` tells why a pixel has no point, and takes a tolerance.
 
     Parameters
     ----------
-    sensor : SensorModel or Calibration
-    pixel : array_like of shape (N, 2)
+    sensor : Scene, SensorModel or Calibration
+    pixel : array_like of shape (..., 2)
         (u, v) in px, integer at pixel centres; undistorted first, where the camera distorts.
+    medium : IndexField, optional
+        That bends both lines of sight and laser: the scene's, say (`scene.medium`). By default
+        light runs straight. A calibration knows no rays that a medium could bend.
+    camera, source : str, optional
+        Names, where the scene has several.
+    coordinate : array_like of shape (...)
+        First coordinate s of the source's rays, for each pixel or one for all: 0, the middle of
+        the laser's sheet, unless a pattern tells otherwise.
 
     Returns
     -------
-    ndarray of shape (N, 3)
-        World points in mm, g intersected with E (figure 3); NaN where the pixel is not finite, or
-        its line of sight runs parallel to the plane or meets it behind the camera.
+    ndarray of shape (..., 3)
+        World points in mm: where light runs straight, the line of sight g intersected with the
+        plane of the rays, E (figure 3); else where bent lines of sight meet bent rays, good to
+        what 0.001 px is. NaN where `triangulated_points` has another status than OK.
 
     Raises
     ------
     InputError
-        Where `pixel` is no list of (u, v), or the camera stands in the laser plane.
+        Where `pixel` is no list of (u, v), there is no such camera or source, the camera stands in
+        the laser plane, or the medium bends light too sharply for the tolerance.
     """
-    check_geometry(sensor)
+    points = triangulated_points(
+        sensor, pixel, medium=medium, camera=camera, source=source, coordinate=coordinate
+    )
+    return points.point_mm
+
+
+def triangulated_points(
+    sensor: Any,
+    pixel: ArrayLike,
+    *,
+    medium: Any = None,
+    camera: str | None = None,
+    source: str | None = None,
+    coordinate: ArrayLike = 0.0,
+    tolerance_px: float = 1e-3,
+) -> TriangulatedPoints:
+    """`triangulate` with a status for each pixel; bent light by maps made to a tolerance in px."""
+    number_within("triangulate: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
+    if hasattr(sensor, "cameras"):
+        sensor = sensor.only(camera, source).sensor
     pixel = points_of(unmasked(pixel), 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
-    finite = np.isfinite(pixel).all(axis=-1, keepdims=True)
-    direction = sensor.camera.lines_of_sight(np.where(finite, pixel, np.nan))
-    normal, offset = sensor.laser.plane
-    centre = sensor.camera.pose.origin_mm
+    shape, s = pixel.shape[:-1], np.asarray(coordinate, float)
+    if s.shape not in ((), shape):
+        raise InputError(
+            f"triangulate: coordinate has shape {s.shape}; give one number, or one for each pixel"
+        )
+    plane = _plane(sensor.laser, s)
+    if plane:
+        check_geometry(sensor)
+    if plane and medium is None:
+        point, status = _straight(sensor.camera, pixel, *plane)
+    else:
+        rows = pixel.reshape(-1, 2), np.broadcast_to(s, shape).ravel()
+        point, status = _on_rays(sensor, *rows, medium, tolerance_px)
+    return TriangulatedPoints(point.reshape(*shape, 3), status.reshape(shape))
 
-    approach = direction @ normal
+
+def _plane(laser: Any, s: Array) -> tuple[Array, Array] | None:
+    """The planes of the rays of a first coordinate s; None where they lie in none."""
+    family = getattr(laser, "family", None)
+    if family is None:
+        if np.any(s != 0.0):
+            raise InputError("triangulate: a calibration knows no coordinate but 0")
+        normal, offset = laser.plane
+        return normal, np.asarray(offset)
+    try:
+        planes: tuple[Array, Array] = family.plane(s)
+    except InputError:
+        return None
+    return planes
+
+
+def _straight(
+    camera: Pinhole, pixel: Array, normal: Array, offset: Array
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Lines of sight of pixels (..., 2) intersected with planes."""
+    finite = np.isfinite(pixel).all(axis=-1, keepdims=True)
+    direction = camera.lines_of_sight(np.where(finite, pixel, np.nan))
+    centre = camera.pose.origin_mm
+    approach = np.sum(direction * normal, axis=-1)
     meets = np.abs(approach) > PARALLEL
     distance_mm = (offset - normal @ centre) / np.where(meets, approach, np.nan)
     distance_mm = np.where(distance_mm > 0.0, distance_mm, np.nan)
-    return centre + distance_mm[..., None] * direction
+    seen, met = np.isfinite(approach), np.isfinite(distance_mm)
+    status = np.where(met, CrossingStatus.OK, CrossingStatus.NO_CROSSING)
+    status = np.where(seen, status, CrossingStatus.NO_PIXEL).astype(np.uint8)
+    return centre + distance_mm[..., None] * direction, status
+
+
+def _on_rays(
+    sensor: Any, pixel: Array, s: Array, medium: Any, tolerance_px: float
+) -> tuple[Array, NDArray[np.uint8]]:
+    """Lines of sight of pixels (N, 2) crossed with the source's rays (N,), by ray maps."""
+    from virtual_sensor.optics.crossings import crossings
+    from virtual_sensor.optics.ray_maps import NoMapError
+
+    family = getattr(sensor.laser, "family", None)
+    if family is None:
+        raise InputError(
+            "triangulate: a calibration knows the laser's plane and not its rays, which the medium"
+            " bends; give a scene, or leave the medium out"
+        )
+    try:
+        found = crossings(medium, sensor.camera, family, pixel, s, tolerance_px)
+    except NoMapError as error:
+        raise InputError(
+            f"triangulate: no map of bent rays within {tolerance_px:g} px ({error}); call"
+            " triangulated_points with a larger tolerance_px"
+        ) from None
+    return found.point_mm, found.status
 
 
 def error_um(sensor: Sensor, errors: LineErrors) -> Array:

@@ -35,6 +35,7 @@ _LINEAR_PX = 1e-3  # so near the root the slopes do: they are good to 1e-4
 _NUDGE_PX = 0.01  # for slopes
 _SETTLED_PX = 1e-5  # what remains is this times the slopes' error
 _MOST_MARCHES = 8
+_FOUND_PX = 1e-4  # by which a root may be missed at most
 
 
 @dataclass(frozen=True)
@@ -72,11 +73,21 @@ def newton(scene: SearchScene, b: Array, march: March) -> Roots:
     march : March
     """
     target = incidence_points(scene, b, march)
-    pixel, slopes = _rough_roots(scene, target, _rough(march))
-    pixel, marches = _chords(scene, target, pixel, slopes, march)
+    pixel, slopes, marches = _roots(scene, target, march)
     seen = seen_points(scene, pixel, march)
     known = np.isfinite(target[:, 0])
     return Roots(target, pixel, slopes, seen, np.where(known, marches + 1, 0))
+
+
+def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) -> Array:
+    """Pixels (N, 2) whose marched lines of sight go through points (N, 3), whatever hides them.
+
+    NaN where Newton's method does not settle.
+    """
+    pixel, slopes, _ = _roots(scene, points, march)
+    left = _step(slopes, misses(scene, points, pixel, march))
+    settled = np.abs(left).max(axis=1) <= _FOUND_PX
+    return np.where(settled[:, None], pixel, np.nan)
 
 
 def newton_along_line(scene: SearchScene, b: Array) -> Roots:
@@ -90,7 +101,7 @@ def newton_along_line(scene: SearchScene, b: Array) -> Roots:
     """
     if len(b) < MANY or scene.field is None or not np.isfinite(b).all() or np.ptp(b) == 0.0:
         return newton(scene, b, REFERENCE)
-    camera = scene.sensor.camera
+    camera = scene.camera
     table: _Table | None = None
     for step_mm, nodes in reversed(list(zip(_LADDER_MM, _NODES, strict=True))):
         table = _good_table(scene, np.linspace(b.min(), b.max(), nodes), step_mm, table, len(b))
@@ -131,9 +142,16 @@ def _rough(march: March) -> March:
     return replace(march, step_mm=max(march.step_mm, _LADDER_MM[0]))
 
 
+def _roots(scene: SearchScene, target: Array, march: March) -> tuple[Array, Array, int]:
+    """Pixels (N, 2) of points (N, 3), the slopes there (N, 2, 2), and how many marches it took."""
+    pixel, slopes = _rough_roots(scene, target, _rough(march))
+    pixel, marches = _chords(scene, target, pixel, slopes, march)
+    return pixel, slopes, marches
+
+
 def _rough_roots(scene: SearchScene, target: Array, rough: March) -> tuple[Array, Array]:
     """Two of Newton's steps from the straight projection: pixels (N, 2), and slopes (N, 2, 2)."""
-    pixel = scene.sensor.camera.project(target)
+    pixel = scene.camera.project(target)
     nudges = _NUDGE_PX * np.array([[[0.0, 0.0]], [[1.0, 0.0]], [[0.0, 1.0]]])
     for _ in range(2):
         three = (pixel + nudges).reshape(-1, 2)
@@ -238,7 +256,7 @@ def _table(scene: SearchScene, b: Array, step_mm: float, finer: _Table | None) -
         rest = np.zeros((len(b), 3)), np.zeros((len(b), 2))
     else:
         told, fine = finer.at(b), _steps_of(_LADDER_MM[1])
-        start, slopes = scene.sensor.camera.project(target) + told.bent_px, told.slopes
+        start, slopes = scene.camera.project(target) + told.bent_px, told.slopes
         rest = told.target_off, told.pixel_off
     pixel, _ = _chords(scene, target, start, slopes, long, most=1)
     next_target = incidence_points(scene, b, fine)
@@ -251,7 +269,7 @@ def _table(scene: SearchScene, b: Array, step_mm: float, finer: _Table | None) -
     wrong = np.abs(between - both[3:-3]).max(axis=1)
     wrong = np.pad(wrong, 3, mode="edge") / _GAIN
     settled = np.maximum(wrong[:-1], wrong[1:]) <= _ALLOWED_PX  # not so beside NaN
-    bent = pixel - scene.sensor.camera.project(target)
+    bent = pixel - scene.camera.project(target)
     rows = _Row(target, bent, slopes, target_off + rest[0], pixel_off + rest[1])
     return _Table(b, rows, settled)
 

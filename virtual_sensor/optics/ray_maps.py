@@ -209,7 +209,7 @@ class ForwardMap(RayMap):
         point[held] = self.family.pose.to_world(local)
         direction[held] = _unit(slope @ self.family.pose.rotation.T)
         status = np.full(len(places), MapStatus.OFF, np.uint8)
-        folded = self._area(places[held]) <= 0.0
+        folded = self._folded(places[held], self.jacobian(places[held]))
         status[held] = np.where(folded, MapStatus.FOLDED, MapStatus.OK)
         return RayPoints(point, direction, status)
 
@@ -231,9 +231,17 @@ class ForwardMap(RayMap):
         by = np.stack([self.table.slopes(places, axis)[:, :2] for axis in (0, 1)], axis=2)
         return by + _matrices(self.family.by_coordinates(*places.T), len(places))
 
-    def _area(self, places: Array) -> Array:
-        """Area of a tube of bent rays over that of straight ones; not positive beyond a fold."""
-        return _determinant(self.jacobian(places)) / self.family.spread(*places.T)
+    def _folded(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
+        """Where tubes of bent rays are turned over beside straight ones: beyond a fold, or a focus.
+
+        Of the matrix that makes bent ones of straight ones both eigenvalues are positive, or have a
+        positive real part, until a fold; a focus turns both over, which leaves the area positive.
+        """
+        x_s, x_t, y_s, y_t = self.family.by_coordinates(*places.T)
+        spread = self.family.spread(*places.T)
+        (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
+        trace = (y_t * a - x_t * c - y_s * b + x_s * d) / spread
+        return np.asarray((_determinant(jacobian) / spread <= 0.0) | (trace <= 0.0))
 
     def _through(self, places: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Starts (s, t, depth) of the bent rays through where straight ones are.
@@ -250,7 +258,7 @@ class ForwardMap(RayMap):
             miss = wanted - _straight(self.family, start) - self.table.at(start)[:, :2]
             missed = ~(np.abs(miss).max(axis=1) < settled_mm)
             jacobian = self.jacobian(start)
-            folded |= held & (_determinant(jacobian) / self.family.spread(*start.T) <= 0.0)
+            folded |= held & self._folded(start, jacobian)
             go = missed & ~folded
             if not go.any():
                 break

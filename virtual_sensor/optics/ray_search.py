@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import whole_number
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.newton_search import newton, newton_along_line
+from virtual_sensor.optics.map_search import tabulated_roots
+from virtual_sensor.optics.newton_search import Roots, newton, newton_along_line
 from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.ray_maps import NoMapError
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sight import (
     REFERENCE,
@@ -36,6 +38,8 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
+
+METHODS = ("paper", "newton", "tabulated")
 
 _MOST_STEPS = 1000  # of the paper's search: its step is halved in each
 _LEAN = 5e-3  # a bent line of sight leans from the straight one by some milliradians
@@ -97,6 +101,7 @@ def ray_search(
     r_max_um: float = 1.0,
     z_max_mm: float = 0.1,
     march: March | None = None,
+    tolerance_px: float = 1e-3,
     camera: str | None = None,
     source: str | None = None,
 ) -> FoundPixels:
@@ -111,7 +116,9 @@ def ray_search(
         locations y).
     method : str
         "paper": step 2 of section 4.2 to the letter.  "newton": the same root by Newton's method,
-        to 1e-6 px on the field that comes with the program.
+        to 1e-6 px on the field that comes with the program.  "tabulated": by ray maps, which take
+        a while to make and then serve any number of rays; rays that they don't tell of are searched
+        by Newton's method.
     grid_px : tuple of float
         Width and height of the paper's search grid, w_sg and h_sg.
     k_stop : int
@@ -120,7 +127,9 @@ def ray_search(
         Largest distance parallel to the sensor, and along the camera's axis, that are accepted.
     march : March, optional
         How all rays are marched; by default as `REFERENCE` is.  Newton's search then is faster for
-        thousands of laser points than one by one (`newton_along_line`).
+        thousands of laser points than one by one (`newton_along_line`).  Maps choose their own.
+    tolerance_px : float
+        Of the maps of "tabulated".
     camera, source : str, optional
         Names of the scene's, where it has several.
 
@@ -135,8 +144,8 @@ def ray_search(
     """
     check_scene_given("ray_search", scene)
     scene = chosen(scene, camera, source)
-    if method not in ("paper", "newton"):
-        raise InputError(f"ray_search: method must be paper or newton, not '{method}'")
+    if method not in METHODS:
+        raise InputError(f"ray_search: method must be one of {', '.join(METHODS)}, not '{method}'")
     b = np.atleast_1d(_numbers("laser_y_mm", laser_y_mm))
     if b.ndim > 1:
         raise InputError(f"ray_search: laser_y_mm has the shape {b.shape}; give a list, (N,)")
@@ -145,16 +154,19 @@ def ray_search(
     grid = _numbers("grid_px", grid_px)
     if grid.shape != (2,) or not np.all((grid > 0.0) & (grid < np.inf)):
         raise InputError(f"ray_search: grid_px must be two positive numbers of px, not {grid_px}")
-    for name, value in (("r_max_um", r_max_um), ("z_max_mm", z_max_mm)):
+    limits = {"r_max_um": r_max_um, "z_max_mm": z_max_mm, "tolerance_px": tolerance_px}
+    for name, value in limits.items():
         if not value > 0.0:
             raise InputError(f"ray_search: {name} must be positive, not {value}")
     (march or REFERENCE).check(scene.field)
     if method == "paper":
         found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE)
+    elif method == "newton":
+        found = _found(scene, _newton(scene, b, march))
     else:
-        found = _newton(scene, b, march)
+        found = _found(scene, _tabulated(scene, b, march, tolerance_px))
     lit = scene.sensor.laser.reaches(0.0, b)
-    return _checked(scene.sensor.camera, found, lit, r_max_um, z_max_mm)
+    return _checked(scene.camera, found, lit, r_max_um, z_max_mm)
 
 
 def _numbers(name: str, values: ArrayLike) -> Array:
@@ -173,7 +185,7 @@ def _paper(
     march: March,
 ) -> FoundPixels:
     """Section 4.2, step 1 and step 2: halve the step, keep the best."""
-    camera = scene.sensor.camera
+    camera = scene.camera
     target = incidence_points(scene, b, march)
     pixel = camera.project(target)  # 2.1: the start pixel u_s
     best = FoundPixels(
@@ -207,12 +219,28 @@ def _paper(
     return best
 
 
-def _newton(scene: SearchScene, b: Array, march: March | None) -> FoundPixels:
-    """Newton's root, and how far from the laser point the surface that it sees is."""
-    roots = newton_along_line(scene, b) if march is None else newton(scene, b, march)
-    delta = (roots.seen - roots.target) @ scene.sensor.camera.pose.rotation[:, :2] * 1e3
+def _newton(scene: SearchScene, b: Array, march: March | None) -> Roots:
+    return newton_along_line(scene, b) if march is None else newton(scene, b, march)
+
+
+def _tabulated(scene: SearchScene, b: Array, march: March | None, tolerance_px: float) -> Roots:
+    """Roots by maps, and by Newton's method where those don't tell."""
+    try:
+        roots, told = tabulated_roots(scene, b, tolerance_px)
+    except NoMapError:
+        return _newton(scene, b, march)
+    if not told.all():
+        marched = _newton(scene, b[~told], march)
+        for values, better in zip(vars(roots).values(), vars(marched).values(), strict=True):
+            values[~told] = better
+    return roots
+
+
+def _found(scene: SearchScene, roots: Roots) -> FoundPixels:
+    """Roots with how far from the laser point the surface is that their pixels see."""
+    delta = (roots.seen - roots.target) @ scene.camera.pose.rotation[:, :2] * 1e3
     distance = np.linalg.norm(delta, axis=1)
-    status = np.zeros(len(b), int)
+    status = np.zeros(len(distance), int)
     return FoundPixels(roots.target, roots.pixel, roots.seen, distance, roots.marches, status)
 
 

@@ -33,8 +33,10 @@ class Sensor(Protocol):
 
 
 class SearchScene(Protocol):
-    """What a search needs of a scene."""
+    """What a search needs of a scene; `sensor` only where it asks for the source's rays."""
 
+    @property
+    def camera(self) -> Pinhole: ...  # noqa: D102
     @property
     def sensor(self) -> Sensor: ...  # noqa: D102
     @property
@@ -72,7 +74,7 @@ def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> 
 
 def seen_points(scene: SearchScene, pixel: Array, march: March = REFERENCE) -> Array:
     """Trace lines of sight of pixels (N, 2) to the surface, (N, 3) in mm; NaN where they miss."""
-    seen = _to_surface(scene, *lines_of_sight(scene.sensor.camera, pixel), march)
+    seen = _to_surface(scene, *lines_of_sight(scene.camera, pixel), march)
     return np.where(np.isfinite(pixel).all(axis=1, keepdims=True), seen, np.nan)
 
 
@@ -91,7 +93,7 @@ def misses(scene: SearchScene, target: Array, pixel: Array, march: March = REFER
         From where the line of sight crosses the plane through the point to the point, in the
         camera's x and y, mm; NaN where either argument is.
     """
-    camera = scene.sensor.camera
+    camera = scene.camera
     axis = camera.pose.rotation[:, 2]
     normal = dr.opaque(march.vector(*map(float, axis)))  # one kernel for all poses
 

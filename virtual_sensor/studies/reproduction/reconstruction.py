@@ -24,6 +24,7 @@ from virtual_sensor.metrology.cylinder_fit import (
 )
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.poses import Pose
@@ -110,6 +111,11 @@ class _Moved:
     sensor: SensorModel
     field: Any
     surface: Any
+
+    @property
+    def camera(self) -> Pinhole:
+        """The sensor's."""
+        return self.sensor.camera
 
 
 def reconstruct(

@@ -1,0 +1,264 @@
+"""Bent triangulation: searched pixels give back their points; SciPy's rays meet in them."""
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from oracles import integrate, unit
+
+import virtual_sensor as vs
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import find_scene
+from virtual_sensor.medium.exact_fields import hot_spot
+from virtual_sensor.metrology.calibration import calibration_of
+from virtual_sensor.metrology.triangulation import triangulated_points
+from virtual_sensor.optics.crossing_status import CrossingStatus
+from virtual_sensor.optics.crossings import crossings
+from virtual_sensor.optics.projection import projected_points
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
+from virtual_sensor.poses import Pose
+
+MATRIX = np.array([[4000.0, 0.0, 511.5], [0.0, 4000.0, 511.5], [0.0, 0.0, 1.0]])
+DEPTH, WIDTH_MM = 0.006, 8.0
+UM = 1e3
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene("hot_cylinder")
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory):
+    """The hot cylinder with two cameras and two lasers."""
+    text = find_scene("hot_cylinder").read_text(encoding="utf-8")
+    folder = find_scene("hot_cylinder").parent / "fields"
+    camera, laser = (
+        re.search(rf"<{tag}.*?</{tag}>", text, re.DOTALL)[0] for tag in ("sensor", "emitter")
+    )
+    others = camera.replace('id="camera"', 'id="steep"').replace('"$alpha"', '"80"')
+    others += laser.replace('id="laser"', 'id="upright"').replace('"$tilt"', '"-12"')
+    path = tmp_path_factory.mktemp("scene") / "pairs.xml"
+    text = text.replace('value="fields/', f'value="{folder}/')
+    path.write_text(text.replace(laser, laser + others), encoding="utf-8")
+    return vs.load_scene(path)
+
+
+def spot():
+    """A field in closed form, and n with its gradient for SciPy."""
+
+    def index(p):
+        dip = DEPTH * np.exp(-np.sum(p**2, axis=1) / (2.0 * WIDTH_MM**2))
+        n = np.sqrt(1.0 - dip)
+        return n, p * (dip / (2.0 * n * WIDTH_MM**2))[:, None]
+
+    return hot_spot(DEPTH, WIDTH_MM, box=np.array([[-50.0] * 3, [50.0] * 3])), index
+
+
+def toward_origin(origin, beside=(0.0, 1.0, 0.0)):
+    """A frame at a place whose z looks to the world's origin."""
+    z = -unit(origin)
+    x = unit(np.cross(beside, z))
+    return Pose(np.stack([x, np.cross(z, x), z], axis=1), np.asarray(origin, float))
+
+
+def camera(distortion=()):
+    pose = toward_origin((90.0, 10.0, 120.0))
+    return Pinhole(MATRIX, pose, (1024, 1024), np.asarray(distortion, float))
+
+
+@dataclass(frozen=True)
+class Converging(RayFamily):
+    """A sheet that converges across to a focal line: its rays of one s > 0 lie in a plane, too.
+
+    Unless they are twisted: s turns the ray about its own axis by `twist_per_mm`.
+    """
+
+    pose: Pose
+    focal_mm: float
+    twist_per_mm: float = 0.0
+
+    def foot(self, s, t):
+        return s, t
+
+    def slope(self, s, t):
+        return 0.0 * t - s / self.focal_mm + self.twist_per_mm * t, 0.0 * s
+
+    def straight(self, x, y, depth):
+        return (x - depth * self.twist_per_mm * y) / (1.0 - depth / self.focal_mm), y
+
+    def by_coordinates(self, s, t, depth):
+        return 1.0 - depth / self.focal_mm, depth * self.twist_per_mm, 0.0, 1.0
+
+
+SOURCES = {
+    "sheet": Sheet(toward_origin((-40.0, 0.0, 140.0)), 145.0),
+    "fan": Sheet(toward_origin((-40.0, 0.0, 140.0)), 145.0, 0.02),
+    "projector": Pinhole(MATRIX, toward_origin((-40.0, 0.0, 140.0)), (1024, 1024)),
+    "converging": Converging(toward_origin((-40.0, 0.0, 140.0)), 400.0),
+    "twisted": Converging(toward_origin((-40.0, 0.0, 140.0)), 400.0, 2e-5),
+}
+
+
+def lit_points(family, medium, index, s, t):
+    """Points on a source's rays (s, t) by SciPy, some way along each."""
+    starts, directions = family.rays(s, t)
+    along = np.random.default_rng(2).uniform(120.0, 150.0, len(starts))
+    if medium is None:
+        return starts + along[:, None] * directions
+    rays = integrate(index, starts, directions, 160.0)
+    return np.stack([rays.position(a)[i] for i, a in enumerate(along)])
+
+
+@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("hot", [False, True], ids=["cold", "hot"])
+@pytest.mark.parametrize("lens", [(), (-0.2, 0.1, 1e-3, -2e-3, 0.05)], ids=["pinhole", "lens"])
+def test_points_on_the_sources_rays_come_back(name, hot, lens):
+    """Rationale: of any family of rays, and of any of its first coordinates; SciPy lights them."""
+    medium, index = spot()
+    medium = medium if hot else None
+    family, view = SOURCES[name], camera(lens)
+    rng = np.random.default_rng(1)
+    size = 0.1 if name == "projector" else 10.0
+    s, t = 0.1 * size * rng.uniform(-1.0, 1.0, 60), size * rng.uniform(-1.0, 1.0, 60)
+    points = lit_points(family, medium, index, s, t)
+    seen = projected_points(
+        replace(vs.load_scene("cold_cylinder"), cameras={"camera": view}, medium=medium),
+        points,
+        method="newton",
+    )
+    found = crossings(medium, view, family, seen.pixel, s, 1e-3)
+    assert (found.status == CrossingStatus.OK).all()
+    assert np.linalg.norm(found.point_mm - points, axis=1).max() < (1e-4 if hot else 1e-8)
+    assert np.abs(found.along - t).max() < (1e-5 if hot else 1e-10) * size
+    if hot:
+        straight = crossings(None, view, family, seen.pixel, s, 1e-3)
+        assert np.nanmax(np.linalg.norm(straight.point_mm - points, axis=1)) > 0.01
+
+
+def test_searched_pixels_of_the_hot_cylinder_give_back_their_incidence_points(scene):
+    """Rationale: 0.05 um of 333 um; what is left is what the maps err by."""
+    y = np.linspace(-11.0, 11.0, 401)
+    found = vs.ray_search(scene, y, "newton")
+    points = vs.triangulate(scene, found.pixel, medium=scene.medium)
+    off_um = UM * np.linalg.norm(points - found.laser_point_mm, axis=1)
+    assert off_um.max() <= 0.05
+    straight = vs.triangulate(scene, found.pixel)
+    np.testing.assert_array_equal(straight, vs.triangulate(scene.sensor, found.pixel))
+    assert UM * np.linalg.norm(straight - found.laser_point_mm, axis=1).max() > 300.0
+
+
+@pytest.mark.parametrize("source", ["laser", "upright"])
+@pytest.mark.parametrize("view", ["camera", "steep"])
+def test_each_pair_of_two_cameras_and_two_lasers_does(pairs, view, source):
+    """Rationale: a scene owns its parts; what needs one of them is given its name."""
+    y = np.linspace(-10.0, 10.0, 401)
+    found = vs.ray_search(pairs, y, "newton", camera=view, source=source)
+    assert (found.status == 0).all()
+    names = {"camera": view, "source": source}
+    points = vs.triangulate(pairs, found.pixel, medium=pairs.medium, **names)
+    assert UM * np.linalg.norm(points - found.laser_point_mm, axis=1).max() <= 0.05
+    straight = vs.triangulate(pairs, found.pixel, **names)
+    assert UM * np.linalg.norm(straight - found.laser_point_mm, axis=1).max() > 30.0
+    np.testing.assert_allclose(
+        vs.project(pairs, found.laser_point_mm, camera=view), found.pixel, atol=0.002
+    )
+    with pytest.raises(InputError, match="camera"):
+        vs.triangulate(pairs, found.pixel, source=source)
+
+
+def test_several_coordinates_are_triangulated_at_once(scene):
+    """Rationale: a pattern tells each pixel's own; straight, each has its plane."""
+    family = scene.source.family
+    s = np.repeat([-2.0, 0.0, 1.5], 20)
+    starts, directions = family.rays(s, np.tile(np.linspace(-8.0, 8.0, 20), 3))
+    points = starts + 290.0 * directions
+    pixel = vs.project(scene, points, through_medium=False)
+    np.testing.assert_allclose(vs.triangulate(scene, pixel, coordinate=s), points, atol=1e-9)
+    bent = vs.triangulate(
+        scene, pixel.reshape(3, 20, 2), medium=scene.medium, coordinate=s.reshape(3, 20)
+    )
+    one_by_one = [
+        vs.triangulate(scene, pixel[s == each], medium=scene.medium, coordinate=each)
+        for each in (-2.0, 0.0, 1.5)
+    ]
+    np.testing.assert_allclose(bent, one_by_one, atol=2e-5)
+
+
+def test_the_shape_follows_the_pixels(scene):
+    """Rationale: none, one, a block: as straight."""
+    pixel = vs.ray_search(scene, [0.0, 3.0], "newton").pixel
+    bent = {"medium": scene.medium}
+    assert vs.triangulate(scene, np.empty((0, 2)), **bent).shape == (0, 3)
+    assert vs.triangulate(scene, [], **bent).shape == (0, 3)
+    both = vs.triangulate(scene, pixel, **bent)
+    one = vs.triangulate(scene, pixel[1], **bent)
+    assert one.shape == (3,)
+    np.testing.assert_allclose(one, both[1], atol=2e-5)
+    block = vs.triangulate(scene, np.broadcast_to(pixel, (3, 2, 2)), **bent)
+    np.testing.assert_allclose(block, np.broadcast_to(both, (3, 2, 3)), atol=2e-5)
+
+
+@pytest.mark.parametrize("hot", [False, True], ids=["cold", "hot"])
+def test_why_a_pixel_has_no_point_is_said(scene, hot):
+    """Rationale: no pixel; a line of sight that never meets the sheet before camera and laser."""
+    good = vs.ray_search(scene, [1.0], "newton").pixel[0]
+    beside = scene.camera.pose.origin_mm + 300.0 * scene.source.pose.rotation[:, 2]
+    along = vs.project(scene, beside, through_medium=False)  # with the sheet: they are parallel
+    behind = 2.0 * along - good
+    pixel = np.array([good, [np.nan, 5.0], [5.0, np.inf], along, behind])
+    found = triangulated_points(scene, pixel, medium=scene.medium if hot else None)
+    status = CrossingStatus
+    expected = [status.OK, status.NO_PIXEL, status.NO_PIXEL]
+    np.testing.assert_array_equal(found.status[:3], expected)
+    np.testing.assert_array_equal(found.status[4], status.NO_CROSSING)
+    np.testing.assert_array_equal(np.isfinite(found.point_mm[:, 0]), found.status == status.OK)
+
+
+def test_beyond_a_caustic_of_the_sources_light_no_point_is_made_up():
+    """Rationale: a ball lens turns the sheet's rays over: more than one lights a point there."""
+    lens = hot_spot(-0.5, WIDTH_MM, box=np.array([[-60.0] * 3, [60.0] * 3]))
+    family = Sheet(toward_origin((0.0, 0.0, 140.0)), 140.0)
+    view = Pinhole(MATRIX / [[8.0], [8.0], [1.0]], toward_origin((200.0, 0.0, -60.0)), (128, 128))
+    above, below = (
+        view.project(np.column_stack([0.0 * y, y, 0.0 * y + z]))
+        for y, z in ((np.linspace(-1.0, 1.0, 5), 30.0), (np.linspace(-0.2, 0.2, 5), -50.0))
+    )
+    clear = crossings(lens, view, family, above, np.zeros(5), 1e-2)
+    folded = crossings(lens, view, family, below, np.zeros(5), 1e-2)
+    assert (clear.status == CrossingStatus.OK).all()
+    assert (folded.status == CrossingStatus.FOLDED).all()
+    assert np.isnan(folded.point_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (
+            lambda scene: vs.triangulate(
+                calibration_of(scene.sensor), [[5.0, 5.0]], medium=scene.medium
+            ),
+            "a calibration knows the laser's plane and not its rays",
+        ),
+        (
+            lambda scene: vs.triangulate(
+                calibration_of(scene.sensor), [[5.0, 5.0]], coordinate=1.0
+            ),
+            "a calibration knows no coordinate but 0",
+        ),
+        (
+            lambda scene: vs.triangulate(scene, np.zeros((4, 2)), coordinate=np.zeros(3)),
+            "coordinate has shape",
+        ),
+        (lambda scene: vs.triangulate(scene, [[5.0, 5.0]], camera="left"), "left"),
+        (
+            lambda scene: triangulated_points(scene, [[5.0, 5.0]], tolerance_px=-1.0),
+            "tolerance_px is",
+        ),
+    ],
+)
+def test_what_cannot_be_triangulated_is_told(scene, ask, said):
+    """Rationale: one line that names the argument and the remedy."""
+    with pytest.raises(InputError, match=said):
+        ask(scene)

@@ -1,0 +1,136 @@
+"""Forward ray maps that hold given places: which box, which march, how fine.
+
+The box is that of the places, made larger to a lattice (`map_cache`), and wider by how far rays are
+moved.  The march's step is the longest that errs by a fifth of the tolerance, by rays of the box.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.optics.map_cache import MapCache
+from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.optics.ray_maps import (
+    ForwardMap,
+    NoMapError,
+    displaced,
+    forward_map,
+    in_coordinates,
+)
+from virtual_sensor.optics.rays import Field, March
+
+Array = NDArray[np.float64]
+
+_LONGEST_MM = 4.0  # step that is tried; it is halved until it errs little enough
+_SHORTEST_MM = 0.05
+_THINNEST = 1e-5  # of coordinates, or an absolute length: a box is never flat
+_MARCH_SHARE = 0.2  # of the tolerance is for the march
+_ROOM = 1.5  # times the shifts that these tell
+_ANYWHERE = 1000  # rays in a box that tell how far light is moved, and how march and map err
+_SAFE = 0.7  # of the tolerance is asked for where a map errs by more
+_MOST_MAPS = 4
+
+
+def covering_map(
+    field: Field | None, family: RayFamily, places: Array, tolerance_mm: float
+) -> ForwardMap:
+    """The map of a family's bent rays round places, and of the rays through them.
+
+    Parameters
+    ----------
+    field : Field or None
+        None: light runs straight.
+    family : RayFamily
+    places : ndarray of shape (N, 3)
+        (s, t, depth) of straight rays, finite. Beyond a caustic, bent rays through them may come
+        from beside the map.
+    tolerance_mm : float
+        Largest error of the map and of its march; made to the next lower power of two.
+
+    Raises
+    ------
+    NoMapError
+        If the tolerance can't be met, or a ray does not reach its depth.
+    """
+    march = March() if field is None else first_march(field)
+    low, high = places.min(axis=0), places.max(axis=0)
+    thin = _THINNEST * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
+    low, high = np.minimum(low, high - thin), np.maximum(high, low + thin)
+    return _MAPS.forward(field, family, low, high, march, 2.0 ** np.floor(np.log2(tolerance_mm)))
+
+
+def _made(
+    field: Field | None,
+    family: RayFamily,
+    low: Array,
+    high: Array,
+    march: March,
+    tolerance_mm: float,
+) -> ForwardMap:
+    """The map of a box and of the rays through it, by a march that is fine enough."""
+    if field is None:
+        return forward_map(None, family, low, high, march, tolerance_mm)
+    march, shift = _probed(field, family, low, high, march, tolerance_mm)
+    pad, allowed_mm = _ROOM * shift, (1.0 - _MARCH_SHARE) * tolerance_mm
+    asked_mm = allowed_mm
+    for _ in range(_MOST_MAPS):
+        made = forward_map(field, family, low - pad, high + pad, march, asked_mm)
+        nodes, checks = made.table.grid.nodes(), _anywhere(low - pad, high + pad)
+        missed = made.table.at(checks) - displaced(field, family, march, checks)
+        error_mm = float(np.linalg.norm(missed[:, :2], axis=1).max())
+        shift = _shifts(family, nodes, made.table.at(nodes))
+        if np.all(shift <= pad) and error_mm <= allowed_mm:
+            break
+        pad = np.maximum(pad, _ROOM * shift)
+        if error_mm > allowed_mm:
+            asked_mm *= _SAFE * allowed_mm / error_mm
+    return made
+
+
+_MAPS = MapCache(forward=_made)
+"""Covering maps of this process."""
+
+
+def _anywhere(low: Array, high: Array) -> Array:
+    """Places (N, 3) in a box, the same for the same box."""
+    return low + np.random.default_rng(0).random((_ANYWHERE, 3)) * (high - low)
+
+
+def first_march(field: Field) -> March:
+    """The march with the longest step that is tried."""
+    shortest = float(np.ptp(np.asarray(field.box, float), axis=0).min())
+    return March(min(_LONGEST_MM, shortest / 4.0), "leapfrog", "double")
+
+
+def by_octaves(depth: Array) -> Iterator[NDArray[np.intp]]:
+    """Rows of positive depths (N,) that differ by a factor of two at most: one map suits them."""
+    octave = np.floor(np.log2(depth))
+    for each in np.unique(octave):
+        yield np.flatnonzero(octave == each)
+
+
+def _probed(
+    field: Field, family: RayFamily, low: Array, high: Array, march: March, tolerance_mm: float
+) -> tuple[March, Array]:
+    """A march that errs little enough in a box, and by how much coordinates are shifted, (3,)."""
+    places = _anywhere(low, high)
+    moved = displaced(field, family, march, places)
+    while True:
+        finer = replace(march, step_mm=march.step_mm / 2.0)
+        better = displaced(field, family, finer, places)
+        error_mm = float(np.abs(better - moved)[:, :2].max())
+        if error_mm <= _MARCH_SHARE * tolerance_mm:
+            return march, _shifts(family, places, better)
+        if finer.step_mm < _SHORTEST_MM:
+            raise NoMapError(
+                f"steps of {march.step_mm:g} mm err by {error_mm:.1e} mm, where the tolerance is"
+                f" {tolerance_mm:.1e} mm"
+            )
+        march, moved = finer, better
+
+
+def _shifts(family: RayFamily, places: Array, moved: Array) -> Array:
+    """How far displacements carry rays at most, in their coordinates; depth stays: (3,)."""
+    return np.append(np.abs(in_coordinates(family, places, moved[:, :2])).max(axis=0), 0.0)

@@ -1,0 +1,126 @@
+"""The ray search by maps: where bent rays meet the part, and which pixel sees that, from tables.
+
+A ray is followed by tangents: from before the part along the tangent at about where the ray ends,
+then from half a millimetre before the place found, along the tangent there. Rays that run off a
+map, or see a caustic, are left to Newton's search.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
+from virtual_sensor.engine import mi
+from virtual_sensor.optics.covering_maps import by_octaves, covering_map
+from virtual_sensor.optics.newton_search import Roots
+from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus
+from virtual_sensor.optics.sight import SearchScene
+from virtual_sensor.optics.surfaces import Surface
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_TANGENTS = 3
+_DEEPER = 0.05  # of a map's depths, beside them: for bent rays, where straight ones end
+_REACH_MM = 0.5  # along the later tangents, before and behind the place found
+
+
+def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[Roots, Mask]:
+    """Laser points and their pixels by maps, and which rays maps tell of.
+
+    Parameters
+    ----------
+    scene : SearchScene
+    b : ndarray of shape (N,)
+        Places of the rays along the line; NaN is told of: it misses.
+    tolerance_px : float
+        Of the maps.
+
+    Raises
+    ------
+    NoMapError
+        If the tolerance can't be met, or a ray does not reach its depth.
+    """
+    nothing = np.full((len(b), 3), np.nan)
+    slopes, marches = np.full((len(b), 2, 2), np.nan), np.zeros(len(b), int)
+    found = Roots(nothing, nothing[:, :2].copy(), slopes, nothing.copy(), marches)
+    told = np.isnan(b)
+    camera, family = scene.camera, scene.sensor.laser.family
+    origins, directions = family.rays(0.0, np.nan_to_num(b))
+    ahead = directions @ family.pose.rotation[:, 2]
+    depth = _distance(scene.surface, origins, directions, np.full(len(b), np.inf)) * ahead
+    if not np.isfinite(depth[~told]).any():
+        return found, told
+    depth = np.where(np.isfinite(depth), depth, np.median(depth[np.isfinite(depth)]))
+    px_mm = camera.pose.to_local(origins + directions * (depth / ahead)[:, None])[:, 2]
+    tolerance_mm = tolerance_px * float(px_mm.min() / camera.matrix[0, 0])
+    rows = np.flatnonzero(~told)
+    places = np.column_stack([np.zeros(len(rows)), b[rows], depth[rows]])
+    light = covering_map(scene.field, family, _deeper(places), tolerance_mm)
+    target, known = _met(light, places, scene.surface)
+    told[rows] = known
+    found.target[rows] = target
+
+    rows = rows[known & np.isfinite(target[:, 0])]
+    places = camera.coordinates(found.target[rows])
+    for some in by_octaves(places[:, 2]):
+        at, point = rows[some], found.target[rows[some]]
+        sight = covering_map(scene.field, camera, _deeper(places[some]), tolerance_mm)
+        ray = sight.rays(point)
+        seen, known = _met(
+            sight, np.column_stack([ray.coordinates, places[some, 2]]), scene.surface
+        )
+        found.pixel[at], found.seen[at] = camera.pixels(*ray.coordinates.T), seen
+        told[at] = known & (ray.status == MapStatus.OK)
+    return found, told
+
+
+def _deeper(places: Array) -> Array:
+    """Places (N, 3) and some before and behind them, where bent rays may end as well."""
+    room = np.array([0.0, 0.0, max(_DEEPER * float(np.ptp(places[:, 2])), _REACH_MM)])
+    return np.concatenate([places - room, places + room])
+
+
+def _met(bent: ForwardMap, places: Array, surface: Surface) -> tuple[Array, Mask]:
+    """Where the rays of places (N, 3) meet a surface, which is looked for from their depths on.
+
+    Returns
+    -------
+    point_mm : ndarray of shape (N, 3)
+        World; NaN where they miss.
+    told : ndarray of shape (N,)
+        Which rays stayed on the map.
+    """
+    places, axis = places.copy(), bent.family.pose.rotation[:, 2]
+    told = bent.table.grid.holds(places)
+    point = np.full((len(places), 3), np.nan)
+    going = np.flatnonzero(told)
+    for turn in range(_TANGENTS):
+        here = bent.points(places[going])
+        ahead = here.direction @ axis
+        # At first from where the ray starts: whatever stands before is met.
+        back = np.full(len(going), _REACH_MM) if turn else places[going, 2] / ahead
+        begin = here.point_mm - here.direction * back[:, None]
+        limit = np.full(len(going), 2.0 * _REACH_MM if turn else np.inf)
+        met = _distance(surface, begin, here.direction, limit)
+        hit = np.isfinite(met)
+        point[going] = begin + here.direction * np.where(hit, met, np.nan)[:, None]
+        going = going[hit]
+        places[going, 2] += ((met - back) * ahead)[hit]
+        held = bent.table.grid.holds(places[going])
+        told[going] = held
+        point[going[~held]] = np.nan
+        going = going[held]
+    return point, told
+
+
+def _distance(surface: Surface, origins: Array, directions: Array, limit_mm: Array) -> Array:
+    """Distances (N,) in mm to a surface, infinite where it is not met."""
+    if not len(origins):
+        return np.zeros(0)
+
+    def met(origins: Array, directions: Array, limit_mm: Array) -> Array:
+        start, heading = to_vectors(origins), to_vectors(directions)
+        distance = surface.distance(start, heading, to_scalars(limit_mm), mi.Mask(True))
+        return np.array(distance, float)
+
+    return by_rows(met, origins, directions, limit_mm)

@@ -1,0 +1,176 @@
+"""Points to pixels, through a medium: which pixel sees a point along a bent line of sight.
+
+By maps, the ray of the camera through the point is found on a table of its bent lines of sight
+(`ray_maps`); by Newton's method on marched rays, each point's own line of sight is marched until it
+meets the point. Parts hide nothing: a point within one or behind it has its pixel too.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.arrays import number_within, points_of, unmasked
+from virtual_sensor.errors import InputError
+from virtual_sensor.optics.covering_maps import by_octaves, covering_map
+from virtual_sensor.optics.newton_search import marched_pixels
+from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.ray_maps import MapStatus, NoMapError
+from virtual_sensor.optics.sight import check_scene_given, chosen
+
+Array = NDArray[np.float64]
+
+TOLERANCE_PX = 1e-3
+"""Of pixels by maps, unless another is asked for."""
+
+_BESIDE = 0.5  # images to each side of the sensor: points seen farther out are off the map
+
+
+class ProjectionStatus(IntEnum):
+    """Whether a point has a pixel, and if not, why."""
+
+    OK = 0
+    """The pixel is good to the tolerance; it may lie beside the sensor."""
+    NO_POINT = 1
+    """The point is not finite."""
+    BEHIND = 2
+    """The point is behind the camera, or in its plane."""
+    OFF = 3
+    """The point would be seen more than half an image beside the sensor."""
+    FOLDED = 4
+    """A caustic: more than one pixel may see the point, or no line of sight was found."""
+
+
+@dataclass(frozen=True)
+class ProjectedPoints:
+    """Where points are seen.
+
+    Attributes
+    ----------
+    pixel : ndarray of shape (..., 2)
+        (u, v) in px; NaN unless OK.
+    status : ndarray of shape (...)
+        `ProjectionStatus`.
+    """
+
+    pixel: Array
+    status: NDArray[np.uint8]
+
+
+def project(
+    scene: Any,
+    points_mm: ArrayLike,
+    through_medium: bool = True,
+    camera: str | None = None,
+) -> Array:
+    """The pixels at which a scene's camera sees points, along bent lines of sight.
+
+    Good to 0.001 px; `projected_points` tells why a point has no pixel, and takes a tolerance.
+
+    Parameters
+    ----------
+    scene : Scene
+        From `load_scene`.
+    points_mm : array_like of shape (..., 3)
+        World, mm; whether a part hides them is not asked.
+    through_medium : bool
+        False: along straight lines of sight, equation 2.
+    camera : str, optional
+        Its name, where the scene has several.
+
+    Returns
+    -------
+    ndarray of shape (..., 2)
+        (u, v) in px, integers at pixel centres, with the lens' distortion; beside the sensor too.
+        NaN where `projected_points` has another status than OK.
+
+    Raises
+    ------
+    InputError
+        If these are no points, or there is no such camera.
+    """
+    return projected_points(scene, points_mm, through_medium, camera).pixel
+
+
+def projected_points(
+    scene: Any,
+    points_mm: ArrayLike,
+    through_medium: bool = True,
+    camera: str | None = None,
+    *,
+    method: str = "tabulated",
+    tolerance_px: float = TOLERANCE_PX,
+) -> ProjectedPoints:
+    """`project` with a status for each point.
+
+    Parameters
+    ----------
+    scene, points_mm, through_medium, camera
+        See `project`.
+    method : str
+        "tabulated": by a map of the camera's lines of sight that is made to the tolerance; by
+        Newton's method where there is no such map.
+        "newton": by Newton's method on marched lines of sight, to 1e-6 px, a hundred times slower.
+    tolerance_px : float
+        Of "tabulated".
+    """
+    points = points_of(unmasked(points_mm))
+    if points.shape[-1:] != (3,):
+        raise InputError(f"project: points_mm has the shape {points.shape}; give it (N, 3)")
+    if method not in ("tabulated", "newton"):
+        raise InputError(f"project: method must be tabulated or newton, not '{method}'")
+    number_within("project: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
+    check_scene_given("project", scene)
+    scene = chosen(scene, camera, None)
+    view, rows = scene.camera, points.reshape(-1, 3)
+    finite = np.asarray(np.isfinite(rows).all(axis=1))
+    rows = np.where(finite[:, None], rows, np.nan)
+    pixel, status = np.full((len(rows), 2), np.nan), np.zeros(len(rows), np.uint8)
+    straight, depth = view.project(rows), view.pose.to_local(rows)[:, 2]
+    margin = _BESIDE * np.array(view.size)
+    near = np.all((straight >= -margin) & (straight <= np.array(view.size) + margin), axis=1)
+    reasons = (~finite, ProjectionStatus.NO_POINT), (~(depth > 0.0), ProjectionStatus.BEHIND)
+    for missing, reason in (*reasons, (~near, ProjectionStatus.OFF)):
+        status[missing & (status == ProjectionStatus.OK)] = reason
+    if not through_medium or scene.field is None:
+        beside = finite & (depth > 0.0) & np.isfinite(straight[:, 0])
+        pixel, status = np.where(beside[:, None], straight, np.nan), np.where(beside, 0, status)
+    elif near.any():
+        pixel[near], status[near] = (
+            _marched(scene, rows[near])
+            if method == "newton"
+            else _tabulated(scene, rows[near], tolerance_px)
+        )
+    shape = points.shape[:-1]
+    return ProjectedPoints(pixel.reshape(*shape, 2), status.reshape(shape).astype(np.uint8))
+
+
+def _tabulated(scene: Any, points: Array, tolerance_px: float) -> tuple[Array, NDArray[np.uint8]]:
+    """Pixels and statuses of points before the camera, by one map for each octave of depth."""
+    camera: Pinhole = scene.camera
+    places = camera.coordinates(points)
+    pixel, status = np.full((len(points), 2), np.nan), np.zeros(len(points), np.uint8)
+    for some in by_octaves(places[:, 2]):
+        tolerance_mm = tolerance_px * float(places[some, 2].min() / camera.matrix[0, 0])
+        try:
+            found = covering_map(scene.field, camera, places[some], tolerance_mm).rays(points[some])
+        except NoMapError:
+            pixel[some], status[some] = _marched(scene, points[some])
+            continue
+        pixel[some] = camera.pixels(*found.coordinates.T)
+        status[some] = np.where(
+            found.status == MapStatus.FOLDED, ProjectionStatus.FOLDED, ProjectionStatus.OK
+        )
+        off = some[found.status == MapStatus.OFF]
+        if off.size:
+            pixel[off], status[off] = _marched(scene, points[off])
+    return pixel, status
+
+
+def _marched(scene: Any, points: Array) -> tuple[Array, NDArray[np.uint8]]:
+    """The same by Newton's method on marched lines of sight."""
+    pixel = marched_pixels(scene, points)
+    found = np.isfinite(pixel).all(axis=1)
+    return pixel, np.where(found, ProjectionStatus.OK, ProjectionStatus.FOLDED).astype(np.uint8)
