@@ -53,6 +53,8 @@ class Exposure:
         How many will be exposed in all.
     progress : callable
         Told the fraction done.
+    on_film : bool
+        Whether the sensor's film is exposed too: Mitsuba takes the image from there.
     """
 
     def __init__(
@@ -62,16 +64,24 @@ class Exposure:
         seed: int,
         pixels: int,
         progress: Callable[[float], None] | None,
+        on_film: bool = False,
     ) -> None:
         self.view, self.sampler, self.film = view, sampler, view.sensor.film()
-        self.film.prepare([])
-        self.block = self.film.create_block()
+        # Each pixel's samples are averaged in their order: added to the film one by one, as other
+        # filters need it, the last bits would depend on which thread comes first.
+        self._own_pixel = self.film.rfilter().is_box_filter()
+        grey = len(mi.Spectrum()) == 1  # else the film makes its own of the colours
+        self._block: Any = None
+        if on_film or not (self._own_pixel and grey):
+            self.film.prepare([])
+            self._block = self.film.create_block()
+        self._image = np.zeros(view.pixels, np.float32)
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = self._chunks = 0
 
     def developed(self, develop: bool = True) -> Any:
         """Mitsuba's image, on the sensor's film; None if it is to stay there."""
-        self.film.put_block(self.block)
+        self.film.put_block(self._block)
         if not develop:
             return None
         image = self.film.develop()
@@ -80,17 +90,16 @@ class Exposure:
 
     def image(self) -> NDArray[np.float32]:
         """The radiance, (H, W)."""
-        image = np.array(self.developed(), np.float32)
-        return image.reshape(*image.shape[:2], -1)[:, :, 0]
+        shape = self.view.height, self.view.width
+        if self._block is None:
+            return self._image.reshape(shape)
+        return np.array(self.developed(), np.float32).reshape(*shape, -1)[:, :, 0]
 
     def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
         """Expose pixels, with so many samples in flight at once."""
         if not pixels.size:
             return
         spp = self.sampler.sample_count()
-        # Each pixel's samples are summed in their order: added to the film one by one, as other
-        # filters need it, the last bits would depend on which thread comes first.
-        own_pixel = self.film.rfilter().is_box_filter()
         numbers = in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
         for first in range(0, pixels.size, chunk):
@@ -108,13 +117,15 @@ class Exposure:
             value, alpha = shade(ray, row, pixel)
             value = value * weight
             alpha = dr.select(alpha, mi.Float(1.0), 0.0)
-            if own_pixel:
+            if self._own_pixel:
                 dr.eval(value, alpha)  # together: each by itself would follow all rays again
                 value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
+                self._image[pixels[first : first + count]] = np.array(value)[0]
                 own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
                 place = self.view.place(dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
-            self.block.put(place, ray.wavelengths, value, alpha)
-            dr.eval(self.block.tensor())
+            if self._block is not None:
+                self._block.put(place, ray.wavelengths, value, alpha)
+                dr.eval(self._block.tensor())
             self._chunks += 1
             self._done += count
             if self._progress:

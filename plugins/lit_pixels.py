@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins.views import View
 
-from virtual_sensor.arrays import in_own_memory, to_numpy
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -30,6 +30,7 @@ from virtual_sensor.optics.transports import (
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint32]
+Image = NDArray[np.float32]
 Columns = NDArray[np.intp]
 
 _SPARE = 1.5  # times what the probes were moved by
@@ -175,8 +176,8 @@ class _Beam:
         A pixel's size in the middle of them.
     index : ndarray of shape (N,)
         Pixels.
-    point : ndarray of shape (N, 3)
-        Where they look if light runs straight, world, mm.
+    seen, own : ndarray of shape (N, 3)
+        Where they look if light runs straight, in the camera's coordinates and in the source's.
     margin : ndarray of shape (2,)
         By how much the source's light on the part may be moved, in its coordinates.
     moved : ndarray of shape (2,)
@@ -189,7 +190,8 @@ class _Beam:
     per_mm: Array
     pixel_mm: float
     index: Pixels
-    point: Array
+    seen: Image
+    own: Image
     margin: Array
     moved: Array
     sight_mm: float = 0.0
@@ -197,9 +199,11 @@ class _Beam:
 
     def near(self) -> "_Beam":
         """Those of its pixels that are within the margin; all, if none is."""
-        s, t, _ = self.source.family.coordinates(self.point).T
+        s, t, _ = self.own.T
         near = np.asarray(self.source.reaches(s, t, tuple(self.margin)))
-        return replace(self, index=self.index[near], point=self.point[near]) if near.any() else self
+        if not near.any():
+            return self
+        return replace(self, index=self.index[near], seen=self.seen[near], own=self.own[near])
 
 
 @dataclass(frozen=True)
@@ -213,8 +217,10 @@ class _Region:
         By the sources' names; those that none of is seen are left out.
     candidates : ndarray of shape (N,)
         Pixels.
+    window : tuple of two slice
+        Rows and columns of the film that hold these.
     beyond_px : float
-        By how many pixels these reach beyond the beams'.
+        By how many pixels they reach beyond the beams'.
     pixel_mm : float
         A pixel's size in the middle of them.
     """
@@ -222,6 +228,7 @@ class _Region:
     view: View
     beams: dict[str, _Beam]
     candidates: Pixels
+    window: tuple[slice, slice]
     beyond_px: float
     pixel_mm: float
 
@@ -246,17 +253,16 @@ class _Region:
         camera, march, medium = self.view.camera, marched.march, marched.medium
         assert camera is not None
         error_mm = _OF_EACH * tolerance_px * self.pixel_mm
-        places = camera.coordinates(np.concatenate([b.point for b in self.beams.values()]))
+        places = np.concatenate([_ends(beam.seen) for beam in self.beams.values()])
         pad = np.append(np.full(2, (self.beyond_px + _PAD_PX) * self.view.pitch), _PAD_MM)
         seen = places.min(axis=0) - pad, places.max(axis=0) + pad
         maps, pads = [], []
         for beam in self.beams.values():
             family, spare = beam.source.family, _PAD_MM * beam.per_mm
-            places = family.coordinates(beam.point)
             low, high = beam.source.extent
             # A line may be much longer than what of it is seen.
             around = np.append(beam.margin + spare, _PAD_MM)
-            first, last = places.min(axis=0) - around, places.max(axis=0) + around
+            first, last = _ends(beam.own) + np.array([-around, around])
             first[:2] = np.maximum(first[:2], low - beam.moved - spare)
             last[:2] = np.minimum(last[:2], high + beam.moved + spare)
             maps.append(MAPS.inverse(medium, family, first, last, march, error_mm))
@@ -272,9 +278,10 @@ class _Region:
             lit |= beam.source.reaches(light.s, light.t, margin)
             folded |= light.status == int(LightStatus.FOLDED)
         dr.eval(lit, folded)
-        mask = np.zeros((self.view.height, self.view.width), np.uint8)
-        mask.ravel()[self.candidates] = np.array(lit)
-        beside = cv2.dilate(mask, _THREE).ravel()[self.candidates]
+        row, column = _places_in(self.window, self.candidates, self.view.width)
+        mask = _mask(self.window)
+        mask[row, column] = np.array(lit)
+        beside = cv2.dilate(mask, _THREE)[row, column]
         return np.flatnonzero(beside), int(np.sum(np.array(folded)))
 
 
@@ -342,18 +349,26 @@ def _straight(
         index = np.array(dr.compress(mask), np.uint32)
         if index.size:
             pixel_mm = view.pitch * float(np.mean(distances[index]))
-            point_mm = _points(view, index, distances[index])
-            what = sources[name], per_mm[name], pixel_mm, index, point_mm
+            places = _places(view, index, distances[index], sources[name])
+            what = sources[name], per_mm[name], pixel_mm, index, *places
             beams[name] = _Beam(*what, margins[name], margins[name])
     return beams, distances
 
 
-def _points(view: View, index: Pixels, distance: NDArray[np.float32]) -> Array:
-    """World points (N, 3) at distances from the camera along the straight rays of pixels."""
+def _places(
+    view: View, index: Pixels, distance: NDArray[np.float32], source: Source
+) -> tuple[Image, Image]:
+    """Where straight rays of pixels are at distances from the camera: its coordinates and others.
+
+    A camera that is no pinhole has none.
+    """
     ray = view.centres(index)
     point = mi.Array3f(ray(in_own_memory(distance, mi.Float)))
-    dr.eval(point)
-    return to_numpy(point)
+    frames = [FamilyFrame.of(f, mi.Array3f) for f in (view.camera, source.family) if f]
+    places = [mi.Array3f(frame.coordinates(point)) for frame in frames]
+    dr.eval(places)
+    seen, own = (np.array(each, np.float32).T for each in (places[0], places[-1]))
+    return seen, own
 
 
 def _probed(
@@ -363,8 +378,8 @@ def _probed(
     family, spare = beam.source.family, 2.0 * beam.pixel_mm * beam.per_mm
     if field is None:
         return replace(beam, margin=spare, moved=np.zeros(2), sight_mm=0.0, march_mm=0.0)
-    some = beam.point[np.linspace(0, len(beam.point) - 1, _PROBES).astype(int)]
-    seen_at, lit_at = camera.coordinates(some), family.coordinates(some)
+    some = np.linspace(0, len(beam.index) - 1, _PROBES).astype(int)
+    seen_at, lit_at = (places[some].astype(float) for places in (beam.seen, beam.own))
     (sideways, moved), finer = (
         (
             displaced(field, camera, steps, seen_at)[:, :2],
@@ -374,8 +389,9 @@ def _probed(
     )
     apart = (np.abs(one - two).max() for one, two in zip((sideways, moved), finer, strict=True))
     # On the surface's tangent plane, the point seen moves along the ray too.
-    heading = camera.rays(*seen_at[:, :2].T)[1]
-    normal = surface.normals(some, heading)
+    centre, heading = camera.rays(*seen_at[:, :2].T)
+    distance = seen_at[:, 2:] / (heading @ camera.pose.rotation[:, 2:])
+    normal = surface.normals(centre + distance * heading, heading)
     lean = np.einsum("ij,ij->i", normal, heading)
     lean = np.sign(lean) * np.maximum(np.abs(lean), _MOST_LEAN) + (lean == 0.0)
     seen = sideways @ camera.pose.rotation[:, :2].T
@@ -399,26 +415,45 @@ def _region(view: View, beams: dict[str, _Beam], distance: NDArray[np.float32]) 
     Bent rays see past edges of the part.
     """
     if not beams:
-        return _Region(view, beams, np.zeros(0, np.uint32), 0.0, float("nan"))
+        nothing = slice(0, 0)
+        none = np.zeros(0, np.uint32), (nothing, nothing)
+        return _Region(view, beams, *none, 0.0, float("nan"))
     pixel_mm = float(np.mean([beam.pixel_mm for beam in beams.values()]))
-    sight_px = max(beam.sight_mm for beam in beams.values()) / pixel_mm
-    mask = np.zeros((view.height, view.width), np.uint8)
+    sight_px = int(np.ceil(max(beam.sight_mm for beam in beams.values()) / pixel_mm))
+    ends = np.concatenate([_ends(np.divmod(b.index, view.width), 1) for b in beams.values()])
+    inner = np.array([ends.min(axis=0), ends.max(axis=0) + 1], int)
+    border = 2 * sight_px + 2
+    first = np.maximum(inner[0] - border, 0)
+    last = np.minimum(inner[1] + border, (view.height, view.width))
+    window = slice(first[0], last[0]), slice(first[1], last[1])
+    mask = _mask(window)
     for beam in beams.values():
-        mask.ravel()[beam.index] = 1
-    inner = cv2.boundingRect(mask)
-    border = 2 * int(np.ceil(sight_px)) + 2
-    left, top, width, height = inner
-    part = (
-        slice(max(top - border, 0), top + height + border),
-        slice(max(left - border, 0), left + width + border),
-    )
+        mask[_places_in(window, beam.index, view.width)] = 1
     square = np.ones((border - 1, border - 1), np.uint8)
-    depth = np.minimum(distance.reshape(mask.shape)[part], _FARTHEST_MM)
+    depth = np.minimum(distance.reshape(view.height, view.width)[window], _FARTHEST_MM)
     edge = cv2.dilate(depth, _THREE) - cv2.erode(depth, _THREE) > _EDGE_PX * pixel_mm
-    beside = cv2.dilate(mask[part], square) & cv2.dilate(edge.astype(np.uint8), square)
-    mask[part] = cv2.dilate(mask[part], _THREE) | beside
-    outer = cv2.boundingRect(mask)
-    beyond = [inner[i] - outer[i] for i in (0, 1)]
-    beyond += [outer[i] + outer[i + 2] - inner[i] - inner[i + 2] for i in (0, 1)]
-    candidates = np.flatnonzero(mask).astype(np.uint32)
-    return _Region(view, beams, candidates, float(max(beyond)), pixel_mm)
+    beside = cv2.dilate(mask, square) & cv2.dilate(edge.astype(np.uint8), square)
+    row, column = np.nonzero(cv2.dilate(mask, _THREE) | beside)
+    outer = first + np.array([[row.min(), column.min()], [row.max() + 1, column.max() + 1]])
+    beyond = float(np.max([inner[0] - outer[0], outer[1] - inner[1]]))
+    candidates = ((row + first[0]) * view.width + column + first[1]).astype(np.uint32)
+    return _Region(view, beams, candidates, window, beyond, pixel_mm)
+
+
+def _mask(window: tuple[slice, slice]) -> NDArray[np.uint8]:
+    """An empty mask of a window."""
+    return np.zeros([side.stop - side.start for side in window], np.uint8)
+
+
+def _places_in(
+    window: tuple[slice, slice], index: Pixels, width: int
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Rows and columns in a window of a film's pixels."""
+    row, column = np.divmod(index, np.uint32(width))
+    return row - np.uint32(window[0].start), column - np.uint32(window[1].start)
+
+
+def _ends(places: Any, axis: int = 0) -> Array:
+    """Lowest and highest of each coordinate, (2, C)."""
+    places = np.asarray(places)
+    return np.array([places.min(axis=axis), places.max(axis=axis)], float)

@@ -118,7 +118,7 @@ class Refractive(mi.SamplingIntegrator):
             sensor = scene.sensors()[sensor]
         with ONE_FRAME:
             prepared = Prepared.of(self.arrangement(scene, sensor))
-            exposure, _ = prepared.exposed(spp, seed)
+            exposure, _ = prepared.exposed(spp, seed, on_film=True)
             return exposure.developed(develop)
 
     def to_string(self) -> str:

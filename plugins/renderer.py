@@ -222,6 +222,7 @@ class Prepared:
         seed: int,
         progress: Callable[[float], None] | None = None,
         others: bool = True,
+        on_film: bool = False,
     ) -> tuple[Exposure, Account]:
         """A frame's samples, and how it was made.
 
@@ -234,6 +235,8 @@ class Prepared:
             Told the fraction done.
         others : bool
             Whether pixels that no source lights are exposed too, if there are lamps.
+        on_film : bool
+            Whether the image is to be on the sensor's film.
         """
         arrangement, lit = self.arrangement, self.lit
         sampler = own_sampler(arrangement.sensor, spp)
@@ -246,7 +249,8 @@ class Prepared:
             dark = np.ones(view.pixels, bool)
             dark[lit.index] = False
             rest = np.flatnonzero(dark).astype(np.uint32)
-        exposure = Exposure(view, sampler, seed, lit.index.size + rest.size, progress)
+        pixels = lit.index.size + rest.size
+        exposure = Exposure(view, sampler, seed, pixels, progress, on_film)
         samples = marched = 0
 
         def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
