@@ -63,6 +63,36 @@ def test_no_column_in_which_both_bands_hold_light_has_a_centre():
         assert np.all(line.status[together] == Status.OVERLAPPING)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_random_lines_are_told_apart_where_they_are_apart_and_nowhere_else(seed):
+    """Rationale: three waves of any brightness and width; which columns are free, by hand."""
+    rng = np.random.default_rng(seed)
+    rows, widths, images = {}, {}, {}
+    for name in "abc":
+        height, slope, swing, wave, phase = rng.uniform(
+            [40.0, -0.1, 0.0, 80.0, 0.0], [160.0, 0.1, 20.0, 300.0, 6.0]
+        )
+        rows[name] = height + slope * (COLUMNS - 300) + swing * np.sin(COLUMNS / wave + phase)
+        widths[name], light = rng.uniform(1.0, 3.0), 10.0 ** rng.uniform(0.0, 2.0)
+        images[name] = line_image(rows[name], widths[name], light, height=HEIGHT)
+    half = {name: 6.0 * width for name, width in widths.items()}
+    truth = {name: TrueLine.of_rows(row).band(HEIGHT, half[name]) for name, row in rows.items()}
+    found = lines_in_bands(sum(images.values()), truth)
+    for name, line in found.items():
+        alone = line_centres(images[name])
+        for column in COLUMNS:
+            gap = min(
+                abs(rows[name][column] - rows[other][column]) - half[name] - half[other]
+                for other in rows
+                if other != name
+            )
+            if gap > 1.0:
+                assert line.status[column] == alone.status[column]
+                assert not abs(line.row[column] - alone.row[column]) > 0.001
+            elif gap < 0.0:
+                assert line.status[column] == Status.OVERLAPPING
+
+
 @pytest.mark.parametrize("ambient", [0.0, 200.0])
 def test_in_noise_and_ambient_light_the_errors_are_those_of_the_line_alone(ambient):
     """Rationale: what is put in place of the other line must be neither brighter nor smoother."""

@@ -67,7 +67,7 @@ def lines_in_bands(
         hidden = reduce(np.logical_or, others, np.zeros_like(own))
         meets = _meets(own, hidden)
         # What is left of a line where others are taken out would be called cut, and its neighbours.
-        lit = _without(image, hidden | (own & meets))
+        lit = _without(image, hidden | (own & meets), hidden | own)
         line = line_centres(lit, method, saturation=saturation, **options)
         if goes_along:  # within a band's breadth of where the line is taken out
             breadth = int(own.sum(axis=0).max(initial=0))
@@ -96,10 +96,10 @@ def _meets(own: Mask, others: Mask) -> Mask:
     return found
 
 
-def _without(image: NDArray, hidden: Mask) -> NDArray:
+def _without(image: NDArray, hidden: Mask, bands: Mask) -> NDArray:
     """The image with hidden pixels filled by what lies beside them in their columns, mirrored.
 
-    So they are as bright and as noisy as their surroundings.
+    So they are as bright and as noisy as their surroundings. What lies in a band is not mirrored.
     """
     height = len(image)
     column, at = np.nonzero(hidden.T)
@@ -113,7 +113,7 @@ def _without(image: NDArray, hidden: Mask) -> NDArray:
     for edge in edges[::-1]:  # what is better is written last
         mirrored = 2 * edge - at + np.sign(at - edge)
         usable = (edge >= 0) & (edge < height) & (mirrored >= 0) & (mirrored < height)
-        usable &= ~hidden[mirrored.clip(0, height - 1), column]
+        usable &= ~bands[mirrored.clip(0, height - 1), column]
         source = np.where(usable, mirrored, source)
     filled = image.copy()
     filled[at, column] = np.where(hidden[source, column], 0, image[source, column])
