@@ -12,8 +12,8 @@ from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
 
-# Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
-_OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
+OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
+"""Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward."""
 
 
 def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
@@ -30,7 +30,7 @@ def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
     matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
     to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     pose = Pose.from_matrix(to_world)
-    turned = Pose(pose.rotation @ _OURS_FROM_MITSUBAS, pose.origin_mm)
+    turned = Pose(pose.rotation @ OURS_FROM_MITSUBAS, pose.origin_mm)
     return Pinhole(matrix, turned, (width, height))
 
 

@@ -36,6 +36,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins import refractive
+from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, pinhole_of
 
 from virtual_sensor import engine
 from virtual_sensor.arrays import to_vectors
@@ -62,8 +63,6 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-# Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward.
-_OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 _ABSOLUTE_ZERO_C = -273.15
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
@@ -289,7 +288,7 @@ class Scene:
                 f" {np.shape(pose.rotation)} and {np.shape(pose.origin_mm)}"
             ) from None
         if is_camera:
-            matrix[:3, :3] = matrix[:3, :3] @ _OURS_FROM_MITSUBAS
+            matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
         stage = _staged(stage.origin, {**stage.poses, name: matrix})
         return replace(
             self,
@@ -608,11 +607,12 @@ def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], d
     """The cameras of a scene, and why its other sensors are none; at least one must be."""
     cameras, unfit = {}, {}
     for name, sensor in sensors.items():
-        held = mi.traverse(sensor)
-        if "x_fov" in held and "aperture_radius" not in held:
-            cameras[name] = _camera(path, name, sensor)
-        else:
+        camera = pinhole_of(sensor)
+        if camera is None:
             unfit[name] = f'{path}: {_sensor(name)} is no <sensor type="perspective">, a pinhole'
+            continue
+        _check_film(f"{path}: {_sensor(name)}", sensor.film())
+        cameras[name] = camera
     if cameras:
         return cameras, unfit
     for reason in unfit.values():
@@ -620,26 +620,12 @@ def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], d
     raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
 
 
-def _camera(path: Path, name: str, sensor: Any) -> Pinhole:
-    """K and pose of a camera, from what Mitsuba holds."""
-    held = mi.traverse(sensor)
-    where = f"{path}: {_sensor(name)}"
-    film = sensor.film()
+def _check_film(where: str, film: Any) -> None:
     width, height = (int(n) for n in film.size())
     if min(width, height) < 1:
         raise InputError(f"{where}: <film> of {width} x {height} px; give a width and a height")
     if [int(n) for n in film.crop_size()] != [width, height]:
         raise InputError(f"{where}: the film is cropped; give the whole film")
-    focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
-    shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
-    shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
-    # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
-    centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
-    matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
-    to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
-    pose = Pose.from_matrix(to_world)
-    pose = replace(pose, rotation=pose.rotation @ _OURS_FROM_MITSUBAS)
-    return Pinhole(matrix, pose, (width, height))
 
 
 def _surface(loaded: Any) -> Surface:
