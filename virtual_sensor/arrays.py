@@ -145,21 +145,15 @@ def by_rows(compute: Callable[..., Result], *arrays: np.ndarray) -> Result:
     arrays : ndarray of shape (N, ...)
     """
     count = len(arrays[0])
-    result = compute(*(at_least(2, array) for array in arrays))
+    result = compute(*map(_two, arrays))
     return result if count > 1 else _first_rows(result, count)
 
 
-def at_least(count: int, rows: np.ndarray) -> np.ndarray:
-    """Rows for Dr.Jit: those given, and copies of the first up to `count`.
-
-    Where none is given they are ones, or zeros of integers: numbers of a row that exists.
-    """
-    missing = count - len(rows)
-    if missing <= 0:
+def _two(rows: np.ndarray) -> np.ndarray:
+    """Two rows at least: the first again; where there is none, ones, which are a direction too."""
+    if len(rows) > 1:
         return rows
-    make = np.zeros if rows.dtype.kind in "iu" else np.ones
-    first = rows[:1] if len(rows) else make((1, *rows.shape[1:]), rows.dtype)
-    return np.concatenate([rows, np.repeat(first, missing, axis=0)])
+    return np.repeat(rows if len(rows) else np.ones((1, *rows.shape[1:]), rows.dtype), 2, axis=0)
 
 
 def _first_rows(tree: Any, count: int) -> Any:
@@ -183,7 +177,7 @@ def _with_room(array: np.ndarray, kind: Any) -> np.ndarray:
     end it at the first kernel that reads it.
     """
     if not array.size:
-        raise ValueError("Dr.Jit knows no empty array: compute `by_rows`, or with `at_least` one")
+        raise ValueError("Dr.Jit knows no empty array: compute `by_rows`")
     held = np.empty(array.size + _PACKET, kind)[: array.size].reshape(array.shape)
     held[...] = array
     return held

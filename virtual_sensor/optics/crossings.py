@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import at_least
 from virtual_sensor.optics.covering_maps import by_octaves, covering_map, first_march
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
@@ -191,7 +190,7 @@ class _Pairs:
         some = np.linspace(0, len(depth) - 1, min(_PROBES, len(depth))).astype(int)
         moved_mm = 0.0
         for family, places in ((self.camera, seen), (self.family, lit)):
-            moved = displaced(field, family, first_march(field), at_least(2, places[some]))
+            moved = displaced(field, family, first_march(field), places[some])
             moved_mm += float(np.linalg.norm(moved[:, :2], axis=1).max())
         (_, one), (_, other) = self.camera.rays(*self.sight.T), self.family.rays(self.s, t)
         sine = np.linalg.norm(np.cross(one, other), axis=1).min()

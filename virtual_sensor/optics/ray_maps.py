@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from virtual_sensor.arrays import to_scalars, to_vectors
+from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
 from virtual_sensor.engine import dr
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.grid_tables import Grid, LinearTable, SplineTable
@@ -413,6 +413,10 @@ def displaced(field: Field, family: RayFamily, march: March, places: Array) -> A
     NoMapError
         If a ray does not get there.
     """
+    return by_rows(lambda some: _displaced(field, family, march, some), places)
+
+
+def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> Array:
     s, t, depth = places.T
     origins, directions = family.rays(s, t)
     line = Straight.through(to_vectors(origins), to_vectors(directions), march)
