@@ -82,12 +82,17 @@ def newton(scene: SearchScene, b: Array, march: March) -> Roots:
 def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) -> Array:
     """Pixels (N, 2) whose marched lines of sight go through points (N, 3), whatever hides them.
 
-    NaN where Newton's method does not settle.
+    NaN where Newton's method does not settle, or only where lines of sight are turned over beside
+    straight ones: beyond a caustic (see `ray_maps`).
     """
+    camera = scene.camera
     pixel, slopes, _ = _roots(scene, points, march)
     left = _step(slopes, misses(scene, points, pixel, march))
-    settled = np.abs(left).max(axis=1) <= _FOUND_PX
-    return np.where(settled[:, None], pixel, np.nan)
+    p, q, depth = camera.coordinates(points).T
+    beside_straight = slopes @ camera.pixel_slopes(p, q) / depth[:, None, None]
+    area, trace = np.linalg.det(beside_straight), np.trace(beside_straight, axis1=1, axis2=2)
+    found = (np.abs(left).max(axis=1) <= _FOUND_PX) & (area > 0.0) & (trace > 0.0)
+    return np.where(found[:, None], pixel, np.nan)
 
 
 def newton_along_line(scene: SearchScene, b: Array) -> Roots:

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 TOLERANCE_PX = 1e-3
 """Of pixels by maps, unless another is asked for."""
 
+MANY = 1000
+"""So many points are projected by maps."""
+
 _BESIDE = 0.5  # images to each side of the sensor: points seen farther out are off the map
 
 
@@ -100,7 +103,7 @@ def projected_points(
     through_medium: bool = True,
     camera: str | None = None,
     *,
-    method: str = "tabulated",
+    method: str | None = None,
     tolerance_px: float = TOLERANCE_PX,
 ) -> ProjectedPoints:
     """`project` with a status for each point.
@@ -109,17 +112,18 @@ def projected_points(
     ----------
     scene, points_mm, through_medium, camera
         See `project`.
-    method : str
+    method : str, optional
         "tabulated": by a map of the camera's lines of sight that is made to the tolerance; by
-        Newton's method where there is no such map.
-        "newton": by Newton's method on marched lines of sight, to 1e-6 px, a hundred times slower.
+        Newton's method where there is no such map.  "newton": by Newton's method on marched lines
+        of sight, to 1e-6 px.  By default maps for `MANY` points and more, since to make one takes
+        longer than to march to a few points.
     tolerance_px : float
         Of "tabulated".
     """
     points = points_of(unmasked(points_mm))
     if points.shape[-1:] != (3,):
         raise InputError(f"project: points_mm has the shape {points.shape}; give it (N, 3)")
-    if method not in ("tabulated", "newton"):
+    if method not in (None, "tabulated", "newton"):
         raise InputError(f"project: method must be tabulated or newton, not '{method}'")
     number_within("project: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
     check_scene_given("project", scene)
@@ -138,10 +142,9 @@ def projected_points(
         beside = finite & (depth > 0.0) & np.isfinite(straight[:, 0])
         pixel, status = np.where(beside[:, None], straight, np.nan), np.where(beside, 0, status)
     elif near.any():
+        by_maps = len(rows) >= MANY if method is None else method == "tabulated"
         pixel[near], status[near] = (
-            _marched(scene, rows[near])
-            if method == "newton"
-            else _tabulated(scene, rows[near], tolerance_px)
+            _tabulated(scene, rows[near], tolerance_px) if by_maps else _marched(scene, rows[near])
         )
     shape = points.shape[:-1]
     return ProjectedPoints(pixel.reshape(*shape, 2), status.reshape(shape).astype(np.uint8))
