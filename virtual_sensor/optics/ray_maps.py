@@ -169,16 +169,17 @@ class RayMap:
         NoMapError
             If it would have too many nodes.
         """
-        shape = [k * (n - 1) + 1 for k, n in zip(self._finer, self.nodes, strict=True)]
+        cubic, finer = self._finer
+        shape = [k * (n - 1) + 1 for k, n in zip(finer, self.nodes, strict=True)]
         if np.prod(shape, dtype=float) > _MOST_LINEAR_NODES:
             raise NoMapError(
                 f"a table within {self.linear_mm:.1e} mm would have {' x '.join(map(str, shape))}"
                 " nodes"
             )
-        return self.table.linear(self._finer)
+        return self.table.linear(cubic, finer)
 
     @cached_property
-    def _finer(self) -> list[int]:
+    def _finer(self) -> tuple[int, list[int]]:
         return self.table.finer(self.linear_mm * np.array(self._units()))
 
     @property
