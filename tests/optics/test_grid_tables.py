@@ -66,6 +66,17 @@ def test_slopes_are_the_splines_derivatives(table, values, axis):
     np.testing.assert_allclose(table.slopes(GRID.nodes(), axis), expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("order", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
+def test_on_another_grid_the_functions_are_the_same(table, order):
+    """Rationale: it is quicker there, and beyond the nodes the outermost cubics go on."""
+    low, high = np.array([-1.1, 20.0, 0.28]), np.array([2.0, 24.3, 0.8])  # some of it beyond
+    other = Grid(low, high, (9, 4, 11))
+    axes = list(np.flatnonzero(order))
+    places = other.nodes()
+    expected = table.slopes(places, axes[0]) if axes else table.at(places)
+    np.testing.assert_allclose(table.on_grid(other, order), expected, rtol=1e-9, atol=1e-9)
+
+
 def smooth_along(values, axis):
     """B-spline coefficients along an axis of values at the nodes."""
     spline = make_interp_spline(np.arange(NODES[axis]), np.moveaxis(values, axis, 0), k=3)

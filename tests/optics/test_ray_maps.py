@@ -192,7 +192,7 @@ def test_first_order_rays_are_tabulated_as_first_order_rays():
     """Rationale: a table must tell of the march that was asked for, not of a better one."""
     march = March(step_mm=1.0, method="rk4", first_order=True)
     camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, march, 1e-4)
-    places = around(camera.table.grid, 50)
+    places = around(camera.table.grid, 200)
     marched = displaced(SPOT.field, view(CAMERA), march, places)
     told = read(camera.linear, places)
     np.testing.assert_allclose(told[:, :2], marched[:, :2], rtol=0, atol=1.5e-4)

@@ -20,11 +20,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
-from virtual_sensor.engine import dr
+from virtual_sensor.arrays import by_rows, to_vectors
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
+from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.grid_tables import Grid, LinearTable, SplineTable
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_status import RayStatus
@@ -35,14 +36,20 @@ Array = NDArray[np.float64]
 _SPLINE = 0.6  # of the tolerance is for the splines; the rest for linear interpolation of them
 _FORWARD = 0.75  # of an inverse map's share is for the forward one that it is made from
 _FEWEST = 4  # nodes of a cubic spline that ends in no knot
-_ALONG = 97, 97, 13  # rays of a line along s, t and depth: they tell how fine a grid to begin with
-_LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 4_000, 30_000, 250_000, 10_000_000
+_FEWEST_CELLS, _PER_CELL = np.array([3, 3, 1]), np.array([1, 1, 3])  # marched ones, and nodes
+_ALONG = (
+    193,
+    193,
+    17,
+)  # rays of a line along s, t and depth: they tell how fine a grid to begin with
+_LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 2_500, 30_000, 250_000, 10_000_000
 _LEVELS = 8
 _PATIENCE = 2.5  # grids are refined as if errors were so many times larger than was seen
-_STRETCH = 1.5e-4  # error of derivatives by s and t, mm per mm: light is concentrated by them
+_STRETCH = 2e-4  # error of derivatives by s and t, mm per mm: light is concentrated by them
 _CHECKS = 96  # rays between the nodes of each axis, and as many anywhere
 _SETTLED = 0.03  # of the tolerance: what is left when a ray through a point is found
 _MOST_STEPS = 12
+_NEAR = 0.005  # of a cell: derivatives are the same so near by
 _ROOM = 1.3  # times the shifts that were seen: an inverse map's forward one reaches so far beyond
 _MOST_PADS = 4
 
@@ -219,13 +226,17 @@ class ForwardMap(RayMap):
 
         It works beside a caustic too, where there is no `InverseMap`.
         """
-        start, folded, missed = self._through(self.family.coordinates(points_mm))
-        off = ~self.table.grid.holds(start)
+        places = self.family.coordinates(points_mm)
+        found = self._through(places, self.table.at(places), self.jacobian(places))
+        off = ~self.table.grid.holds(found.start)
         status = np.where(off, MapStatus.OFF, MapStatus.OK)
-        status = np.where(folded | (missed & ~off), MapStatus.FOLDED, status)
+        status = np.where(found.folded | (found.missed & ~off), MapStatus.FOLDED, status)
         ok = status == MapStatus.OK
-        start = np.where(ok[:, None], start, np.nan)
-        return PointRays(start[:, :2], self.points(start).direction, status.astype(np.uint8))
+        s, t, _ = np.where(ok[:, None], found.start, np.nan).T
+        slope = np.stack(np.broadcast_arrays(*self.family.slope(s, t), 1.0), axis=1)
+        slope[:, :2] += found.moved[:, 2:]
+        direction = _unit(slope @ self.family.pose.rotation.T)
+        return PointRays(np.stack([s, t], axis=1), direction, status.astype(np.uint8))
 
     def jacobian(self, places: Array) -> Array:
         """d(x, y)/d(s, t) in mm of the bent rays at places (N, 3): (N, 2, 2)."""
@@ -244,27 +255,52 @@ class ForwardMap(RayMap):
         trace = (y_t * a - x_t * c - y_s * b + x_s * d) / spread
         return np.asarray((_determinant(jacobian) / spread <= 0.0) | (trace <= 0.0))
 
-    def _through(self, places: Array) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Starts (s, t, depth) of the bent rays through where straight ones are.
+    def _through(self, places: Array, moved: Array, jacobian: Array) -> "_Through":
+        """The bent rays through where straight ones are, by Newton's method.
 
-        Off the box they are guesses: splines extrapolate.  Also which of them met a fold on their
-        way, and which were not found.
+        `moved` and `jacobian` are those of the bent rays at the places, to start with.
         """
-        start = places.copy()
+        start, of = places.copy(), places.copy()
+        moved, jacobian = moved.copy(), jacobian.copy()
         settled_mm = _SETTLED * self.error_mm if self.error_mm else 1e-9
-        wanted = _straight(self.family, places)
-        folded = np.zeros(len(places), bool)
+        wanted, near = _straight(self.family, places), _NEAR * self.table.grid.spacing
+        folded = self.table.grid.holds(of) & self._folded(of, jacobian)
         for _ in range(_MOST_STEPS):
-            held = self.table.grid.holds(start)
-            miss = wanted - _straight(self.family, start) - self.table.at(start)[:, :2]
+            miss = wanted - _straight(self.family, start) - moved[:, :2]
             missed = ~(np.abs(miss).max(axis=1) < settled_mm)
-            jacobian = self.jacobian(start)
-            folded |= held & self._folded(start, jacobian)
             go = missed & ~folded
             if not go.any():
                 break
             start[go, :2] += _solved(jacobian[go], miss[go])
-        return start, folded, missed
+            moved[go] = self.table.at(start[go])
+            far = go & np.any(np.abs(start - of) > near, axis=1)
+            of[far] = start[far]
+            jacobian[far] = self.jacobian(of[far])
+            folded[far] |= self.table.grid.holds(of[far]) & self._folded(of[far], jacobian[far])
+        return _Through(start, moved, jacobian, folded, missed)
+
+
+@dataclass(frozen=True)
+class _Through:
+    """The bent rays through places.
+
+    Attributes
+    ----------
+    start : ndarray of shape (N, 3)
+        (s, t) of the rays, and the depth.  Off the map they are guesses: splines extrapolate.
+    moved : ndarray of shape (N, 4)
+        The map there.
+    jacobian : ndarray of shape (N, 2, 2)
+        There or very near by.
+    folded, missed : ndarray of shape (N,)
+        Rays that met a fold on their way, and those that were not found.
+    """
+
+    start: Array
+    moved: Array
+    jacobian: Array
+    folded: NDArray[np.bool_]
+    missed: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,7 +367,7 @@ def forward_map(
         return displaced(field, family, march, place)
 
     spline_mm = _SPLINE * tolerance_mm
-    shape = _Lines.through(marched, family, low, high).shape(spline_mm, low, high)
+    shape = _Lines.through(marched, family, low, high).shape(spline_mm, np.inf, low, high)
     table, error_mm, largest_mm = _refined(marched, low, high, spline_mm, shape)
     return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
 
@@ -369,11 +405,11 @@ def inverse_map(
     pad = _ROOM * np.append(np.abs(shift).max(axis=0), 0.0)
     for _ in range(_MOST_PADS):
         room = low - pad, high + pad
-        first = lines.shape(_FORWARD * spline_mm, *room)
+        first = lines.shape(_FORWARD * spline_mm, _STRETCH, *room)
         table, error_mm, largest_mm = _refined(marched, *room, _FORWARD * spline_mm, first)
         ahead = ForwardMap(family, table, error_mm, linear_mm, largest_mm)
         grid = Grid(low, high, _shape_like(table.grid, low, high))
-        values, reach = _inverted(ahead, grid.nodes())
+        values, reach = _inverted(ahead, grid)
         if np.all(table.grid.holds(reach)):
             break
         beyond = np.maximum(low - reach.min(axis=0), reach.max(axis=0) - high)
@@ -391,7 +427,7 @@ def inverse_map(
             return InverseMap(family, table, error_mm, linear_mm, ahead.largest_mm)
         finer = [int(1.3 * n) for n in grid.shape]
         grid = Grid(low, high, (finer[0], finer[1], finer[2]))
-        values, _ = _inverted(ahead, grid.nodes())
+        values, _ = _inverted(ahead, grid)
     raise _too_coarse(grid.shape, error_mm, spline_mm)
 
 
@@ -418,12 +454,12 @@ def displaced(field: Field, family: RayFamily, march: March, places: Array) -> A
 
 
 def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> Array:
-    s, t, depth = places.T
-    origins, directions = family.rays(s, t)
-    line = Straight.through(to_vectors(origins), to_vectors(directions), march)
-    rotation = family.pose.rotation
-    x, y, z = (dr.opaque(march.vector(*map(float, rotation[:, k]))) for k in range(3))
-    plane = march.scalar(to_scalars(depth + float(rotation[:, 2] @ family.pose.origin_mm)))
+    s, t, depth = to_vectors(places)
+    frame = FamilyFrame.of(family, mi.Array3f64)
+    origin, direction, _ = frame.rays(s, t)
+    line = Straight.through(origin, direction, march)
+    x, y, z = (march.vector(axis) for axis in (frame.x, frame.y, frame.z))
+    plane = march.scalar(depth + frame.centre[2])
     ray = bend(
         field,
         NoSurface(),
@@ -443,8 +479,8 @@ def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> 
     return np.stack([np.array(n, float) for n in numbers], axis=1)
 
 
-def _inverted(ahead: ForwardMap, places: Array) -> tuple[Array, Array]:
-    """From where rays go to which ray comes.
+def _inverted(ahead: ForwardMap, grid: Grid) -> tuple[Array, Array]:
+    """From where rays go to which ray comes, at the nodes of a grid.
 
     Returns
     -------
@@ -453,17 +489,23 @@ def _inverted(ahead: ForwardMap, places: Array) -> tuple[Array, Array]:
     start : ndarray of shape (N, 3)
         The rays; values of those that are off the map are guesses.
     """
-    family = ahead.family
-    start, folded, missed = ahead._through(places)
-    if folded.any():
+    family, places = ahead.family, grid.nodes()
+    moved, by_s, by_t = (
+        ahead.table.on_grid(grid, order) for order in ((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    )
+    jacobian = np.stack([by_s[:, :2], by_t[:, :2]], axis=2)
+    jacobian += _matrices(family.by_coordinates(*places.T), len(places))
+    found = ahead._through(places, moved, jacobian)
+    if found.folded.any():
         raise CausticError("the map folds: a caustic")
-    if missed.any():
+    if found.missed.any():
         raise CausticError("no single ray was found through each point: a caustic may be near")
+    start = found.start
     bent, straight = (
         np.stack(np.broadcast_arrays(*family.slope(*p.T[:2])), axis=1) for p in (start, places)
     )
-    shift, slope = start[:, :2] - places[:, :2], bent - straight + ahead.table.at(start)[:, 2:]
-    more = family.spread(*places.T) / _determinant(ahead.jacobian(start)) - 1.0
+    shift, slope = start[:, :2] - places[:, :2], bent - straight + found.moved[:, 2:]
+    more = family.spread(*places.T) / _determinant(found.jacobian) - 1.0
     return np.column_stack([shift, slope, more]), start
 
 
@@ -484,10 +526,10 @@ def _refined(
     for _ in range(_LEVELS):
         if np.prod(grid.shape, dtype=float) > _MOST_NODES:
             break
-        nodes, checks = grid.nodes(), _checks(grid)
-        values = marched(np.concatenate([nodes, checks]))
-        values, truth = values[: len(nodes)], values[len(nodes) :]
-        table = SplineTable(grid, values)
+        planes, checks = _planes(grid), _checks(grid)
+        values = marched(np.concatenate([planes.nodes(), checks]))
+        values, truth = np.split(values, [-len(checks)])
+        table = SplineTable(grid, _between_planes(planes, values))
         wrong = np.linalg.norm((table.at(checks) - truth)[:, :2], axis=1).reshape(4, -1)
         by_axis = wrong.max(axis=1)
         reached = grid.shape, float(by_axis.max())
@@ -496,9 +538,41 @@ def _refined(
         factor = np.clip(_finer(by_axis[:3], tolerance_mm), 1.0, 4.0)
         worst = int(np.argmax(by_axis[:3]))
         factor[worst] = max(factor[worst], 1.2)
-        finer = [int(np.ceil((n - 1) * f)) + 1 for n, f in zip(grid.shape, factor, strict=True)]
-        grid = Grid(grid.low, grid.high, (finer[0], finer[1], finer[2]))
+        cells = (np.array(grid.shape) - 1.0) / _PER_CELL * factor
+        grid = Grid(grid.low, grid.high, _shape(cells))
     raise _too_coarse(*reached, tolerance_mm)
+
+
+def _shape(cells: Array) -> tuple[int, int, int]:
+    """Nodes of so many cells; along the depth, those between marched planes."""
+    s, t, depth = np.maximum(np.ceil(cells - 1e-9).astype(int), _FEWEST_CELLS) * _PER_CELL + 1
+    return int(s), int(t), int(depth)
+
+
+def _planes(grid: Grid) -> Grid:
+    """The nodes of a grid that rays are marched to: every third depth."""
+    s, t, depth = grid.shape
+    return Grid(grid.low, grid.high, (s, t, (depth - 1) // int(_PER_CELL[2]) + 1))
+
+
+def _between_planes(planes: Grid, values: Array) -> Array:
+    """Displacements and slopes (N, 4) at all depths of a grid, out of those at its planes.
+
+    Hermite's cubic: rays are known with their slopes, and every plane more takes as long again.
+    """
+    shaped = values.reshape(*planes.shape, 2, 2)  # ..., displacement or slope, x or y
+    step = planes.spacing[2]
+    u = np.arange(1.0, _PER_CELL[2])[:, None] / _PER_CELL[2]
+    here, there = shaped[:, :, :-1, None], shaped[:, :, 1:, None]
+    rise = there[..., 0, :] - here[..., 0, :]
+    bend, turn = step * here[..., 1, :] - rise, rise - step * there[..., 1, :]
+    swing = (1.0 - u) * bend + u * turn
+    moved = here[..., 0, :] + u * (rise + (1.0 - u) * swing)
+    slope = (rise + (1.0 - 2.0 * u) * swing + u * (1.0 - u) * (turn - bend)) / step
+    cells = np.concatenate([here, np.stack([moved, slope], axis=-2)], axis=3)
+    inner = cells.reshape(*planes.shape[:2], -1, 4)
+    last = values.reshape(*planes.shape, 4)[:, :, -1:]
+    return np.concatenate([inner, last], axis=2).reshape(-1, 4)
 
 
 @dataclass(frozen=True)
@@ -530,23 +604,30 @@ class _Lines:
         places = np.concatenate(lines)
         return _Lines(low, high, places, marched(places), np.array(spacing))
 
-    def shape(self, tolerance_mm: float, low: Array, high: Array) -> tuple[int, int, int]:
+    def shape(
+        self, tolerance_mm: float, stretch: float, low: Array, high: Array
+    ) -> tuple[int, int, int]:
         """About how many nodes each axis of a box like this one needs."""
         cells, first = np.zeros(3), 0
         for axis, count in enumerate(_ALONG):
-            line = self.values[first : first + 3 * count, :2].reshape(3, count, 2)
-            along = line.transpose(1, 0, 2).reshape(count, 6)
+            line = self.values[first : first + 3 * count].reshape(3, count, 4)
+            along, slopes = line.transpose(1, 2, 0).reshape(count, 2, 6).transpose(1, 0, 2)
             larger = (high[axis] - low[axis]) / (self.high[axis] - self.low[axis])
-            slope_mm = _STRETCH * self.spacing_mm[axis]
-            cells[axis] = larger * _cells_for(along, tolerance_mm / _PATIENCE, slope_mm)
+            if axis < 2:
+                slope_mm = stretch * self.spacing_mm[axis]
+                needed = _cells_for(along, tolerance_mm / _PATIENCE, slope_mm)
+            else:
+                step = (self.high[axis] - self.low[axis]) / (count - 1)
+                needed = _depths_for(along, slopes * step, tolerance_mm / _PATIENCE)
+            cells[axis] = larger * needed
             first += 3 * count
-        cells = np.maximum(cells, _FEWEST - 1.0)
+        cells = np.maximum(cells, _FEWEST_CELLS)
+        rays = float(np.prod(cells + 1.0))
         # Few rays take as long as some thousand; and where no grid will do, for noise, the error
         # reached is to be known in no time.
-        cells[:2] *= max(_LEAST_FIRST / float(np.prod(cells)), 1.0) ** (1.0 / 2.0)
-        cells *= min(_MOST_FIRST / float(np.prod(cells)), 1.0) ** (1.0 / 3.0)
-        s, t, depth = (max(int(np.ceil(n)) + 1, _FEWEST) for n in cells)
-        return s, t, depth
+        cells[:2] *= max(_LEAST_FIRST / rays, 1.0) ** (1.0 / 2.0)
+        cells *= min(_MOST_FIRST / rays, 1.0) ** (1.0 / 3.0)
+        return _shape(cells)
 
 
 def _shape_like(grid: Grid, low: Array, high: Array) -> tuple[int, int, int]:
@@ -564,16 +645,32 @@ def _cells_for(values: Array, tolerance_mm: float, slope_mm: float) -> float:
     cells = len(values) - 1
     at, skip = np.arange(cells + 1.0), cells // (_FEWEST - 1)
     skip = 1 << (skip.bit_length() - 1)  # the most whose cells are whole
-    slopes = CubicSpline(at, values)(at, 1)
+    quarters = np.arange(0.0, cells, 0.5)  # a spline's slope is nearly right at half a cell
+    slopes = CubicSpline(at, values)(quarters, 1)
     while True:
         spline = CubicSpline(at[::skip], values[::skip])
         wrong = float(np.abs(spline(at) - values).max()) / tolerance_mm
-        turned = float(np.abs(spline(at, 1) - slopes).max()) / slope_mm
+        turned = float(np.abs(spline(quarters, 1) - slopes).max()) / slope_mm
         if max(wrong, turned) <= 1.0 or skip == 2:
             break
         skip //= 2
-    finer = max(wrong ** (1.0 / 4.0), turned ** (1.0 / 3.0))  # as the errors fall with the spacing
+    # Of smooth rays errors fall with the fourth and the third power of the spacing; through a field
+    # on a grid, whose cubics have kinks in their third derivative, more slowly.
+    finer = max(wrong ** (1.0 / 3.0), turned ** (1.0 / 2.0))
     return cells / skip * max(finer, 0.5)
+
+
+def _depths_for(values: Array, slopes: Array, tolerance_mm: float) -> float:
+    """How many cells Hermite's cubics need along evenly spaced values and slopes (N, C)."""
+    cells = len(values) - 1
+    at, skip = np.arange(cells + 1.0), cells
+    while True:
+        cubic = CubicHermiteSpline(at[::skip], values[::skip], slopes[::skip])
+        wrong = float(np.abs(cubic(at) - values).max()) / tolerance_mm
+        if wrong <= 1.0 or skip == 2:
+            break
+        skip //= 2
+    return float(cells / skip * max(wrong ** (1.0 / 4.0), 0.5))
 
 
 def _finer(error_mm: Array, tolerance_mm: float) -> Array:
