@@ -43,6 +43,7 @@ _ALONG = (
     17,
 )  # rays of a line along s, t and depth: they tell how fine a grid to begin with
 _LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 2_500, 30_000, 250_000, 10_000_000
+_MOST_FIRST_ALONG = 500
 _LEVELS = 8
 _PATIENCE = 2.5  # grids are refined as if errors were so many times larger than was seen
 _STRETCH = 2e-4  # error of derivatives by s and t, mm per mm: light is concentrated by them
@@ -621,7 +622,7 @@ class _Lines:
                 needed = _depths_for(along, slopes * step, tolerance_mm / _PATIENCE)
             cells[axis] = larger * needed
             first += 3 * count
-        cells = np.maximum(cells, _FEWEST_CELLS)
+        cells = np.clip(cells, _FEWEST_CELLS, _MOST_FIRST_ALONG)
         rays = float(np.prod(cells + 1.0))
         # Few rays take as long as some thousand; and where no grid will do, for noise, the error
         # reached is to be known in no time.
