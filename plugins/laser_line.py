@@ -10,10 +10,9 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Sheet
-from virtual_sensor.poses import Pose
+from virtual_sensor.poses import Pose, keeps_lengths
 
 _FARTHEST_MM = 1e6  # float32 places are good to 0.06 mm there
-_SQUARE = 1e-4  # a rotation's axes are of length 1 and square to each other, but for rounding
 _MOST_DOTS = 1000
 
 
@@ -123,7 +122,7 @@ def pose_of(props: mi.Properties) -> Pose:
         raise InputError(
             "laser_line: 'to_world' is no rotation; give a <lookat> whose up and direction differ"
         )
-    if not np.allclose(axes.T @ axes, np.eye(3), atol=_SQUARE):
+    if not keeps_lengths(axes):
         raise InputError(
             "laser_line: 'to_world' scales or shears, which a laser can't; give rotations and"
             " translations alone, and its size by 'length', 'radius' and 'distance'"

@@ -4,6 +4,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.renderer import Arrangement, Prepared, arrangement_of
 
@@ -14,6 +15,7 @@ from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.transports import Transport
+from virtual_sensor.poses import Pose, keeps_lengths
 
 _LONGEST_NAME = 100  # of a file, in a message that names several places
 _MOST_STEPS = 40_000  # of a march: twice the default, for rays aslant through the field
@@ -36,6 +38,7 @@ class Refractive(mi.SamplingIntegrator):
     tolerance        0.003       Largest error of the tables, px
     interpolation    "cubic"     Of the field: "cubic" or "linear"
     dimensions       3           Of the field; 2: its section x = 0, extruded along x
+    to_world         (none)      Rotations and translations of the field, such as its part's
     step             2           Step of the march, mm
     method           "leapfrog"  "leapfrog", "sharma" or "rk4"
     precision        "single"    "single" or "double"
@@ -59,6 +62,7 @@ class Refractive(mi.SamplingIntegrator):
                 wavelength_nm=float(props.get("wavelength", 532.0)),
                 interpolation=str(props.get("interpolation", "cubic")),
                 dimensions=int(props.get("dimensions", 3)),
+                pose=_pose(props),
             )
         except InputError as error:
             raise InputError(f"refractive: {error}") from None
@@ -124,6 +128,21 @@ class Refractive(mi.SamplingIntegrator):
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
         return f"Refractive[{self.transport.march}, field={self.air.path}]"
+
+
+def _pose(props: mi.Properties) -> Pose | None:
+    """Where the field is moved; None if it stays where its file has it."""
+    if "to_world" not in props:
+        return None
+    matrix = np.asarray(props["to_world"].matrix, float).reshape(4, 4)
+    if np.array_equal(matrix, np.eye(4)):
+        return None
+    if not keeps_lengths(matrix[:3, :3]) or np.linalg.det(matrix) < 0.0:
+        raise InputError(
+            "'to_world' does more than turn and move, which air can't; give rotations and"
+            " translations alone"
+        )
+    return Pose.from_matrix(matrix)
 
 
 def _instant(text: str) -> float | None:

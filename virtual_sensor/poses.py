@@ -14,10 +14,10 @@ from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
 
-_RIGID = 1e-6  # of a rotation's products with its transpose
+_SQUARE = 1e-4  # float32's rounding, of some turns after one another
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """Where a frame stands in the world: ``world = rotation @ local + origin_mm``.
 
@@ -32,6 +32,15 @@ class Pose:
 
     rotation: Array
     origin_mm: Array
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Pose) and all(
+            np.array_equal(one, two)
+            for one, two in zip(vars(self).values(), vars(other).values(), strict=True)
+        )
+
+    def __hash__(self) -> int:
+        return hash((np.shape(self.rotation), float(np.sum(self.origin_mm))))
 
     @staticmethod
     def from_matrix(to_world: ArrayLike) -> "Pose":
@@ -51,6 +60,11 @@ class Pose:
     def moved(self, motion: "Pose") -> "Pose":
         """The frame after a rigid motion of the world's points."""
         return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))
+
+
+def keeps_lengths(turn: Array, tolerance: float = _SQUARE) -> bool:
+    """Whether a matrix (3, 3) only turns and mirrors, but for rounding."""
+    return bool(np.abs(turn.T @ turn - np.eye(3)).max() <= tolerance)
 
 
 class Movable:
@@ -78,7 +92,7 @@ class Movable:
                 "a motion has a rotation (3, 3) and a finite origin_mm (3,), not"
                 f" {turn.shape} and {shift.shape}"
             )
-        if not (np.abs(turn.T @ turn - np.eye(3)).max() < _RIGID and np.linalg.det(turn) > 0.0):
+        if not (keeps_lengths(turn, 1e-9) and np.linalg.det(turn) > 0.0):
             raise InputError(
                 "the motion's rotation does more than turn; give an orthogonal matrix of"
                 " determinant 1"

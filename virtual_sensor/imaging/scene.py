@@ -14,6 +14,7 @@ id                               the name of a camera or a source; those without
 shape of a file: ply, obj, stl   checked, and read where Mitsuba can't: `imaging.parts`
 other shapes, bsdf, texture      heeded, by Mitsuba
 to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
+to_world of the integrator       turns and moves the air
 medium                           ignored, with a note
 numbers                          what is not finite is refused
 lengths                          in mm; a scene that seems to be in metres gets a note

@@ -11,6 +11,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import naming
+from virtual_sensor.poses import Pose
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class MediumDescription:
         Between the nodes: "cubic" or "linear".
     dimensions : int
         3, or 2: the section x = 0, extruded along x.
+    pose : Pose or None
+        Then: where all this is moved; None: it stays where the file has it.
 
     Raises
     ------
@@ -47,6 +50,7 @@ class MediumDescription:
     wavelength_nm: float = 532.0
     interpolation: str = "cubic"
     dimensions: int = 3
+    pose: Pose | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.wavelength_nm < np.inf:
@@ -57,6 +61,8 @@ class MediumDescription:
             raise InputError("'time' is one of a field's; give the 'field', or no time")
         if self.path is None and (self.widen, self.blur_mm) != (1.0, 0.0):
             raise InputError("'widen' and 'blur' are of a field; give the 'field', or neither")
+        if self.path is None and self.pose is not None:
+            raise InputError("'to_world' moves a field; give the 'field', or none of both")
 
     def read(self) -> IndexField | None:
         """Read the field; None of homogeneous air.
@@ -64,7 +70,7 @@ class MediumDescription:
         Raises
         ------
         InputError
-            If the file can't be used, or the field not be broadened or simplified so.
+            If the file can't be used, or the field not be broadened, simplified or moved so.
         """
         if self.path is None:
             return None
@@ -72,7 +78,8 @@ class MediumDescription:
         with naming(self.path):
             broad = blurred(widened(air, self.widen), self.blur_mm)
             simple = broad.simplified(self.interpolation, self.dimensions)
-        return replace(simple, notes=air.notes)
+            placed = simple if self.pose is None else simple.moved(self.pose)
+        return replace(placed, notes=air.notes)
 
     def at(self, time_s: float) -> MediumDescription:
         """The same of another instant, s, of the file.

@@ -37,8 +37,12 @@ class FieldFamily:
             raise InputError("a family of fields needs those of two wall temperatures at least")
         (at, first), *others = self.fields.items()
         for temperature, field in others:
-            if (field.shape, field.mirror) != (first.shape, first.mirror) or not np.allclose(
-                _place(field), _place(first), rtol=1e-9, atol=1e-9
+            kinds = [(each.shape, each.mirror, each.pose) for each in (field, first)]
+            if kinds[0] != kinds[1] or not np.allclose(
+                [*field.box.ravel(), *field.spacing],
+                [*first.box.ravel(), *first.spacing],
+                rtol=1e-9,
+                atol=1e-9,
             ):
                 raise InputError(
                     f"the fields of {at:g} and {temperature:g} degC differ in their grids (shape,"
@@ -95,9 +99,3 @@ class FieldFamily:
         for weight, field in zip(weights, self.fields.values(), strict=True):
             blend += weight * (field.nodes - field.ambient)
         return blend
-
-
-def _place(field: IndexField) -> list[float]:
-    """Numbers by which grids are told apart."""
-    frame = field.to_world(np.vstack([np.zeros(3), np.eye(3)]))
-    return [*field.box.ravel(), *field.spacing, *frame.ravel()]

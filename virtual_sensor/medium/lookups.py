@@ -19,8 +19,8 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.spline import bspline_coefficients
 
-MOST_PACKED = 2**26
-"""Coefficients of a field up to which a lookup takes four times their memory: 1 GB in float32."""
+MOST_PACKED = 2**25
+"""Coefficients up to which a lookup takes four times their memory: half a GB in float32."""
 
 _BEYOND = 3  # cells at the border
 

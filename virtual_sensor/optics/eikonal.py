@@ -15,8 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
@@ -98,7 +96,7 @@ def bend(
     InputError
         If a variation is moved otherwise than the field.
     """
-    if field and any(not _same(field.pose, variation.pose) for variation in variations):
+    if field and any(variation.pose != field.pose for variation in variations):
         raise InputError("bend: a field and its variations must be moved by the same motions")
     if field is None or field.pose is None:
         return _bent(field, surface, line, march, remaining, tangents, variations, active)
@@ -180,13 +178,6 @@ class _SurfaceSeenFrom:
     def starts_inside(self, origin: Any, direction: Any) -> Any:
         """See `Surface`."""
         return self.surface.starts_inside(*self._in_world(origin, direction))
-
-
-def _same(one: Pose | None, other: Pose | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    same_turn = np.array_equal(one.rotation, other.rotation)
-    return same_turn and np.array_equal(one.origin_mm, other.origin_mm)
 
 
 def _bent(

@@ -176,6 +176,8 @@ def field_info(
     loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {}))
     wavelength_nm = loaded.air.wavelength_nm
     field = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
+    if loaded.air.pose:
+        field = field.moved(loaded.air.pose)
     contents = _contents(path)
     if time_s is None and contents.times_s is not None:
         time_s = float(contents.times_s[-1])
@@ -183,6 +185,8 @@ def field_info(
     report("following the light", 0.1)
     in_it = loaded.with_medium(field)
     line, probes, effect, pixels, notes = None, np.zeros(0), None, None, [*field.notes]
+    if field.pose:
+        notes.append("the scene moves the field (to_world): boxes and cuts are of its own frame")
     try:
         line = lit_line(in_it)
     except InputError as error:
@@ -240,7 +244,8 @@ def inside_part(scene: Scene, points_mm: Array) -> NDArray[np.bool_]:
 
 def _node_places(field: IndexField) -> Array:
     """World positions of all nodes, (nx * ny * nz, 3)."""
-    return field.origin + np.indices(field.shape).reshape(3, -1).T * field.spacing
+    nodes = np.indices(field.shape).reshape(3, -1).T
+    return field.to_world(field.origin + nodes * field.spacing)
 
 
 def searched_pixels(scene: Scene, y_mm: Array, field: IndexField | None) -> Array:

@@ -126,18 +126,18 @@ def make_cut(info: FieldInfo, across: int, up: int, place_mm: float) -> Cut:
     points = np.full((len(rise), len(side), 3), place_mm)
     points[..., across], points[..., up] = side, rise[:, None]
     flat = points.reshape(-1, 3)
-    n, solid = info.field.refractivity(flat), _solid(info, flat)
+    n, solid = info.field.refractivity(info.field.to_world(flat)), _solid(info, flat)
     shape = points.shape[:2]
     return Cut(across, up, place_mm, side, rise, n.reshape(shape), solid.reshape(shape))
 
 
 def _solid(info: FieldInfo, points_mm: Array) -> NDArray[np.bool_]:
-    """Which points (N, 3) lie in the solid: by the scene's part, else by the nearest node."""
+    """Which points of the field's frame are solid: by the scene's part, else the nearest node."""
+    field = info.field
     if info.scene:
-        return inside_part(info.scene, points_mm)
+        return inside_part(info.scene, field.to_world(points_mm))
     if info.solid is None:
         return np.zeros(len(points_mm), bool)
-    field = info.field
     offset = points_mm - field.origin
     node = np.rint(np.where(field.mirror, np.abs(offset), offset) / field.spacing).astype(int)
     return np.asarray(info.solid[tuple(np.clip(node, 0, np.array(field.shape) - 1).T)])
@@ -185,11 +185,12 @@ def _draw_ways(axes: Axes, info: FieldInfo, cut: Cut) -> None:
     laser_mm, _ = sensor.laser.family.rays(0.0, line.y_mm[chosen])
     camera_mm = np.broadcast_to(sensor.camera.pose.origin_mm, ends.shape)
     for who, starts in (("laser", laser_mm), ("camera", camera_mm)):
-        ways = np.stack([starts, ends])
+        ways = np.stack([info.field.to_local(place) for place in (starts, ends)])
         axes.plot(ways[..., cut.across], ways[..., cut.up], color=_COLOURS[who], lw=0.9)
         if cut.normal == 2:
-            share = (cut.place_mm - starts[:, 2]) / (ends - starts)[:, 2]
-            through = starts + share[:, None] * (ends - starts)
+            along = ways[1] - ways[0]
+            share = (cut.place_mm - ways[0, :, 2]) / along[:, 2]
+            through = ways[0] + share[:, None] * along
             axes.plot(through[:, 0], through[:, 1], "o", ms=3, color=_COLOURS[who])
 
 
