@@ -226,6 +226,10 @@ class Scene:
     field: Any
     surface: Any
 
+    @property
+    def camera(self):
+        return self.sensor.camera
+
 
 @pytest.fixture(scope="module")
 def scene():

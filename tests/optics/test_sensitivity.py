@@ -46,6 +46,10 @@ class Scene:
     field: Any
     surface: Any
 
+    @property
+    def camera(self):
+        return self.sensor.camera
+
 
 def turned(pose, turn_deg, pivot_mm, shift_mm):
     """A pose after a turn about a world point, and a shift; by SciPy's rotations."""
