@@ -13,7 +13,7 @@ from virtual_sensor.medium import exact_fields
 from virtual_sensor.medium.exact_fields import ExactField
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.illumination import LightStatus, illuminate
-from virtual_sensor.optics.ray_families import Pinhole, Sheet
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
 from virtual_sensor.optics.ray_maps import (
     CausticError,
     MapStatus,
@@ -299,6 +299,38 @@ def test_concentration_is_the_share_of_a_tube_of_independent_rays(laser, mapped)
     expected = (1.0 + laser.fan_per_mm * (depth - laser.distance_mm)) / area
     np.testing.assert_allclose(1.0 + told[:, 4], expected, rtol=1e-3)
     assert np.ptp(expected) > 0.1
+
+
+@dataclass(frozen=True)
+class Uneven(RayFamily):
+    """Parallel rays whose names lie the denser the farther out: y = t + k t^2."""
+
+    pose: Pose
+    per_mm: float
+
+    def foot(self, s, t):
+        return s, t + self.per_mm * t * t
+
+    def slope(self, s, t):
+        return 0.0 * s, 0.0 * t
+
+    def straight(self, x, y, depth):
+        return x, 2.0 * y / (1.0 + np.sqrt(1.0 + 4.0 * self.per_mm * y))
+
+    def by_coordinates(self, s, t, depth):
+        return 1.0, 0.0, 0.0, 1.0 + 2.0 * self.per_mm * t
+
+
+def test_the_determinant_is_that_of_the_shifts_where_names_lie_unevenly():
+    """Where a tube's spread changes with its name, too: by the shifts' own derivatives."""
+    family = Uneven(frame([-40.0, 15.0, 80.0], [1.0, -1.0, 0.5]), 0.02)
+    mapped = inverse_map(SPOT.field, family, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    places = around(mapped.table.grid, 60)
+    by_s, by_t = (mapped.table.slopes(places, axis)[:, :2] for axis in (0, 1))
+    determinant = (1.0 + by_s[:, 0]) * (1.0 + by_t[:, 1]) - by_s[:, 1] * by_t[:, 0]
+    told = mapped.table.at(places)[:, 4]
+    np.testing.assert_allclose(1.0 + told, determinant, rtol=2e-3)
+    assert np.ptp(determinant) > 0.1
 
 
 def points_of(laser, places):

@@ -19,6 +19,7 @@ SCREENED = """<scene version="3.0.0">
     <default name="jitter" value="false"/>
     <default name="size" value="300"/>
     <default name="spp" value="4"/>
+    <default name="fan" value="0"/>
     <integrator type="refractive"><float name="step" value="8"/></integrator>
     <sensor type="perspective">
         <float name="fov" value="8.6"/>
@@ -32,7 +33,7 @@ SCREENED = """<scene version="3.0.0">
     </sensor>
     <emitter type="laser_line">
         <float name="length" value="20"/><float name="radius" value="2"/>
-        <float name="power" value="0.1"/>
+        <float name="power" value="0.1"/><float name="fan" value="$fan"/>
         <transform name="to_world"><lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>
         </transform>
     </emitter>
@@ -184,6 +185,34 @@ def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):
     middle = (np.abs(a) < 0.5) & (np.abs(b) < 1.0)
     density = 0.1 / 20.0 / 2.0 * np.sqrt(2.0 / np.pi) * np.exp(-2.0 * (a[middle] / 2.0) ** 2)
     np.testing.assert_allclose(screened_frame.radiance[middle], 0.5 / np.pi * density, rtol=0.002)
+
+
+@pytest.mark.parametrize("transport", ["tabulated", "marched"])
+@pytest.mark.parametrize(("hot", "fan"), [(False, 3.5), (True, 0), (True, 3.5)])
+def test_radiance_is_the_light_between_neighbouring_rays(hot, fan, transport, tmp_path):
+    """Rays of neighbouring pixels carry what lies between their coordinates, onto the area seen.
+
+    By differences of the truth: it knows nothing of a tube's spread, nor of light that hot air or
+    a fan concentrates, nor of how aslant it falls.
+    """
+    scene = screened(tmp_path, fan=fan, spp=1)
+    scene = scene.with_transport(scene.transport.by(transport, step_mm=1.0))
+    if hot:
+        scene = scene.with_medium(vs.load_scene("hot_cylinder").medium)
+    frame = render_frame(scene)
+    (coordinates,) = frame.source_coordinates.values()
+    (s_v, s_u), (t_v, t_u) = (np.gradient(coordinates[..., i].astype(float)) for i in (0, 1))
+    point_v, point_u = np.gradient(frame.point_mm.astype(float), axis=(0, 1))
+    share = np.abs(s_u * t_v - s_v * t_u) / np.linalg.norm(np.cross(point_u, point_v), axis=-1)
+    flux = 0.1 / 20.0 / 2.0 * np.sqrt(2.0 / np.pi) * np.exp(-0.5 * coordinates[..., 0] ** 2)
+    inner = (np.abs(coordinates[..., 0]) < 2.0) & (np.abs(coordinates[..., 1]) < 9.5)
+    inner &= np.isfinite(share)
+    inner &= point_u[..., 2] ** 2 + point_v[..., 2] ** 2 < 1e-4  # not at the screen's edge
+    assert {0, 20} == set(np.rint(frame.point_mm[inner, 2]))
+    assert np.count_nonzero(inner) > 1000
+    expected = 0.5 / np.pi * flux[inner] * share[inner]
+    np.testing.assert_allclose(frame.radiance[inner], expected, rtol=0.01)
+    assert np.ptp(share[inner]) > 0.04
 
 
 def test_a_scene_can_have_its_air_broadened():
