@@ -5,7 +5,7 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor import ray_search
-from virtual_sensor.optics.ray_search import SearchStatus
+from virtual_sensor.optics.ray_search import METHODS, SearchStatus
 from virtual_sensor.studies.chart import search_failures
 from virtual_sensor.studies.chart.search_failures import MARCH, UM_PER_PX, moved
 from virtual_sensor.studies.chart.searches import rungs
@@ -70,7 +70,7 @@ def test_too_small_a_grid_and_too_few_steps_are_told(scene, y, options):
     assert_found_is_right(scene, found, y)
 
 
-@pytest.mark.parametrize("method", ["paper", "newton"])
+@pytest.mark.parametrize("method", METHODS)
 def test_undercut_points_are_rejected_by_a_small_z_max_and_accepted_by_a_large(method):
     """The ledge hides 7.2 < |y| < 8.7 mm of the shaft's line: too large a z_max lets them in."""
     shaft = vs.load_scene("stepped_shaft").cold()
@@ -82,17 +82,19 @@ def test_undercut_points_are_rejected_by_a_small_z_max_and_accepted_by_a_large(m
     assert not np.any(told[(y < 7.1) | (y > 8.8)])
     assert np.all(np.isnan(strict.pixel[told]))
     lenient = ray_search(shaft, y, method, march=MARCH, z_max_mm=1.0)
-    ends = {"paper": SearchStatus.FOUND, "newton": SearchStatus.ABOVE_RADIUS}  # only it arrived
-    assert np.all(lenient.status[hidden] == ends[method])
+    # Only the paper's search arrived at what hides the point.
+    ends = SearchStatus.FOUND if method == "paper" else SearchStatus.ABOVE_RADIUS
+    assert np.all(lenient.status[hidden] == ends)
     depth = np.linalg.norm(lenient.seen_point_mm - lenient.laser_point_mm, axis=1)
     assert depth[hidden].min() > 0.1  # what is seen is told all the same
 
 
-def test_the_limb_is_told():
+@pytest.mark.parametrize("method", ["newton", "tabulated"])
+def test_the_limb_is_told(method):
     """Of a line wider than the part: from where it grazes on, another status, no wrong pixel."""
     scene = vs.load_scene("hot_cylinder", line_length=28)
     y = np.linspace(13.3, 13.6, 61)
-    found = ray_search(scene, y, "newton", march=MARCH)
+    found = ray_search(scene, y, method, march=MARCH)
     assert found.status[0] == SearchStatus.FOUND
     assert found.status[-1] == SearchStatus.LASER_MISSED
     used = np.isfinite(found.pixel[:, 0])
@@ -109,6 +111,7 @@ def test_the_panel_has_a_line_for_each_and_none_is_mistaken():
         "search: too few steps",
         "search: undercut points accepted by z_max",
         "search: at the limb",
+        "search: no map for the tolerance",
     }
     for failure in told:
         assert bool(failure.first_at) == (failure.failed > 0)
@@ -122,8 +125,10 @@ def test_the_panels_rungs_are_ordered_by_their_march():
     found = rungs(lambda stage, fraction: stages.append(fraction), quick=True)
     assert stages == sorted(stages)
     assert all(r.panel == "search" and r.item == "laser point" and r.seconds > 0.0 for r in found)
-    papers, lost, newtons, longer = found
+    papers, lost, newtons, longer, anew, kept = found
     assert newtons.largest_px < 1e-6 < 1e-4 < longer.largest_px < papers.largest_px
     assert papers.largest_px < 1.1 / UM_PER_PX
     assert lost.failed == lost.items
     assert newtons.failed == longer.failed == papers.failed == 0
+    assert newtons.largest_px < anew.largest_px == kept.largest_px <= 1e-3
+    assert anew.failed == kept.failed == 0

@@ -58,7 +58,7 @@ def covering_map(
     low, high = places.min(axis=0), places.max(axis=0)
     thin = _THINNEST * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
     low, high = np.minimum(low, high - thin), np.maximum(high, low + thin)
-    return _MAPS.forward(field, family, low, high, march, 2.0 ** np.floor(np.log2(tolerance_mm)))
+    return MAPS.forward(field, family, low, high, march, 2.0 ** np.floor(np.log2(tolerance_mm)))
 
 
 def _made(
@@ -89,7 +89,7 @@ def _made(
     return made
 
 
-_MAPS = MapCache(forward=_made)
+MAPS = MapCache(forward=_made)
 """Covering maps of this process."""
 
 

@@ -1,4 +1,4 @@
-"""Where searches fail: coupled axes, too small a grid, too few steps, undercuts, the limb.
+"""Where searches fail: coupled axes, small grids, few steps, undercuts, the limb, no map.
 
 What a search calls FOUND is checked: its pixel must be Newton's to within r_max.
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
-from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
+from virtual_sensor.optics.ray_search import METHODS, FoundPixels, March, SearchStatus, ray_search
 from virtual_sensor.poses import Pose
 from virtual_sensor.studies.chart.rung import Failure, Report
 from virtual_sensor.studies.chart.searches import HALF_LINE_MM, SCENE, UM_PER_PX
@@ -41,8 +41,8 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     rng = np.random.default_rng(5)
     poses, rays = (2, 100) if quick else (20, 500)
     found = []
-    for number, method in enumerate(("paper", "newton")):
-        report(f"search: coupled axes, {method}", 0.1 + 0.2 * number)
+    for number, method in enumerate(METHODS):
+        report(f"search: coupled axes, {method}", 0.1 + 0.15 * number)
         found.append(coupled(scene, method, np.random.default_rng(4), poses, rays))
     y = rng.uniform(-HALF_LINE_MM, HALF_LINE_MM, 60 if quick else 500)
     report("search: grids too small, steps too few", 0.6)
@@ -50,11 +50,15 @@ def failures(report: Report, quick: bool = False) -> list[Failure]:
     found.append(too_few_steps(scene, y, (15, 8) if quick else range(20, 4, -1)))
     report("search: undercuts", 0.8)
     y = rng.uniform(-HALF_LINE_MM, HALF_LINE_MM, 100 if quick else 1000)
-    for method in ("paper", "newton"):
+    for method in METHODS:
         found.append(undercut(method, y, (0.1, 1.0) if quick else (0.1, 0.2, 0.5, 1.0)))
     report("search: at the limb", 0.9)
     wide = load_scene(SCENE, line_length=28)  # beyond the sides
-    found.append(limb(wide, np.linspace(13.0, 13.6, 31 if quick else 301)))
+    for method in ("newton", "tabulated"):
+        found.append(limb(wide, method, np.linspace(13.0, 13.6, 31 if quick else 301)))
+    report("search: tolerances of maps", 0.95)
+    y = rng.uniform(-HALF_LINE_MM, HALF_LINE_MM, 60 if quick else 500)
+    found.append(no_map(scene, y, (1e-3, 1e-9) if quick else tuple(10.0**-k for k in range(2, 10))))
     return found
 
 
@@ -153,14 +157,35 @@ def undercut(method: str, y_mm: Array, z_max_mm: Sequence[float]) -> Failure:
     )
 
 
-def limb(scene: Scene, y_mm: Array) -> Failure:
+def no_map(scene: Scene, y_mm: Array, tolerances_px: Sequence[float]) -> Failure:
+    """Tolerances that no map keeps: the rays are searched by Newton's method, and slower."""
+    first, count, mistaken = "", 0, 0
+    for tolerance in tolerances_px:
+        found = ray_search(scene, y_mm, "tabulated", tolerance_px=tolerance)
+        mistaken += int(wrong(scene, found, y_mm).sum())
+        marched = int(np.sum(found.iterations > 0))
+        if marched and not first:
+            first, count = f"{tolerance:g} px", marched
+    return Failure(
+        "search: no map for the tolerance",
+        "tabulated search",
+        first,
+        f"tolerances from {tolerances_px[0]:g} px down to {tolerances_px[-1]:g} px",
+        "marched in place of the maps" if first else "",
+        count,
+        y_mm.size,
+        f"{mistaken} of those FOUND are wrong",
+    )
+
+
+def limb(scene: Scene, method: str, y_mm: Array) -> Failure:
     """Rays that graze the side, whose points the camera sees at a grazing angle too."""
-    found = ray_search(scene, y_mm, "newton", march=MARCH)
+    found = ray_search(scene, y_mm, method, march=MARCH)
     bad = found.status != SearchStatus.FOUND
     at = f"y = {y_mm[bad].min():.3f} mm" if bad.any() else ""
     return Failure(
         "search: at the limb",
-        "newton search",
+        f"{method} search",
         at,
         f"rays at y = {y_mm[0]:g} to {y_mm[-1]:g} mm on a cylinder of radius 13.5 mm",
         _told(found.status),

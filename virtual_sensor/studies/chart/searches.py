@@ -1,4 +1,4 @@
-"""Panel "search": the paper's halving search against Newton's, error against time per point."""
+"""Panel "search": the paper's halving search, Newton's and maps, error against time per point."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.optics import covering_maps
 from virtual_sensor.optics.ray_search import (
     REFERENCE,
     FoundPixels,
@@ -37,20 +38,28 @@ _SLOW_MM = 0.6  # a search with shorter steps takes seconds and is timed once
 
 @dataclass(frozen=True)
 class Choice:
-    """A way of searching, as a user would choose it: `ray_search`'s method, march and options."""
+    """A way of searching, as a user would choose it: `ray_search`'s method, march and options.
+
+    `anew` has the maps made within the time that is measured, as for a scene that is new.
+    """
 
     name: str
     method: str
     march: March | None
     options: dict[str, Any] = field(default_factory=dict)
+    anew: bool = False
 
     def find(self, scene: Scene, y_mm: Array) -> FoundPixels:
         """Search."""
+        if self.anew:
+            covering_maps.MAPS.clear()
         return ray_search(scene, y_mm, self.method, march=self.march, **self.options)
 
     @property
     def settings(self) -> dict[str, Any]:
         """What was chosen, for the tables."""
+        if self.method == "tabulated":
+            return dict(self.options)
         if self.march is None:
             return {"march": "default"} | self.options
         march = {"method": self.march.method, "step": self.march.step_mm}
@@ -89,7 +98,15 @@ def _newtons(march: March) -> Choice:
     return Choice("Newton's, ray by ray", "newton", march)
 
 
+def _by_maps(tolerance_px: float, anew: bool) -> Choice:
+    name = "maps, made anew" if anew else "maps, kept"
+    return Choice(name, "tabulated", None, {"tolerance_px": tolerance_px}, anew)
+
+
 def _choices() -> Iterator[Choice]:
+    for anew in (True, False):
+        for tolerance in (1e-2, 1e-3, 1e-4):
+            yield _by_maps(tolerance, anew)
     for step in (0.1, 0.5, 2.0, 8.0):
         yield _papers(March(step, "leapfrog", "double"))
     for grid in (8.0, 64.0):
@@ -109,6 +126,8 @@ def _quick_choices() -> Iterator[Choice]:
     yield _papers(March(2.0, "leapfrog", "double"), grid_px=1.0)
     yield Choice("Newton's, along the line", "newton", None)
     yield _newtons(March(2.0, "leapfrog", "double"))
+    yield _by_maps(1e-3, True)
+    yield _by_maps(1e-3, False)
 
 
 def _measured(
