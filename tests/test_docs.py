@@ -2,10 +2,12 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
 from artificial import line_image
+from several import text_of
 
 import virtual_sensor as vs
 from virtual_sensor.imaging.scene import shipped_scenes
@@ -41,10 +43,34 @@ def test_the_shape_of_the_page_on_scenes_loads(tmp_path):
     np.testing.assert_allclose(part.bbox().max, [25.4, 12.7, 6.35 - 3.0], atol=1e-5)
 
 
+def scenes_block(word):
+    """The Python of the page on scenes in which a word stands."""
+    blocks = re.findall(r"```python\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)
+    (block,) = (block for block in blocks if word in block)
+    return block
+
+
+def test_the_two_cameras_and_lasers_of_the_page_on_scenes_are_told_apart(tmp_path, monkeypatch):
+    """What is shown runs: the points of the pair lie on the part, to what is straight about it."""
+    cameras, lasers = [("near", 0, 1), ("far", 20, 1)], [("red", 0, 0), ("blue", 15, 4)]
+    text = text_of("cold_cylinder", cameras, lasers)
+    text = text.replace('name="width" value="2048"', 'name="width" value="256"')
+    text = text.replace('name="height" value="2048"', 'name="height" value="256"')
+    text = text.replace('name="line_radius" value="0.15"', 'name="line_radius" value="0.5"')
+    (tmp_path / "two_by_two.xml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    told: dict[str, Any] = {"vs": vs, "y_mm": [0.0, -4.0]}
+    exec(scenes_block("two_by_two"), told)
+    assert told["image"].max() > 0.0
+    assert np.isfinite(told["found"].pixel).all()
+    points = told["points"][np.isfinite(told["points"][:, 0])]
+    assert len(points) > 50
+    np.testing.assert_allclose(np.hypot(points[:, 1], points[:, 2] + 13.5), 13.5, atol=0.02)
+
+
 def test_the_source_of_the_page_on_scenes_lights_a_part(tmp_path):
     """Its middle ray meets the part where the laser's does, and a ray beside it closer by."""
-    (block,) = re.findall(r"```python\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)
-    exec(block, {})
+    exec(scenes_block("focused_sheet"), {})
     cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     emitter = '<emitter type="focused_sheet"><float name="focus" value="380"/><transform'
     text = re.sub(r'<emitter type="laser_line".*?<transform', emitter, cold, flags=re.DOTALL)

@@ -1,5 +1,6 @@
 """Scenes never change: `with_medium` and its kin give others, and all of them can be pickled."""
 
+import copy
 import multiprocessing
 import os
 import pickle
@@ -15,6 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import virtual_sensor as vs
+from virtual_sensor.imaging import scene as scenes
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.optics.transports import Transport
@@ -267,8 +269,25 @@ def test_a_scene_whose_files_were_changed_since_is_refused(copied, file):
             load()
     assert vs.render(copied).max() > 0.0  # what is loaded stays
     Path(file).unlink()
-    with pytest.raises(vs.InputError, match="was changed"):
+    with pytest.raises(vs.InputError, match=rf"{file} is gone"):
         pickle.loads(data)
+
+
+def test_a_shipped_scene_is_that_of_the_program_that_unpickles_it(hot, monkeypatch, tmp_path):
+    """Rationale: on another machine the program, and its scenes, may lie in another folder."""
+    data = pickle.dumps(hot)
+    shutil.copytree(shipped_scenes(), tmp_path / "elsewhere")
+    monkeypatch.setattr(scenes, "shipped_scenes", lambda: tmp_path / "elsewhere")
+    again = pickle.loads(data)
+    assert again.path == tmp_path / "elsewhere" / "hot_cylinder.xml"
+    assert again.air.path.is_relative_to(tmp_path)
+    np.testing.assert_array_equal(again.medium.nodes, hot.medium.nodes)
+
+
+def test_copies_are_the_scene_itself(hot):
+    """Rationale: it never changes, and to load it again would take as long as the first time."""
+    assert copy.copy(hot) is hot
+    assert copy.deepcopy([hot]) == [hot]
 
 
 def test_air_and_transport_are_plain_values(hot):

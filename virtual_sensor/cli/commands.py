@@ -11,10 +11,12 @@ from virtual_sensor import engine, interrupts
 from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep, trial
 from virtual_sensor.cli.console import errors, one_line, streams
 from virtual_sensor.cli.shared import (
+    Camera,
     Definitions,
     Overwrite,
     ProbeRays,
     SceneArgument,
+    Source,
     console,
     definitions,
     print_notes,
@@ -70,6 +72,8 @@ def before_the_command(
 def measure(
     scene: SceneArgument,
     define: Definitions = None,
+    camera: Camera = None,
+    source: Source = None,
     y: ProbeRays = None,
     tolerance: Annotated[
         float | None,
@@ -96,7 +100,7 @@ def measure(
 
     check_output(output, overwrite, folder=True)
     with reporting("loading the scene") as report:
-        loaded = load_scene(scene, **definitions(define))
+        loaded = load_scene(scene, **definitions(define)).only(camera, source)
         if tolerance is not None:
             report("choosing how to make the frames", 0.0)
             rung = choose(loaded, tolerance)
@@ -141,6 +145,8 @@ def measure(
 def search(
     scene: SceneArgument,
     define: Definitions = None,
+    camera: Camera = None,
+    source: Source = None,
     method: Annotated[
         str, typer.Option(help="paper, newton or tabulated (by ray maps).")
     ] = "paper",
@@ -167,7 +173,8 @@ def search(
         raise InputError("-y and --rays: choose one of them")
     if output:
         check_output(output, overwrite)
-    result = run(load_scene(scene, **definitions(define)), method, y or None, rays)
+    loaded = load_scene(scene, **definitions(define)).only(camera, source)
+    result = run(loaded, method, y or None, rays)
     columns, number = result.columns, len(result.columns["y_mm"])
     if output:
         write_csv(output, columns)
@@ -196,6 +203,8 @@ def search(
 def burst(
     scene: SceneArgument,
     define: Definitions = None,
+    camera: Camera = None,
+    source: Source = None,
     y: ProbeRays = None,
     start: Annotated[
         float | None,
@@ -219,7 +228,7 @@ def burst(
 
     check_output(output, overwrite, folder=True)
     with reporting("loading the scene") as report:
-        loaded = load_scene(scene, **definitions(define))
+        loaded = load_scene(scene, **definitions(define)).only(camera, source)
         result = run(
             loaded,
             start,

@@ -7,9 +7,11 @@ import typer
 from rich.table import Table
 
 from virtual_sensor.cli.shared import (
+    Camera,
     Definitions,
     Overwrite,
     ProbeRays,
+    Source,
     closing,
     command_line,
     console,
@@ -48,6 +50,8 @@ def info(
         ),
     ] = None,
     define: Definitions = None,
+    camera: Camera = None,
+    source: Source = None,
     y: ProbeRays = None,
     time: Annotated[
         float | None, typer.Option(help="Flow time, s, of a field with many; by default the last.")
@@ -70,7 +74,9 @@ def info(
         if path:
             check_output(path, overwrite)
     with reporting("reading the field") as report:
-        told = field_info(field, scene, definitions(define), time, report, y or None)
+        told = field_info(
+            field, scene, definitions(define), time, report, y or None, camera, source
+        )
         if output:
             report("drawing the picture", 0.8)
             draw_field(told, output)

@@ -49,6 +49,18 @@ ProbeRays = Annotated[
         "that is seen of the line, or the dots.",
     ),
 ]
+Camera = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Of the scene's cameras, where it has several: its id in the file."
+    ),
+]
+Source = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Of the scene's lasers, where it has several: its id in the file."
+    ),
+]
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 

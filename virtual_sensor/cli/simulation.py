@@ -7,7 +7,9 @@ import typer
 
 from virtual_sensor.cli.field import app
 from virtual_sensor.cli.shared import (
+    Camera,
     Overwrite,
+    Source,
     closing,
     command_line,
     console,
@@ -86,6 +88,8 @@ def simulate(
     scene: Annotated[
         str, typer.Option(help="Scene whose probe rays tell whether the flow is steady.")
     ] = "hot_cylinder",
+    camera: Camera = None,
+    source: Source = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Simulate the air round a hot part with OpenFOAM, until its effect on light is steady.
@@ -113,6 +117,8 @@ def simulate(
             every_s=every or (0.05 if unsteady else 0.25),
             processes=processes,
             scene_name=scene,
+            camera=camera,
+            source=source,
             history=command_line(),
             report=report,
         )

@@ -9,9 +9,11 @@ from rich.table import Table
 
 from virtual_sensor.cli.shared import (
     FINISHED_STAYS,
+    Camera,
     ProbeRays,
     SceneArgument,
     Scheduler,
+    Source,
     console,
     definitions,
     print_notes,
@@ -36,6 +38,8 @@ Choices = Annotated[
 def sweep(
     scene: SceneArgument,
     define: Choices = None,
+    camera: Camera = None,
+    source: Source = None,
     y: ProbeRays = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
@@ -55,7 +59,7 @@ def sweep(
     if len(choices) < len(define or []):
         raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
     with reporting("planning the cases", FINISHED_STAYS) as report:
-        cases = plan(scene, choices, y or None)
+        cases = plan(scene, choices, y or None, camera, source)
         finished = run(
             cases, output, scheduler, lambda stage, fraction: report(stage, 0.98 * fraction)
         )

@@ -137,8 +137,9 @@ def lit_line(scene: Scene) -> LitLine:
         If the sensor can't measure, the camera or the laser stands where it can't, no point of the
         line is in the picture, or the field does not hold all of it.
     """
+    sensor = scene.sensor
     try:
-        check_geometry(scene.sensor)
+        check_geometry(sensor)
         _check_place(scene, scene.camera_element, scene.camera.pose)
         _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)

@@ -127,7 +127,13 @@ class Frame:
         return image if values.ndim > 1 else image[:, :, 0]
 
 
-def render(scene: Scene, spp: int | None = None, seed: int = 0, camera: str | None = None) -> Image:
+def render(
+    scene: Scene,
+    spp: int | None = None,
+    seed: int = 0,
+    camera: str | None = None,
+    source: str | None = None,
+) -> Image:
     """Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
 
     Parameters
@@ -139,15 +145,17 @@ def render(scene: Scene, spp: int | None = None, seed: int = 0, camera: str | No
         Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
     camera : str, optional
         Its name; it can be left out where the scene has one.
+    source : str, optional
+        Name of the only source that shines; all do if not given.
 
     Raises
     ------
     InputError
-        If it is no scene, it has no such camera, or one of the numbers can't be used.
+        If it is no scene, it has no such camera or source, or one of the numbers can't be used.
     EngineError
         If the scene was loaded under another Mitsuba variant.
     """
-    scene, samples, seed = _checked("render", scene, spp, seed, camera)
+    scene, samples, seed = _checked("render", scene, spp, seed, camera, source)
     with ONE_FRAME:
         return _prepared(scene).exposed(samples, seed)[0].image()
 
@@ -158,12 +166,13 @@ def render_frame(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
     camera: str | None = None,
+    source: str | None = None,
 ) -> Frame:
     """Render a camera's image together with its ground truth.
 
     `progress` is told the fraction of the samples done; else as `render`.
     """
-    scene, samples, seed = _checked("render_frame", scene, spp, seed, camera)
+    scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = _prepared(scene)
         exposure, account = prepared.exposed(samples, seed, progress)
@@ -254,13 +263,18 @@ def _truth(prepared: Prepared) -> LitPixels:
 
 
 def _checked(
-    asker: str, scene: Scene, spp: int | None, seed: int, camera: str | None = None
+    asker: str,
+    scene: Scene,
+    spp: int | None,
+    seed: int,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> tuple[Scene, int, int]:
-    """The scene with one camera, samples a pixel, 0 for the scene's own, and seed."""
+    """The scene with what is asked for by name, samples a pixel (0: the scene's own), and seed."""
     check_scene_given(asker, scene)
     samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
     seed = whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
-    return scene.only(camera=camera), samples, seed
+    return scene.only(camera, source), samples, seed
 
 
 def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -65,6 +65,7 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 _ABSOLUTE_ZERO_C = -273.15
+_NAMING_FILES = ("string", "include", "spectrum")  # elements of Mitsuba's XML that may
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
 _ELEMENTS = {  # that a scene may lack
@@ -76,23 +77,49 @@ _METRES_MM = 2.0, 5.0  # a part no larger, and a camera no farther: scenes in me
 
 @dataclass(frozen=True)
 class _Origin:
-    """What a scene was loaded from: its file, parameters, the folder of relative paths, all files.
+    """What a scene was loaded from, so that it can be loaded again, also by another process.
 
-    `digests` are of the scene's file and of all that it refers to.
+    Attributes
+    ----------
+    given : dict
+        Parameters.
+    here : Path
+        Folder from which relative paths start, beside the scene's own.
+    digests : tuple
+        Of the scene's file, which is the first, and of all files that it refers to, with their
+        places: absolute, or in the folder of the scenes that come with the program, which may lie
+        elsewhere on another machine.
     """
 
-    path: Path
     given: dict[str, str]
     here: Path
-    digests: tuple[tuple[Path, str], ...] = ()
+    digests: tuple[tuple[Path, str], ...]
+
+    @staticmethod
+    def of(given: dict[str, str], here: Path, files: Iterable[Path]) -> _Origin:
+        """The origin of a scene with these files."""
+        folders = shipped_scenes(), shipped_scenes().resolve()
+
+        def place(file: Path) -> Path:
+            inside = (file.relative_to(each) for each in folders if file.is_relative_to(each))
+            return next(inside, file.absolute())
+
+        digests = tuple((place(file.absolute()), _digest(file)) for file in files)
+        return _Origin(given, here.absolute(), digests)
+
+    @property
+    def files(self) -> list[Path]:
+        """The scene's file and those that it refers to."""
+        return [shipped_scenes() / place for place, _ in self.digests]
 
     def check(self) -> None:
         """Raise InputError if a file is not what it was."""
-        for file, digest in self.digests:
-            if not exists(file) or _digest(file) != digest:
+        for file, (_, digest) in zip(self.files, self.digests, strict=True):
+            there = exists(file)
+            if not there or _digest(file) != digest:
                 raise InputError(
-                    f"{self.path}: can't be loaded again, since {file} was changed; load the scene"
-                    " anew (load_scene)"
+                    f"{self.files[0]}: can't be loaded again, since {file}"
+                    f" {'was changed' if there else 'is gone'}; load the scene anew (load_scene)"
                 )
 
 
@@ -180,12 +207,12 @@ class Scene:
     @property
     def camera(self) -> Pinhole:
         """The only camera; an InputError where there are several."""
-        return self.cameras[self._one("camera", self.cameras)]
+        return self.cameras[self.camera_name]
 
     @property
     def source(self) -> LaserLine:
         """The only source; an InputError where there is none, or several."""
-        return self.sources[self._one("source", self.sources)]
+        return self.sources[self.source_name]
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -199,19 +226,29 @@ class Scene:
         return SensorModel(self.camera, self.source)
 
     @property
+    def camera_name(self) -> str:
+        """The only camera's."""
+        return self._one("camera", self.cameras)
+
+    @property
+    def source_name(self) -> str:
+        """The only source's."""
+        return self._one("source", self.sources)
+
+    @property
     def camera_element(self) -> str:
         """The only camera's element, for messages."""
-        return _sensor(self._one("camera", self.cameras))
+        return _sensor(self.camera_name)
 
     @property
     def source_element(self) -> str:
         """The only source's element, for messages."""
-        return f'<emitter id="{shortened(self._one("source", self.sources))}">'
+        return f'<emitter id="{shortened(self.source_name)}">'
 
     @property
     def mitsuba_camera(self) -> Any:
         """Mitsuba's sensor of the only camera."""
-        return self._stage.loaded.cameras[self._one("camera", self.cameras)]
+        return self._stage.loaded.cameras[self.camera_name]
 
     def only(self, camera: str | None = None, source: str | None = None) -> Scene:
         """The same scene with one camera or one source: the others neither see nor shine.
@@ -290,7 +327,8 @@ class Scene:
             ) from None
         if is_camera:
             matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
-        stage = _staged(stage.origin, {**stage.poses, name: matrix})
+        origin, poses = stage.origin, {**stage.poses, name: matrix}
+        stage = _staged(origin.files[0], origin.given, origin.here, poses)
         return replace(
             self,
             cameras={each: stage.cameras[each] for each in self.cameras},
@@ -332,7 +370,6 @@ class Scene:
         """What makes it equal to others."""
         stage = self._stage
         return (
-            stage.origin.path,
             stage.origin.digests,
             tuple(sorted(self.parameters.items())),
             tuple((name, matrix.tobytes()) for name, matrix in sorted(stage.poses.items())),
@@ -351,10 +388,17 @@ class Scene:
         return hash(self._values())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        stage, medium = self._stage, self.medium if self.air.path is None else None
-        chosen = tuple(self.cameras), tuple(self.sources)
-        changes = self.parameters, self.air, medium, self.transport, self.hot
+        stage, chosen = self._stage, (tuple(self.cameras), tuple(self.sources))
+        air = self.air.time_s if self.air.path else self.medium
+        of_file = self.air.path is not None
+        changes = self.parameters, of_file, air, self.transport, self.hot
         return _unpickled, (mi.variant(), stage.origin, stage.poses, chosen, *changes)
+
+    def __copy__(self) -> Scene:
+        return self
+
+    def __deepcopy__(self, known: dict[int, Any]) -> Scene:
+        return self
 
 
 def _unpickled(
@@ -363,20 +407,22 @@ def _unpickled(
     poses: dict[str, Array],
     chosen: tuple[tuple[str, ...], tuple[str, ...]],
     parameters: dict[str, str],
-    air: MediumDescription,
-    medium: IndexField | None,
+    of_file: bool,
+    air: Any,
     transport: Transport,
     hot: bool,
 ) -> Scene:
-    """A scene that was pickled, loaded again."""
+    """A scene that was pickled, loaded again; `air` is an instant of its file, or a medium."""
     engine.activate(variant)
     origin.check()
-    stage = _staged(origin, poses)
+    path = origin.files[0]
+    stage = _staged(path, origin.given, origin.here, poses)
+    described: MediumDescription = stage.loaded.scene.integrator().air
+    described = replace(described, time_s=air) if of_file else described.without_file()
+    medium = described.read() if of_file else air
     cameras = {name: stage.cameras[name] for name in chosen[0]}
     sources = {name: stage.sources[name] for name in chosen[1]}
-    return Scene(
-        origin.path, parameters, medium or air.read(), air, cameras, sources, transport, hot, stage
-    )
+    return Scene(path, parameters, medium, described, cameras, sources, transport, hot, stage)
 
 
 def _listed(named: Mapping[str, Any]) -> str:
@@ -418,8 +464,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
         Naming the file, the element and the remedy.
     """
     path = find_scene(name)
-    origin = _Origin(path, {key: str(value) for key, value in parameters.items()}, Path())
-    stage = _staged(origin, {})
+    stage = _staged(path, {key: str(value) for key, value in parameters.items()}, Path(), {})
     integrator = stage.loaded.scene.integrator()
     air, transport = integrator.air, integrator.transport
     try:
@@ -435,11 +480,10 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     )
 
 
-def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
+def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Array]) -> _Stage:
     """Have Mitsuba load a scene."""
-    path = origin.path
-    files, values, folders = _read(path, origin.given, origin.here)
-    loaded = load(files, origin.given, values, origin.here, poses)
+    files, values, folders = _read(path, given, here)
+    loaded = load(files, given, values, here, poses)
     if not isinstance(loaded.scene.integrator(), refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
@@ -451,9 +495,7 @@ def _staged(origin: _Origin, poses: dict[str, Array]) -> _Stage:
     notes += [f"{reason}; it is left out" for reason in unfit.values()]
     notes += _places(path, loaded.scene, cameras)
     surface = _surface(loaded.scene)
-    used = [path.absolute(), *_referred(files, folders, values)]
-    digests = tuple((file, _digest(file)) for file in used)
-    origin = replace(origin, path=path.absolute(), here=origin.here.absolute(), digests=digests)
+    origin = _Origin.of(given, here, [path, *_referred(files, folders, values)])
     where = next(e.where for f in files for e in f.elements if e.tag == "integrator")
     return _Stage(origin, poses, values, loaded, surface, cameras, sources, tuple(notes), where)
 
@@ -554,7 +596,7 @@ def scene_files(path: Path, values: dict[str, str]) -> list[Path]:
 def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str]) -> list[Path]:
     """The files that attributes of scene files name."""
     found: dict[Path, None] = {}
-    for element in (e for file in files for e in file.elements):
+    for element in (e for file in files for e in file.elements if e.tag in _NAMING_FILES):
         texts = [filled(text, values) for text in element.attributes.values()]
         for place in (folder / text for folder in folders for text in texts):
             if exists(place) and place.is_file():

@@ -204,13 +204,14 @@ def burst(
         If the field does not hold such a burst, the scene can't be measured at one of its instants
         (see `imaging.checks`), or its frames show no line.
     """
+    laser = scene.sensor.laser
     times, stored = instants(scene, start_s, duration_s, frames)
-    if scene.sensor.laser.dots_mm.size:
+    if laser.dots_mm.size:
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
     seconds = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
     lines, rays = [], []
     y = probe_rays(scene, y_mm)
-    notes = [*scene.notes, *unlit_rays(scene.sensor.laser, y), *coarse_grid(scene)]
+    notes = [*scene.notes, *unlit_rays(laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
     at_border: list[str] = []
     for number, instant in enumerate(times):

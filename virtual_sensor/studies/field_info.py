@@ -149,6 +149,8 @@ def field_info(
     time_s: float | None = None,
     report: Callable[[str, float], None] = lambda stage, fraction: None,
     y_mm: ArrayLike | None = None,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> FieldInfo:
     """Look at a field, by itself and as a scene's light sees it.
 
@@ -166,6 +168,8 @@ def field_info(
         Is told what is being done, and which fraction of the whole is.
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
+    camera, source : str, optional
+        Names of the scene's, where it has several.
 
     Raises
     ------
@@ -173,7 +177,7 @@ def field_info(
         If the file is no field, or the scene that is asked for can't be loaded or does not suit.
     """
     report("reading the field", 0.0)
-    loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {}))
+    loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {})).only(camera, source)
     wavelength_nm = loaded.air.wavelength_nm
     field = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
     if loaded.air.pose:
@@ -190,7 +194,7 @@ def field_info(
     try:
         line = lit_line(in_it)
     except InputError as error:
-        if scene or parameters:
+        if scene or parameters or camera or source:
             raise InputError(f"{path}: does not suit the scene: {error}") from None
         notes.append(f"left out: what it does to light; it does not suit a scene ({error})")
     if line:

@@ -242,6 +242,8 @@ def summary(result: Measurement) -> dict[str, Any]:
     sensor_axes = scene.sensor.camera.pose.rotation[:, :2]
     return {
         "scene": str(scene.path),
+        "camera": scene.camera_name,
+        "source": scene.source_name,
         "parameters": scene.parameters,
         "field": _field_summary(scene.field) if scene.field else None,
         "notes": result.notes,

@@ -45,8 +45,9 @@ def search(
     InputError
         If a number is not finite, or the scene can't be measured (see `imaging.checks`).
     """
+    sensor = scene.sensor
     if rays:
-        y_mm = np.linspace(-0.5, 0.5, rays) * scene.sensor.laser.length_mm
+        y_mm = np.linspace(-0.5, 0.5, rays) * sensor.laser.length_mm
     notes = (*scene.notes, *check_scene(scene))
     y = probe_rays(scene, y_mm)
     found = ray_search(scene, y, method)
@@ -54,7 +55,7 @@ def search(
         "y_mm": y,
         **vectors("laser_point_mm", found.laser_point_mm, "xyz"),
         **vectors("pixel", found.pixel, "uv"),
-        **vectors("measured_point_mm", triangulate(scene.sensor, found.pixel), "xyz"),
+        **vectors("measured_point_mm", triangulate(sensor, found.pixel), "xyz"),
         "distance_um": found.distance_um,
         "marches": found.iterations,
         "status": status_names(found.status, SearchStatus),

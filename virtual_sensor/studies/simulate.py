@@ -148,6 +148,8 @@ def simulate(
     every_s: float = CHECK_S,
     processes: int = 1,
     scene_name: str = "hot_cylinder",
+    camera: str | None = None,
+    source: str | None = None,
     history: str = "",
     report: Report = lambda stage, fraction: None,
 ) -> Simulation:
@@ -173,6 +175,8 @@ def simulate(
         Of the solver, by MPI.
     scene_name : str
         Scene whose probe rays tell whether the flow is steady.
+    camera, source : str, optional
+        Names of the scene's, where it has several.
     history : str
         The command, for the file's attributes.
 
@@ -190,7 +194,7 @@ def simulate(
     foam = find_openfoam(processes > 1)
     pyvista()  # not missed only after hours of computing
     moving = flow.unsteady or record_s > 0.0
-    scene = load_scene(scene_name)
+    scene = load_scene(scene_name).only(camera, source)
     steadiness = Steadiness(scene, until, lambda time_s: sample(flow, case, (time_s,), grid))
     prepare_case(flow, case, until.at_most_s, every_s, processes)
 

@@ -67,6 +67,8 @@ class Case:
         Hashes of the scene, the files that it refers to, `values` and `y_mm`; and of the program.
     y_mm : tuple of float or None
         Positions of the probe rays along the line; None: the scene's own.
+    camera, source : str or None
+        Names of the scene's; None: it has only one.
     """
 
     scene: str
@@ -75,6 +77,8 @@ class Case:
     name: str
     key: str
     y_mm: tuple[float, ...] | None = None
+    camera: str | None = None
+    source: str | None = None
 
 
 @dataclass(frozen=True)
@@ -107,10 +111,13 @@ def plan(
     scene: str | Path,
     choices: Mapping[str, Sequence[str]],
     y_mm: Sequence[float] | None = None,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> list[Case]:
     """All combinations of parameters' values, the last parameter's changing fastest.
 
-    `y_mm` are the positions of the probe rays; by default each case has its scene's own.
+    `y_mm` are the positions of the probe rays; by default each case has its scene's own.  `camera`
+    and `source` are names of the scene's, where it has several.
 
     Raises
     ------
@@ -121,7 +128,8 @@ def plan(
     if empty:
         raise InputError(f"{empty[0]}: no value to take; give one or more")
     combined = itertools.product(*choices.values())
-    return cases(scene, [dict(zip(choices, values, strict=True)) for values in combined], y_mm=y_mm)
+    given = [dict(zip(choices, values, strict=True)) for values in combined]
+    return cases(scene, given, y_mm=y_mm, camera=camera, source=source)
 
 
 def cases(
@@ -129,6 +137,8 @@ def cases(
     parameters: Sequence[Mapping[str, str]],
     names: Sequence[str] | None = None,
     y_mm: Sequence[float] | None = None,
+    camera: str | None = None,
+    source: str | None = None,
 ) -> list[Case]:
     """A list of cases, each with the values that are given for it.
 
@@ -142,6 +152,8 @@ def cases(
         One for each case; by default the parameters in which the cases differ.
     y_mm : sequence of float, optional
         Positions of the probe rays along the line, mm; by default each scene's own.
+    camera, source : str, optional
+        Names of the scene's, where it has several.
 
     Raises
     ------
@@ -155,8 +167,9 @@ def cases(
     planned, probes = [], None if y_mm is None else tuple(map(float, y_mm))
     for given in parameters:
         whole = {name: _anywhere(path, str(value)) for name, value in given.items()}
-        values, inputs = _inputs(which, whole, probes)
-        planned.append(Case(which, whole, values, "", key_of(inputs), probes))
+        case = Case(which, whole, {}, "", "", probes, camera, source)
+        values, inputs = _inputs(case)
+        planned.append(replace(case, values=values, key=key_of(inputs)))
     told = names or [_name(path.stem, case, differing(planned)) for case in planned]
     return [replace(case, name=_as_file(name)) for case, name in zip(planned, told, strict=True)]
 
@@ -193,16 +206,17 @@ def _anywhere(scene: Path, value: str) -> str:
     return value
 
 
-def _inputs(
-    scene: str, parameters: Mapping[str, str], y_mm: tuple[float, ...] | None
-) -> tuple[dict[str, str], dict[str, Any]]:
+def _inputs(case: Case) -> tuple[dict[str, str], dict[str, Any]]:
     """The parameters as used, and all that a measurement depends on but the program."""
     from virtual_sensor.imaging.scene import find_scene, scene_files, scene_parameters
 
-    path = find_scene(scene)
-    values = scene_parameters(path, dict(parameters))
+    path = find_scene(case.scene)
+    values = scene_parameters(path, case.parameters)
     files = sorted(file_hash(file) for file in scene_files(path, values))
-    inputs = {"scene": file_hash(path), "parameters": values, "files": files, "probe rays": y_mm}
+    inputs = {
+        **{"scene": file_hash(path), "parameters": values, "files": files},
+        **{"probe rays": case.y_mm, "camera": case.camera, "source": case.source},
+    }
     return values, inputs
 
 
@@ -266,15 +280,7 @@ def _finished(
     return Finished(case, made, CaseStatus(status), message, earlier is not None, again)
 
 
-def _make(
-    scene: str,
-    parameters: dict[str, str],
-    y_mm: tuple[float, ...] | None,
-    name: str,
-    key: str,
-    place: str,
-    report: Report | None,
-) -> Told:
+def _make(case: Case, place: str, report: Report | None) -> Told:
     """Measure a case and keep it: the task that Dask runs, in whatever process and thread."""
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.studies.measure import measure, summary
@@ -284,21 +290,20 @@ def _make(
 
     def fill(folder: Path) -> None:
         told("loading the scene", 0.0)
-        result = measure(
-            load_scene(scene, **parameters), lambda stage, part: told(stage, 0.85 * part), y_mm
-        )
+        scene = load_scene(case.scene, **case.parameters).only(case.camera, case.source)
+        result = measure(scene, lambda stage, part: told(stage, 0.85 * part), case.y_mm)
         told("writing the results", 0.85)
         save(result, summary(result), folder, overwrite=True)
 
     with _ONE_AT_A_TIME:
         try:
-            inputs = _inputs(scene, parameters, y_mm)[1]
-            if key_of(inputs) != key:
+            inputs = _inputs(case)[1]
+            if key_of(inputs) != case.key:
                 raise InputError(
-                    f"{scene}: its files or the program are not those that the sweep was planned"
-                    " with; let all workers have the same version of both, and run it again"
+                    f"{case.scene}: its files or the program are not those that the sweep was"
+                    " planned with; let all workers have the same version of both, and run it again"
                 )
-            kept(Path(place), name, inputs, fill)
+            kept(Path(place), case.name, inputs, fill)
         except InputError as error:
             return CaseStatus.FAILED.value, f"{error}"
     return CaseStatus.OK.value, ""
@@ -308,8 +313,7 @@ def _task(case: Case, place: Path, report: Report | None) -> Any:
     from dask import delayed
 
     task = delayed(_make, pure=False, traverse=False)
-    words = (case.scene, case.parameters, case.y_mm, case.name, case.key, str(place), report)
-    return task(*words, dask_key_name=f"{case.name}-{case.key}")
+    return task(case, str(place), report, dask_key_name=f"{case.name}-{case.key}")
 
 
 def _here(missing: list[Case], place: Path, report: Report) -> Iterator[tuple[Case, Told]]:

@@ -190,7 +190,8 @@ def with_rung(scene: Scene, rung: Rung) -> Scene:
     InputError
         If the scene has no such parameters.
     """
-    return load_scene(scene.path, **(scene.parameters | rung.parameters))
+    again = load_scene(scene.path, **(scene.parameters | rung.parameters))
+    return again.only(scene.camera_name, scene.source_name)
 
 
 def search_line(scene: Scene) -> FoundPixels:
