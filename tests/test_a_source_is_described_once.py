@@ -203,6 +203,12 @@ def found(scene, t):
     return vs.ray_search(scene, t, "newton")
 
 
+def test_a_search_by_maps_finds_the_same_pixels(scene, found, t):
+    by_maps = vs.ray_search(scene, t, "tabulated")
+    np.testing.assert_array_equal(by_maps.status, SearchStatus.FOUND)
+    np.testing.assert_allclose(by_maps.pixel, found.pixel, rtol=0, atol=1e-3)
+
+
 def assert_on_marched_rays(known, scene, s, t, points, within_mm):
     """Points (N, 3) lie on the bent rays whose straight starts are written out here."""
     start, direction = known.rays(scene.source.pose, s, t)
@@ -308,6 +314,28 @@ def test_cold_points_are_triangulated_in_the_plane_of_the_middle_rays(scene, t):
     found = vs.ray_search(cold, t, "newton")
     measured = vs.triangulate(cold.sensor, found.pixel)
     np.testing.assert_allclose(measured, found.laser_point_mm, rtol=0, atol=1e-5)
+
+
+def test_hot_points_are_triangulated_along_bent_rays(scene, found):
+    """To 0.05 um, where straight lines are off by a hundred."""
+    bent, straight = (
+        vs.triangulate(scene, found.pixel, medium=medium) for medium in (scene.medium, None)
+    )
+    np.testing.assert_allclose(bent, found.laser_point_mm, rtol=0, atol=5e-5)
+    assert np.abs(straight - found.laser_point_mm).max() > 0.1
+
+
+def test_any_ray_of_its_is_triangulated(known, scene, frame):
+    """By its first coordinate, as a frame tells it of pixels beside the middle of the line."""
+    (told,) = frame.source_coordinates.values()
+    inner = np.abs(told[..., 0]) < 0.8 * known.half_width
+    v, u = np.argwhere(inner & np.isfinite(told[..., 0]))[::97].T
+    measured = vs.triangulate(
+        scene, np.stack([u, v], 1), medium=scene.medium, coordinate=told[v, u, 0]
+    )
+    apart = np.linalg.norm(measured - frame.point_mm[v, u], axis=1)
+    assert len(apart) > 50
+    assert np.sqrt(np.mean(apart**2)) < 2e-4  # what the frame's own maps allow
 
 
 # ----------------------------------------------------------------------------------- derivatives
