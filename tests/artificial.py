@@ -1,5 +1,8 @@
 """Images of known truth, made with no help from the package, and the paper's sensor."""
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 from scipy.special import erf
 from scipy.stats import norm
@@ -85,3 +88,16 @@ def _looking_at_origin(tilt_deg, x_axis=None, y_axis=None):
     z = -np.array([np.sin(tilt), 0.0, np.cos(tilt)])
     x = np.cross(y_axis, z) if x_axis is None else np.array(x_axis)
     return Pose(rotation=np.stack([x, np.cross(z, x), z], axis=1), origin_mm=-300.0 * z)
+
+
+@dataclass(frozen=True)
+class HeldScene:
+    """What a search needs of a scene, without a renderer."""
+
+    sensor: SensorModel
+    field: Any
+    surface: Any
+
+    @property
+    def camera(self):
+        return self.sensor.camera

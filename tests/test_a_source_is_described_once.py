@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from artificial import HeldScene
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
@@ -341,15 +342,6 @@ def test_any_ray_of_its_is_triangulated(known, scene, frame):
 # ----------------------------------------------------------------------------------- derivatives
 
 
-@dataclass(frozen=True)
-class Held:
-    """What a search needs of a scene, to be moved without loading."""
-
-    sensor: SensorModel
-    field: object
-    surface: object
-
-
 def moved(held, turn_deg, shift_mm):
     """With the source turned about the world's origin, then shifted."""
     turn = Rotation.from_rotvec(np.radians(turn_deg)).as_matrix()
@@ -361,7 +353,7 @@ def moved(held, turn_deg, shift_mm):
 @pytest.mark.parametrize("parameter", ["laser_x", "laser_z", "laser_turn_y", "laser_turn_z", "t"])
 def test_derivatives_are_those_of_central_differences(known, scene, t, parameter):
     """Rationale: they come from the family's own, carried through the air."""
-    held = Held(scene.sensor, scene.medium, scene.surface)
+    held = HeldScene(scene.sensor, scene.medium, scene.surface)
     exact, none = line_sensitivity(held, t), np.zeros(3)
     axis = none if parameter == "t" else np.eye(3)["xyz".index(parameter[-1])]
     turns = "turn" in parameter

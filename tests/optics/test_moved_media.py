@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import oracles
 import pytest
-from artificial import paper_sensor
+from artificial import HeldScene, paper_sensor
 from oracles import unit
 from scipy.spatial.transform import Rotation
 
@@ -218,22 +218,9 @@ def test_a_traced_ray_leaves_a_field_where_that_is_now():
 # ------------------------------------------------------------------------------- the whole sensor
 
 
-@dataclass(frozen=True)
-class Scene:
-    """What a search needs, without a renderer."""
-
-    sensor: SensorModel
-    field: Any
-    surface: Any
-
-    @property
-    def camera(self):
-        return self.sensor.camera
-
-
 @pytest.fixture(scope="module")
 def scene():
-    return Scene(paper_sensor(fan_deg=6.0), vs.load_scene("hot_cylinder").medium, Cylinder())
+    return HeldScene(paper_sensor(fan_deg=6.0), vs.load_scene("hot_cylinder").medium, Cylinder())
 
 
 @pytest.fixture(scope="module")
@@ -241,7 +228,7 @@ def moved(scene):
     """The same with part, air and sensor moved together."""
     parts = (scene.sensor.camera, scene.sensor.laser)
     camera, laser = (part.with_pose(part.pose.moved(MOTION)) for part in parts)
-    return Scene(SensorModel(camera, laser), scene.field.moved(MOTION), Moved(scene.surface))
+    return HeldScene(SensorModel(camera, laser), scene.field.moved(MOTION), Moved(scene.surface))
 
 
 Y = np.linspace(-9.8, 9.6, 9)
@@ -279,11 +266,11 @@ def test_ray_maps_of_a_moved_scene_are_the_same(scene, moved):
 def test_derivatives_of_a_moved_scene_are_turned_ones(scene):
     """By shifts along axes that moved along; in air cut off where it pulls, which counts too."""
     cut = scene.field.with_nodes(scene.field.nodes[:, :, :54])
-    still = Scene(scene.sensor, cut, Cylinder())
+    still = HeldScene(scene.sensor, cut, Cylinder())
     expected = line_sensitivity(still, Y).of_pixel
     parts = (scene.sensor.camera, scene.sensor.laser)
     camera, laser = (part.with_pose(part.pose.moved(AXIAL)) for part in parts)
-    there = Scene(SensorModel(camera, laser), cut.moved(AXIAL), AXIAL_CYLINDER)
+    there = HeldScene(SensorModel(camera, laser), cut.moved(AXIAL), AXIAL_CYLINDER)
     found = line_sensitivity(there, Y).of_pixel
     for body in ("camera", "laser", "sensor"):
         by = [np.stack([each[f"{body}_{a}"] for a in "xyz"], axis=-1) for each in (expected, found)]

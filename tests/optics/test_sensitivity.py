@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import oracles
 import pytest
-from artificial import paper_sensor
+from artificial import HeldScene, paper_sensor
 from scipy.interpolate import BarycentricInterpolator
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -36,19 +36,6 @@ FINE = March(0.025, "leapfrog")
 """Where a difference shows the steps: they begin elsewhere in the field when the sensor moves."""
 AXIS = np.array([0.0, 0.0, -13.5])  # a point on the cylinder's
 BOTH = ("camera", "laser")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a search needs, without a renderer."""
-
-    sensor: SensorModel
-    field: Any
-    surface: Any
-
-    @property
-    def camera(self):
-        return self.sensor.camera
 
 
 def turned(pose, turn_deg, pivot_mm, shift_mm):
@@ -86,7 +73,7 @@ def family():
 @pytest.fixture(scope="module")
 def scene(family):
     """The paper's, but with nothing left to symmetry: turned, and the laser fanned out."""
-    paper = Scene(paper_sensor(fan_deg=6.0), family.fields[1250.0], Cylinder())
+    paper = HeldScene(paper_sensor(fan_deg=6.0), family.fields[1250.0], Cylinder())
     return moved(paper, BOTH, (8.0, 1.0, 3.0), AXIS, (0.7, 0.4, -1.1))
 
 
@@ -286,7 +273,7 @@ def test_a_fibres_swing_follows_its_strength(method, step, tolerance):
 
 def test_straight_light_follows_the_pinhole():
     """Cold, the camera's own shift moves pixels by K R^T dC alone, and the field by nothing."""
-    cold = Scene(paper_sensor(), None, Cylinder())
+    cold = HeldScene(paper_sensor(), None, Cylinder())
     found = line_sensitivity(cold, Y)
     camera = cold.sensor.camera
     z = np.sqrt(13.5**2 - Y**2) - 13.5  # the laser's plane is z = -x tan(60 deg)
@@ -387,7 +374,9 @@ def test_an_end_face_has_a_normal_of_its_own():
     camera = replace(
         paper.camera, pose=replace(paper.camera.pose, origin_mm=np.array([235.0, 0, 254.8]))
     )
-    cold = Scene(replace(paper, camera=camera, laser=paper.laser.with_pose(pose)), None, Cylinder())
+    cold = HeldScene(
+        replace(paper, camera=camera, laser=paper.laser.with_pose(pose)), None, Cylinder()
+    )
     found = line_sensitivity(cold, [0.5], ["laser_x", "laser_y", "laser_z"])
     np.testing.assert_allclose(found.laser_point_mm, [[85.0, 0.5, -5.0]], atol=1e-9)
     project = camera.project
