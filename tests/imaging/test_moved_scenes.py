@@ -66,6 +66,18 @@ def test_the_search_finds_the_same_pixels(still, moved):
     assert np.abs(other.pixel - cold).max() > 0.5  # px: the air is there
 
 
+def test_points_are_projected_and_triangulated_as_before(still, moved):
+    """Through the air that moved along, both ways."""
+    lit = vs.ray_search(still, Y, "newton")
+    pixel = vs.project(still, lit.laser_point_mm)
+    there = MOTION.to_world(lit.laser_point_mm)
+    np.testing.assert_allclose(vs.project(moved, there), pixel, rtol=0, atol=1e-4)
+    points = vs.triangulate(still.sensor, lit.pixel, medium=still.medium)
+    found = vs.triangulate(moved.sensor, lit.pixel, medium=moved.medium)
+    np.testing.assert_allclose(found, MOTION.to_world(points), rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found, there, rtol=0, atol=1e-3)
+
+
 @pytest.mark.parametrize("transport", ["tabulated", "marched"])
 def test_frames_show_the_same_line(still, moved, transport):
     """Centres in every column, by maps and by marches."""

@@ -288,8 +288,10 @@ def _field_summary(field: IndexField) -> dict[str, Any]:
         "box, mm": field.box.tolist(),
         "moved by": {
             "rotation": field.axes().tolist(),
-            "shift, mm": field.to_world(np.zeros((1, 3)))[0].tolist(),
-        },
+            "shift, mm": field.to_world(np.zeros(3)).tolist(),
+        }
+        if field.pose
+        else None,
         "largest jump of n - 1 at the border": {face: float(jump) for face, jump in jumps},
     }
 
