@@ -9,6 +9,7 @@ from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import air_refractivity
+from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import field_times
 
@@ -310,3 +311,22 @@ def test_attributes_may_have_the_names_of_what_reads_them(path, capfd):
     path.write_bytes(content.replace(b"DATA", b"data"))
     with pytest.raises(InputError, match=r"'temperature' has an attribute 'data'; rename it"):
         IndexField.read(path)
+
+
+def test_scenes_of_the_same_air_share_one_field_until_its_file_changes(tmp_path):
+    """Rationale: what is made of air, lookups and ray maps, is wanted in every pose of a part."""
+    path = tmp_path / "air.nc"
+    write_nc(path)
+    air = MediumDescription(path)
+    first = air.read()
+    assert MediumDescription(path).read() is first
+    assert MediumDescription(path, wavelength_nm=633.0).read() is not first
+    assert MediumDescription(path, widen=2.0).read() is not first
+    path.unlink()
+    write_nc(path, values=np.full(SHAPE, 500.0))
+    again = air.read()
+    assert again is not first
+    assert np.all(again.nodes < first.nodes)
+    path.unlink()
+    with pytest.raises(InputError, match="there is no such file"):
+        air.read()

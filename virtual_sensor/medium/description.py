@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +15,10 @@ from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import naming
 from virtual_sensor.poses import Pose
+
+_LOCK = threading.Lock()
+_READ: weakref.WeakValueDictionary[Hashable, IndexField] = weakref.WeakValueDictionary()
+_LAST: list[IndexField] = []  # one, held for who loads scenes one after the other
 
 
 @dataclass(frozen=True)
@@ -67,6 +74,9 @@ class MediumDescription:
     def read(self) -> IndexField | None:
         """Read the field; None of homogeneous air.
 
+        Scenes of the same air share one field, and with it what was made of it: it is read again
+        when its file has changed.
+
         Raises
         ------
         InputError
@@ -74,8 +84,21 @@ class MediumDescription:
         """
         if self.path is None:
             return None
-        air = IndexField.read(self.path, wavelength_nm=self.wavelength_nm, time_s=self.time_s)
-        with naming(self.path):
+        try:
+            stat = self.path.stat()
+        except OSError:  # reading it says why
+            return self._read(self.path)
+        key = self, stat.st_ino, stat.st_size, stat.st_mtime_ns
+        with _LOCK:
+            field = _READ.get(key)
+            if field is None:
+                _READ[key] = field = self._read(self.path)
+            _LAST[:] = [field]
+        return field
+
+    def _read(self, path: Path) -> IndexField:
+        air = IndexField.read(path, wavelength_nm=self.wavelength_nm, time_s=self.time_s)
+        with naming(path):
             broad = blurred(widened(air, self.widen), self.blur_mm)
             simple = broad.simplified(self.interpolation, self.dimensions)
             placed = simple if self.pose is None else simple.moved(self.pose)
