@@ -152,6 +152,28 @@ def test_air_that_ends_before_it_has_faded(scene, name):
     assert_agree(line_sensitivity(cropped, Y, [name]).of_pixel[name], ends, e)
 
 
+@pytest.mark.parametrize("parameter", ["camera_x", "laser_turn_y", "along_line"])
+def test_through_a_lens_that_distorts(scene, parameter):
+    """A tilted sensor behind a lens of four terms: pixels answer with its stretch, too."""
+    terms = np.array([-0.9, 0.5, 1e-2, -2e-2, 0, 0, 0, 0, 0, 0, 0, 0, 0.05, -0.1])
+    camera = replace(scene.sensor.camera, distortion=terms)
+    bent = replace(scene, sensor=replace(scene.sensor, camera=camera))
+    found = line_sensitivity(bent, Y)
+    if parameter == "along_line":
+        e = 0.002
+        plus, minus = (ray_search(bent, Y + s * e, "newton").pixel for s in (1, -1))
+        expected = (plus - minus) / (2.0 * e)
+        atol = AGREEMENT * abs(expected).max()
+        np.testing.assert_allclose(found.along_line, expected, rtol=0, atol=atol)
+        return
+    e = 0.0005 if "turn" in parameter else 0.002
+    body, axis = parameter.split("_", 1)
+    step = np.eye(3)["xyz".index(axis[-1])] * e
+    moves = [(s * step, (0, 0, 0)) if "turn" in axis else ((0, 0, 0), s * step) for s in (1, -1)]
+    ends = [moved(bent, (body,), turn, shift_mm=shift) for turn, shift in moves]
+    assert_agree(found.of_pixel[parameter], ends, e)
+
+
 # -------------------------------------------------------------------------------------------- air
 
 
