@@ -6,7 +6,8 @@ from artificial import paper_sensor
 
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.triangulation import check_geometry, triangulate
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
 
 

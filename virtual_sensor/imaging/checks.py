@@ -12,8 +12,8 @@ from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.triangulation import check_geometry
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]

@@ -37,8 +37,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
-from virtual_sensor.metrology.triangulation import Sensor, check_geometry
 from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]

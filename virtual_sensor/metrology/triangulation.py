@@ -1,7 +1,7 @@
 """From pixels to points: the line of sight meets the laser plane (Beermann et al. 2018, 3.3)."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,58 +12,11 @@ from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
 
 Array = NDArray[np.float64]
 
 PARALLEL = 1e-12  # sine of the angle to the laser plane: below it a line of sight never meets it
-SINGULAR = 1e-6  # the same angle, subtended by the triangulation base: below it there is no depth
-NEAREST_MM = 1.0  # to a projection centre, of all that is ever measured
-
-
-class LaserPlane(Protocol):
-    """A laser plane, and about where on it things are measured (3,), mm."""
-
-    @property
-    def plane(self) -> tuple[Array, float]: ...  # noqa: D102
-
-    @property
-    def target_mm(self) -> Array: ...  # noqa: D102
-
-
-class Sensor(Protocol):
-    """A camera and a laser plane: the sensor of a scene, or a real one's calibration."""
-
-    @property
-    def camera(self) -> Pinhole: ...  # noqa: D102
-
-    @property
-    def laser(self) -> LaserPlane: ...  # noqa: D102
-
-    @property
-    def triangulation_angle_deg(self) -> float: ...  # noqa: D102
-
-
-def check_geometry(sensor: Sensor) -> None:
-    """Check that the camera sees the laser plane from the side.
-
-    From a projection centre in the laser plane every line of sight that meets the plane does so at
-    the projection centre itself, whatever the depth of the object.
-
-    Raises
-    ------
-    InputError
-        Where C_proj lies in the laser plane, as with a triangulation angle alpha of zero.
-    """
-    normal, offset = sensor.laser.plane
-    centre = sensor.camera.pose.origin_mm
-    base = abs(normal @ centre - offset)
-    distance = max(float(np.linalg.norm(centre - sensor.laser.target_mm)), NEAREST_MM)
-    if not base > SINGULAR * distance:
-        raise InputError(
-            f"sensor: the camera's projection centre lies {base:.3g} mm from the laser plane "
-            f"(triangulation angle alpha = {sensor.triangulation_angle_deg:.3g} deg), so that no "
-            "depth can be measured; turn the camera out of the plane, to alpha = 60 deg for example"
-        )
 
 
 @dataclass(frozen=True)
