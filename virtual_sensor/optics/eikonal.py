@@ -235,6 +235,7 @@ def _march(
     """From the border (or from inside) through the field, step by step."""
     rhs = _right_hand_side(field, line, march, tangents, variations)
     controlled = march.method in CONTROLLED
+    stops = not isinstance(surface, NoSurface)  # where nothing does, a tenth of a step is spared
     box = _box(field, march)
     longest = dr.opaque(march.scalar, march.step_mm)  # one kernel for any step
     tolerance = dr.opaque(march.scalar, march.tolerance_mm)
@@ -271,7 +272,7 @@ def _march(
             ahead, good, pace = controlled_step(ray, h, pace)
         else:
             ahead, good = step(ray, h), True
-        if not isinstance(surface, NoSurface):  # a tenth of a step, where nothing can be met
+        if stops:
             secant = line.direction * h + (ahead.offset[0] - ray.offset[0])
             length = dr.norm(secant)
             forward = moving & good & (h > 0.0)
@@ -301,7 +302,7 @@ def _march(
     ray = dr.select(active, replace(ray, tau=tuple(at_start)), ray)
     pace = _Pace(longest + 0.0 * ray.t, rhs(ray.t, ray.offset)) if controlled else ()
     most = dr.opaque(mi.UInt32, march.max_steps)
-    chord = dr.zeros(march.scalar, dr.width(active))
+    chord = dr.zeros(march.scalar, dr.width(active)) if stops else ()
     ray, moving, chord, *_ = dr.while_loop(
         (ray, active, chord, mi.UInt32(0), pace, *ahead_of(ray)),
         lambda ray, moving, chord, count, *_: moving & (count < most),
@@ -309,8 +310,9 @@ def _march(
         labels=("ray", "moving", "chord", "count", "pace", "left", "out"),
     )
     ray.status[moving] = int(RayStatus.OUT_OF_STEPS)
-    hit = active & (ray.status == int(RayStatus.HIT))
-    ray = dr.select(hit, _onto_surface(line, step(ray, chord), surface, hit), ray)
+    if stops:
+        hit = active & (ray.status == int(RayStatus.HIT))
+        ray = dr.select(hit, _onto_surface(line, step(ray, chord), surface, hit), ray)
     ended = active & (ray.status == int(RayStatus.ENDED))
     ray = dr.select(ended, ray.moved(remaining(line, ray)), ray)
     out = active & (ray.status == int(RayStatus.LEFT))
