@@ -1,5 +1,7 @@
 """Interpolation in tables on grids against SciPy's splines."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy.interpolate import NdBSpline, RegularGridInterpolator, make_interp_spline
@@ -64,6 +66,43 @@ def test_slopes_are_the_splines_derivatives(table, values, axis):
     """Rationale: Newton's Jacobian and the light's concentration are made of them."""
     expected = spline(GRID, values)(GRID.nodes(), nu=np.eye(3, dtype=int)[axis])
     np.testing.assert_allclose(table.slopes(GRID.nodes(), axis), expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("functions", [1, 3, 4, 5, 9])
+@pytest.mark.parametrize("count", [0, 1, 700])
+def test_any_number_of_functions_is_told_at_any_number_of_places(functions, count):
+    """Rationale: four of them are read at once, and Dr.Jit knows no empty array."""
+    values = RNG.normal(size=(*NODES, functions))
+    table, places = SplineTable(GRID, values.reshape(-1, functions)), around(GRID, count)
+    truth = spline(GRID, values)
+    found = table.with_slopes(places)
+    for order, values_found in zip([(0, 0, 0), (1, 0, 0), (0, 1, 0)], found, strict=True):
+        expected = truth(places, nu=order).reshape(count, functions)
+        np.testing.assert_allclose(values_found, expected, rtol=0, atol=1e-10)
+    first = (functions + 1) // 2
+    np.testing.assert_array_equal(table.at(places, first), found[0][:, :first])
+
+
+def test_nothing_is_known_at_no_place(table):
+    """Rationale: an index made of NaN must not be read."""
+    places = np.vstack([around(GRID, 5), np.full(3, np.nan)])
+    at = table.at(places)
+    assert np.isnan(at[5]).all()
+    np.testing.assert_array_equal(at[:5], table.at(places[:5]))
+
+
+def test_threads_may_ask_several_tables_at_once():
+    """Rationale: all share one kernel, which is recorded by the first and replayed."""
+    tables = []
+    for nodes in range(4, 9):
+        grid = Grid(GRID.low, GRID.high, (nodes, 5, 6))
+        tables.append(SplineTable(grid, RNG.normal(size=(nodes * 30, 4))))
+    places = around(GRID, 5000)
+    alone = [table.with_slopes(places) for table in tables]
+    with ThreadPoolExecutor(4) as threads:
+        together = list(threads.map(lambda table: table.with_slopes(places), 10 * tables))
+    for i, found in enumerate(together):
+        np.testing.assert_array_equal(found, alone[i % len(tables)])
 
 
 @pytest.mark.parametrize("order", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])

@@ -8,7 +8,7 @@ symbolic loops may call them; the derivatives cannot themselves be differentiate
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Any
 
@@ -159,7 +159,14 @@ class CubicLookup(GridLookup):
         cell = [dr.minimum(mi.UInt32(x), last) for x, last in zip(u, self._last, strict=True)]
         within = [x - self._scalar(i) for x, i in zip(u, cell, strict=True)]
         first = sum(i * stride for i, stride in zip(cell, self._strides, strict=True))
-        along = self._contracted([_weights(t)[: most + 1] for t in within], most, first)
+        *across, last = (cubic_weights(t) for t in within)
+        fours = contracted(self._four, first, self._strides, across, most)
+        # Fours along the last axis are contracted last: twice as fast as first.
+        along = {
+            (*orders, order): dr.dot(four, self._packet(*last[order]))
+            for orders, four in fours.items()
+            for order in range(most - sum(orders) + 1)
+        }
         axes = range(len(u))
         none = self._scalar(0.0)
 
@@ -176,35 +183,6 @@ class CubicLookup(GridLookup):
             self._matrix_in_world(hessian, scale),
         )
 
-    def _contracted(self, weights: list[Any], most: int, first: Any) -> dict[tuple[int, ...], Any]:
-        """Derivatives at a point, by their order along each axis, their sum `most` at most.
-
-        Parameters
-        ----------
-        weights : list
-            Of the four coefficients along each axis from here on, by order of the derivative.
-        first : int
-            The cell's first coefficient.
-        """
-        stride = self._strides[-len(weights)]
-        across, *rest = weights
-        sums: dict[tuple[int, ...], Any] = {}
-        for number in range(4):
-            row = first + number * stride
-            parts = {(): self._four(row)} if len(rest) == 1 else self._contracted(rest, most, row)
-            for orders, part in parts.items():
-                for order in range(most - sum(orders) + 1):
-                    key, weight = (order, *orders), across[order][number]
-                    sums[key] = dr.fma(part, weight, sums[key]) if key in sums else part * weight
-        if len(rest) > 1:
-            return sums
-        # Fours along the last axis are contracted last: twice as fast as first.
-        return {
-            (*orders, order): dr.dot(four, self._packet(*rest[0][order]))
-            for orders, four in sums.items()
-            for order in range(most - sum(orders) + 1)
-        }
-
     def _four(self, first: Any) -> Any:
         """Four coefficients side by side."""
         if self._packed:
@@ -213,7 +191,41 @@ class CubicLookup(GridLookup):
         return self._packet(*each)
 
 
-def _weights(t: Any) -> tuple[list[Any], list[Any], list[Any]]:
+def contracted(
+    read: Callable[[Any], Any], first: Any, strides: Sequence[Any], weights: list[Any], most: int
+) -> dict[tuple[int, ...], Any]:
+    """Sums of coefficients with a spline's weights: derivatives at a point, of `most` at most.
+
+    Parameters
+    ----------
+    read : callable
+        Gives the coefficients, numbers or vectors, at an index.
+    first : int
+        Index of the first of the four coefficients along each axis.
+    strides : sequence of int
+        From one coefficient to the next along each axis.
+    weights : list
+        `cubic_weights` along each axis.
+
+    Returns
+    -------
+    dict
+        By the derivatives' order along each axis.
+    """
+    if not weights:
+        return {(): read(first)}
+    across, *rest = weights
+    sums: dict[tuple[int, ...], Any] = {}
+    for number in range(4):
+        row = first + number * strides[0]
+        for orders, part in contracted(read, row, strides[1:], rest, most).items():
+            for order in range(most - sum(orders) + 1):
+                key, weight = (order, *orders), across[order][number]
+                sums[key] = dr.fma(part, weight, sums[key]) if key in sums else part * weight
+    return sums
+
+
+def cubic_weights(t: Any) -> tuple[list[Any], list[Any], list[Any]]:
     """Of four coefficients for the value, slope and curvature of a cubic B-spline, t in [0, 1]."""
     s = 1.0 - t
     t2, s2 = t * t, s * s

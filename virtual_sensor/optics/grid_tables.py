@@ -1,19 +1,21 @@
 """Smooth functions of three coordinates on regular grids: splines for NumPy, linear for Dr.Jit."""
 
+import threading
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import NdBSpline
 from scipy.sparse import csr_array
 
+from virtual_sensor.arrays import by_rows, in_own_memory, to_vectors
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.medium.lookups import in_own_memory
+from virtual_sensor.medium.lookups import contracted, cubic_weights
 from virtual_sensor.medium.spline import bspline_coefficients
 
 Array = NDArray[np.float64]
 
+_PACKET = 4  # functions side by side, which one load reads
 _SLACK = 1e-3  # of a cell: places this far out of the grid are still in it, but for rounding
 
 
@@ -66,20 +68,33 @@ class SplineTable:
         self.grid = grid
         shaped = values.reshape(*grid.shape, -1)
         self._coefficients = bspline_coefficients(shaped, (False, False, False))
-        axes = zip(grid.low, grid.spacing, grid.shape, strict=True)
-        knots = tuple(low + step * (np.arange(n + 6) - 3.0) for low, step, n in axes)
-        self._spline = NdBSpline(knots, self._coefficients, 3, extrapolate=True)
+        self._cubic: dict[str, _CubicTable] = {}
         self._linear: dict[tuple[str, int, tuple[int, ...]], LinearTable] = {}
 
-    def at(self, places: Array) -> Array:
-        """The functions at places (N, 3): (N, C)."""
-        return self._spline(places)
+    def at(self, places: Array, functions: int | None = None) -> Array:
+        """The functions, or the first of them, at places (N, 3): (N, C).
+
+        Beyond the grid, the outermost cubics go on.
+        """
+        return self._evaluated(places, (), functions)[0]
 
     def slopes(self, places: Array, axis: int) -> Array:
         """Derivatives of the functions by a coordinate at places (N, 3): (N, C)."""
-        order = [0, 0, 0]
-        order[axis] = 1
-        return self._spline(places, nu=order)
+        return self._evaluated(places, (int(axis),))[1]
+
+    def with_slopes(self, places: Array) -> tuple[Array, Array, Array]:
+        """The functions at places (N, 3), and derivatives by the first two coordinates: (N, C)."""
+        values, first, second = self._evaluated(places, (0, 1))
+        return values, first, second
+
+    def _evaluated(
+        self, places: Array, axes: tuple[int, ...], functions: int | None = None
+    ) -> tuple[Array, ...]:
+        variant, count = mi.variant(), functions or self.functions
+        if variant not in self._cubic:
+            self._cubic[variant] = _CubicTable(self.grid, self._coefficients)
+        table = self._cubic[variant]
+        return by_rows(lambda some: table.at(to_vectors(some), axes, count), places)
 
     def on_grid(self, grid: Grid, order: tuple[int, int, int] = (0, 0, 0)) -> Array:
         """The functions, or derivatives of some order, at a grid's nodes: (N, C); quickly."""
@@ -98,8 +113,9 @@ class SplineTable:
 
     @property
     def bytes(self) -> int:
-        """Memory that it takes, with the linear tables made of it."""
-        return self._coefficients.nbytes + sum(table.bytes for table in self._linear.values())
+        """Memory that it takes, with the tables for Dr.Jit made of it."""
+        tables: list[_CubicTable | LinearTable] = [*self._cubic.values(), *self._linear.values()]
+        return self._coefficients.nbytes + sum(table.bytes for table in tables)
 
     def finer(self, tolerances: Array) -> tuple[int, list[int]]:
         """How a linear table is to be made that errs by no more.
@@ -163,6 +179,55 @@ def _along(matrix: csr_array, values: NDArray[np.floating], axis: int) -> Any:
     along = np.moveaxis(values, axis, 0)
     applied = matrix @ along.reshape(len(along), -1)
     return np.moveaxis(applied.reshape(-1, *along.shape[1:]), 0, axis)
+
+
+class _CubicTable:
+    """The splines in Dr.Jit, in double precision."""
+
+    def __init__(self, grid: Grid, coefficients: Array) -> None:
+        functions = coefficients.shape[-1]
+        packed = np.zeros((*coefficients.shape[:-1], -(-functions // _PACKET) * _PACKET))
+        packed[..., :functions] = coefficients
+        firsts = range(0, functions, _PACKET)
+        self._fours = [in_own_memory(packed[..., i : i + _PACKET], mi.Float64) for i in firsts]
+        # Opaque: one kernel for any grid.
+        numbers = grid.low, 1.0 / grid.spacing, np.array(grid.shape) - 2.0
+        self._axes = [dr.opaque(mi.Array3f64(*np.asarray(v, float).tolist())) for v in numbers]
+        _, n1, n2 = coefficients.shape[:3]
+        self._strides = [dr.opaque(mi.UInt32, stride) for stride in (n1 * n2, n2, 1)]
+        self.bytes = packed.nbytes
+
+    def at(self, places: Any, axes: tuple[int, ...], functions: int) -> tuple[Array, ...]:
+        """The first functions at places, and their derivatives along axes: each (N, C)."""
+        with _ONE_AT_A_TIME:
+            fours = [
+                _four_functions(places, *self._axes, self._strides, four, axes)
+                for four in self._fours[: -(-functions // _PACKET)]
+            ]
+        dr.eval(fours)
+        together = (np.concatenate(parts) for parts in zip(*fours, strict=True))
+        return tuple(np.ascontiguousarray(values[:functions].T) for values in together)
+
+
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dr.freeze  # to trace it takes longer than to compute thousands of places
+def _four_functions(
+    places: Any, low: Any, scale: Any, last: Any, strides: list[Any], four: Any, axes: Any
+) -> list[Any]:
+    """Four functions that lie side by side, which one load reads, and their derivatives."""
+    u = (places - low) * scale
+    cell = dr.floor(dr.clip(u, 0.0, last))
+    weights = [cubic_weights(t) for t in u - cell]
+    first = sum(mi.UInt32(i) * stride for i, stride in zip(cell, strides, strict=True))
+
+    def read(at: Any) -> Any:
+        return dr.gather(mi.Array4f64, four, at)
+
+    along = contracted(read, first, strides, weights, min(len(axes), 1))
+    slopes = (along[tuple(int(k == axis) for k in range(3))] * scale[axis] for axis in axes)
+    return [along[0, 0, 0], *slopes]
 
 
 class LinearTable:

@@ -210,7 +210,7 @@ class ForwardMap(RayMap):
         """Points on the rays (s, t) at depths, of places (N, 3)."""
         held = self.table.grid.holds(places)
         s, t, depth = places[held].T
-        moved = self.table.at(places[held])
+        moved, jacobian = self._bent(places[held])
         (x, y), (along_x, along_y) = self.family.place(s, t, depth), self.family.slope(s, t)
         local = np.stack([x + moved[:, 0], y + moved[:, 1], depth], axis=1)
         slope = np.stack([along_x + moved[:, 2], along_y + moved[:, 3], np.ones(len(s))], axis=1)
@@ -218,7 +218,7 @@ class ForwardMap(RayMap):
         point[held] = self.family.pose.to_world(local)
         direction[held] = _unit(slope @ self.family.pose.rotation.T)
         status = np.full(len(places), MapStatus.OFF, np.uint8)
-        folded = self._folded(places[held], self.jacobian(places[held]))
+        folded = self._folded(places[held], jacobian)
         status[held] = np.where(folded, MapStatus.FOLDED, MapStatus.OK)
         return RayPoints(point, direction, status)
 
@@ -228,7 +228,7 @@ class ForwardMap(RayMap):
         It works beside a caustic too, where there is no `InverseMap`.
         """
         places = self.family.coordinates(points_mm)
-        found = self._through(places, self.table.at(places), self.jacobian(places))
+        found = self._through(places, *self._bent(places))
         off = ~self.table.grid.holds(found.start)
         status = np.where(off, MapStatus.OFF, MapStatus.OK)
         status = np.where(found.folded | (found.missed & ~off), MapStatus.FOLDED, status)
@@ -241,8 +241,13 @@ class ForwardMap(RayMap):
 
     def jacobian(self, places: Array) -> Array:
         """d(x, y)/d(s, t) in mm of the bent rays at places (N, 3): (N, 2, 2)."""
-        by = np.stack([self.table.slopes(places, axis)[:, :2] for axis in (0, 1)], axis=2)
-        return by + _matrices(self.family.by_coordinates(*places.T), len(places))
+        return self._bent(places)[1]
+
+    def _bent(self, places: Array) -> tuple[Array, Array]:
+        """The table (N, 4) and `jacobian` (N, 2, 2) at places (N, 3)."""
+        moved, by_s, by_t = self.table.with_slopes(places)
+        by = np.stack([by_s[:, :2], by_t[:, :2]], axis=2)
+        return moved, by + _matrices(self.family.by_coordinates(*places.T), len(places))
 
     def _folded(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
         """Where tubes of bent rays are turned over beside straight ones: beyond a fold, or a focus.
@@ -318,7 +323,7 @@ class InverseMap(RayMap):
         places = self.family.coordinates(points_mm)
         held = self.table.grid.holds(places)
         s, t, _ = places[held].T
-        shift = self.table.at(places[held])
+        shift = self.table.at(places[held], 4)
         along_x, along_y = self.family.slope(s, t)
         slope = np.stack([along_x + shift[:, 2], along_y + shift[:, 3], np.ones(len(s))], axis=1)
         coordinates = np.full((len(places), 2), np.nan)
