@@ -7,6 +7,7 @@ Their frames, searched lines, ray maps, triangulation and derivatives through ho
 against marches of rays that are written out here, and against each other.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -148,15 +149,16 @@ def known(request):
 
 @pytest.fixture(scope="module")
 def load(known, tmp_path_factory):
-    """Load the shipped scene with this source in place of its laser."""
+    """Load the shipped scene with this source in place of its laser, or beside it."""
     text = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
-    head, rest = text.split('<emitter type="laser_line" id="laser">')
-    properties, tail = rest.split("<transform", 1)
-    assert properties.count("<float") == 5
-    text = f"{head}{known.emitter}<transform{tail}"
-    path = tmp_path_factory.mktemp("scene") / "other_source.xml"
-    path.write_text(text.replace('"fields/', f'"{shipped_scenes()}/fields/'), encoding="utf-8")
-    return lambda **parameters: vs.load_scene(path, **parameters)
+    text = text.replace('"fields/', f'"{shipped_scenes()}/fields/')
+    laser = re.search('<emitter type="laser_line".*?</emitter>', text, re.DOTALL)[0]
+    source = re.sub("<emitter .*?(?=<transform)", known.emitter, laser, flags=re.DOTALL)
+    folder = tmp_path_factory.mktemp("scene")
+    (folder / "alone.xml").write_text(text.replace(laser, source), encoding="utf-8")
+    other = laser.replace('id="laser"', 'id="other"').replace('x="$along"', 'x="4"')
+    (folder / "beside.xml").write_text(text.replace(laser, source + other), encoding="utf-8")
+    return lambda name="alone", **parameters: vs.load_scene(folder / f"{name}.xml", **parameters)
 
 
 @pytest.fixture(scope="module")
@@ -260,11 +262,22 @@ def test_maps_and_marches_give_the_same_frame(load):
     np.testing.assert_allclose(*rows, rtol=0, atol=1e-3)
 
 
+def test_beside_a_laser_its_light_is_added(load):
+    """Rationale: sources of different families share the camera's rays, and nothing else."""
+    both = load("beside", width=512, height=512, spp=4)
+    each = [render_frame(both.only(source=name)).radiance for name in ("laser", "other")]
+    assert all(radiance.max() > 0.0 for radiance in each)
+    together = render_frame(both)
+    assert not together.account.reason
+    peak = max(radiance.max() for radiance in each)
+    np.testing.assert_allclose(together.radiance, each[0] + each[1], rtol=0, atol=1e-3 * peak)
+
+
 def test_a_frame_knows_the_coordinates_of_its_light(known, found, frame, t):
     """At the pixel that sees ray t, the frame says: across the sheet 0, along the line t."""
     u, v = found.pixel.T
-    (told,) = frame.source_coordinates.values()
-    across, along = (map_coordinates(told[..., i], [v, u], order=1) for i in (0, 1))
+    (rays,) = frame.source_coordinates.values()
+    across, along = (map_coordinates(rays[..., i], [v, u], order=1) for i in (0, 1))
     np.testing.assert_allclose(across, 0.0, atol=0.01 * known.half_width)
     np.testing.assert_allclose(along, t, atol=1e-4 * known.half_length)
 
@@ -328,11 +341,11 @@ def test_hot_points_are_triangulated_along_bent_rays(scene, found):
 
 def test_any_ray_of_its_is_triangulated(known, scene, frame):
     """By its first coordinate, as a frame tells it of pixels beside the middle of the line."""
-    (told,) = frame.source_coordinates.values()
-    inner = np.abs(told[..., 0]) < 0.8 * known.half_width
-    v, u = np.argwhere(inner & np.isfinite(told[..., 0]))[::97].T
+    (rays,) = frame.source_coordinates.values()
+    inner = np.abs(rays[..., 0]) < 0.8 * known.half_width
+    v, u = np.argwhere(inner & np.isfinite(rays[..., 0]))[::97].T
     measured = vs.triangulate(
-        scene, np.stack([u, v], 1), medium=scene.medium, coordinate=told[v, u, 0]
+        scene, np.stack([u, v], 1), medium=scene.medium, coordinate=rays[v, u, 0]
     )
     apart = np.linalg.norm(measured - frame.point_mm[v, u], axis=1)
     assert len(apart) > 50
