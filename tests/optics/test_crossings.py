@@ -216,6 +216,18 @@ def test_why_a_pixel_has_no_point_is_said(scene, hot):
     np.testing.assert_array_equal(np.isfinite(found.point_mm[:, 0]), found.status == status.OK)
 
 
+def test_a_crossing_behind_the_camera_is_none(scene):
+    """Rationale: rays that are sought by Newton's method are lines, which go on behind."""
+    camera, family = scene.camera, Sheet(toward_origin((0.0, 0.0, 900.0)), 900.0)
+    point = camera.pose.origin_mm - 100.0 * camera.pose.rotation[:, 2]  # before the source
+    mirrored = 2.0 * camera.pose.origin_mm - point
+    pixel, s = camera.project(mirrored[None]), family.coordinates(point[None])[:, 0]
+    assert family.coordinates(point[None])[0, 2] > 100.0
+    found = crossings(None, camera, family, pixel, s, 1e-3)
+    np.testing.assert_array_equal(found.status, CrossingStatus.NO_CROSSING)
+    assert np.isnan(found.point_mm).all()
+
+
 def test_beyond_a_caustic_of_the_sources_light_no_point_is_made_up():
     """Rationale: a ball lens turns the sheet's rays over: more than one lights a point there."""
     lens = hot_spot(-0.5, WIDTH_MM, box=np.array([[-60.0] * 3, [60.0] * 3]))
