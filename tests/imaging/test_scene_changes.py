@@ -11,9 +11,11 @@ from pathlib import Path
 
 import child_functions
 import cloudpickle
+import dask
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from several import two_by_two
 
 import virtual_sensor as vs
 from virtual_sensor.imaging import scene as scenes
@@ -29,6 +31,11 @@ Y = [0.0, -4.0]
 @pytest.fixture(scope="module")
 def hot():
     return vs.load_scene("hot_cylinder", **FILM)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    return two_by_two(tmp_path_factory.mktemp("two"))
 
 
 def turned(pose, degrees=2.0, shift_mm=(1.0, -2.0, 3.0), mirror=(1.0, 1.0, 1.0)):
@@ -171,6 +178,31 @@ def test_changes_add_up_whatever_their_order(hot):
     assert one.with_medium(hot.medium).hot
 
 
+def test_other_parameters_keep_what_was_changed(hot):
+    """Rationale: pose and air of a changed scene were lost when a tolerance chose its samples."""
+    pose, marched = turned(hot.camera.pose), hot.transport.by("marched", step_mm=4.0)
+    assert hot.with_parameters() == hot
+    assert hot.with_parameters(beta=3) == vs.load_scene("hot_cylinder", **FILM, beta=3)
+    assert hot.with_parameters(beta=3).medium is hot.medium  # its file says the same
+    fine = hot.with_parameters(step=1, transport="first_order")
+    assert (fine.transport.name, fine.transport.march.step_mm) == ("first_order", 1.0)
+    cooler = hot.with_pose("camera", pose).with_parameters(temperature=900, spp=4)
+    assert cooler.air.path.name == "hot_cylinder_900C_quarter.nc"
+    np.testing.assert_array_equal(
+        cooler.camera.pose.rotation, hot.with_pose("camera", pose).camera.pose.rotation
+    )
+    assert cooler.mitsuba_camera.sampler().sample_count() == 4
+    changed = hot.cold().with_transport(marched).only("camera", "laser")
+    assert changed.with_parameters(spp=4).medium is None
+    assert changed.with_parameters(spp=4).transport == marched
+    air = replace(hot.medium)
+    assert hot.with_medium(air).with_parameters(temperature=900).medium is air
+    with pytest.raises(vs.InputError, match="no parameter 'tempreature'; the scene has"):
+        hot.with_parameters(tempreature=900)
+    with pytest.raises(vs.InputError, match=r"line \d+: refractive: a step of 500 mm is longer"):
+        hot.with_parameters(step=500)
+
+
 def test_scenes_are_equal_if_they_are_loaded_and_changed_alike(hot):
     """By value; air that comes from no file is the same if it is the same object."""
     assert hot == vs.load_scene("hot_cylinder", **FILM)
@@ -223,19 +255,21 @@ def test_scenes_travel_by_pickle_and_cloudpickle(hot):
             assert pickle.loads(data) == scene
 
 
-def test_another_process_sees_the_same(hot, tmp_path):
-    """Rationale: a spawned process shares no memory, and stands elsewhere."""
-    scenes = list(changed_scenes(hot).values())
+def test_another_process_sees_the_same(hot, two, tmp_path):
+    """Rationale: a spawned process shares no memory, and has another working folder."""
+    scenes = [*changed_scenes(hot).values(), two.only("far", "blue")]
     with multiprocessing.get_context("spawn").Pool(1, os.chdir, (tmp_path,)) as pool:
         there = pool.map(child_functions.pixels_and_radiance, scenes)
-    for scene, (pixel, radiance) in zip(scenes, there, strict=True):
+    task = dask.delayed(child_functions.pixels_and_radiance)(scenes[-1])
+    there += dask.compute(task, scheduler="processes", num_workers=1)  # it spawns them too
+    for scene, (pixel, radiance) in zip([*scenes, scenes[-1]], there, strict=True):
         np.testing.assert_array_equal(pixel, vs.ray_search(scene, Y, "newton").pixel)
         np.testing.assert_array_equal(radiance, vs.render(scene))
 
 
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
-    """A shipped scene of one's own in the working folder, with its field elsewhere."""
+    """A shipped scene of one's own in the working folder, with its field beside it."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(shipped_scenes() / "hot_cylinder.xml", "own.xml")
     Path("air").mkdir()
@@ -276,10 +310,10 @@ def test_a_scene_whose_files_were_changed_since_is_refused(copied, file):
 def test_a_shipped_scene_is_that_of_the_program_that_unpickles_it(hot, monkeypatch, tmp_path):
     """Rationale: on another machine the program, and its scenes, may lie in another folder."""
     data = pickle.dumps(hot)
-    shutil.copytree(shipped_scenes(), tmp_path / "elsewhere")
-    monkeypatch.setattr(scenes, "shipped_scenes", lambda: tmp_path / "elsewhere")
+    shutil.copytree(shipped_scenes(), tmp_path / "another")
+    monkeypatch.setattr(scenes, "shipped_scenes", lambda: tmp_path / "another")
     again = pickle.loads(data)
-    assert again.path == tmp_path / "elsewhere" / "hot_cylinder.xml"
+    assert again.path == tmp_path / "another" / "hot_cylinder.xml"
     assert again.air.path.is_relative_to(tmp_path)
     np.testing.assert_array_equal(again.medium.nodes, hot.medium.nodes)
 

@@ -144,6 +144,9 @@ def test_a_time_picks_an_instant_of_the_field(gusty):
     assert (other.sensor, other.surface) == (last.sensor, last.surface)
     assert other.transport == last.transport
     assert other.parameters == between.parameters | {"time": "2"}
+    wider = other.with_parameters(width=100)
+    np.testing.assert_array_equal(wider.field.refractivity(p), n_between)
+    assert wider.parameters == other.parameters | {"width": "100"}
 
 
 def test_another_instant_is_as_broad(gusty):

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -88,7 +88,7 @@ class _Origin:
     digests : tuple
         Of the scene's file, which is the first, and of all files that it refers to, with their
         places: absolute, or in the folder of the scenes that come with the program, which may lie
-        elsewhere on another machine.
+        in another folder on another machine.
     """
 
     given: dict[str, str]
@@ -119,7 +119,7 @@ class _Origin:
             if not there or _digest(file) != digest:
                 raise InputError(
                     f"{self.files[0]}: can't be loaded again, since {file}"
-                    f" {'was changed' if there else 'is gone'}; load the scene anew (load_scene)"
+                    f" {'was changed' if there else 'is gone'}; load the scene by load_scene"
                 )
 
 
@@ -136,6 +136,32 @@ class _Stage:
     sources: dict[str, LaserLine]
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
+
+    @property
+    def air(self) -> MediumDescription:
+        """The air, as the file says."""
+        air: MediumDescription = self.loaded.scene.integrator().air
+        return air
+
+    @property
+    def transport(self) -> Transport:
+        """The transport, as the file says."""
+        transport: Transport = self.loaded.scene.integrator().transport
+        return transport
+
+    def named(self, read: Callable[[], T]) -> T:
+        """What is read of the air, its refusal with the place in the file."""
+        try:
+            return read()
+        except InputError as error:
+            raise InputError(f"{self.where}: {error}") from None
+
+    def check_march(self, transport: Transport, medium: IndexField | None) -> None:
+        """Refuse a march that can't get through the air."""
+        try:
+            transport.march.check(None if transport.name == "straight" else medium)
+        except InputError as error:
+            raise InputError(f"{self.where}: refractive: {error} (step)") from None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -296,8 +322,8 @@ class Scene:
     def with_pose(self, name: str, pose: Pose) -> Scene:
         """The same scene with one of its cameras or sources at another place.
 
-        The scene is loaded again and its air kept.  What stands there then is what Mitsuba holds:
-        the pose in float32.
+        It is loaded again, and other changes are kept.  What stands there then is what Mitsuba
+        holds: the pose in float32.
 
         Parameters
         ----------
@@ -313,10 +339,7 @@ class Scene:
             If there is no such element, it can't stand so, or a file of the scene was changed since
             it was loaded.
         """
-        is_camera = name in self.cameras
         self._named("camera or source", self.poses, name)
-        stage = self._stage
-        stage.origin.check()
         matrix = np.eye(4)
         try:
             matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
@@ -325,16 +348,40 @@ class Scene:
                 f"{self.path}: {name}: a pose has a rotation (3, 3) and an origin (3,), not"
                 f" {np.shape(pose.rotation)} and {np.shape(pose.origin_mm)}"
             ) from None
-        if is_camera:
+        if name in self.cameras:
             matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
-        origin, poses = stage.origin, {**stage.poses, name: matrix}
-        stage = _staged(origin.files[0], origin.given, origin.here, poses)
-        return replace(
-            self,
-            cameras={each: stage.cameras[each] for each in self.cameras},
-            sources={each: stage.sources[each] for each in self.sources},
-            _stage=stage,
-        )
+        return self._again({}, {name: matrix})
+
+    def with_parameters(self, **parameters: object) -> Scene:
+        """The same scene with other values of its ``$parameters``.
+
+        It is loaded again, and changes of its air, poses and transport are kept.
+
+        Raises
+        ------
+        InputError
+            As `load_scene` does, and if a file of the scene was changed since it was loaded.
+        """
+        return self._again({name: str(value) for name, value in parameters.items()}, {})
+
+    def _again(self, parameters: dict[str, str], poses: dict[str, Array]) -> Scene:
+        """The scene loaded again with some parameters and poses, its other changes kept."""
+        before, origin = self._stage, self._stage.origin
+        origin.check()
+        given, poses = origin.given | parameters, before.poses | poses
+        stage = _staged(origin.files[0], given, origin.here, poses)
+        air, medium, values = self.air, self.medium, stage.parameters
+        if air.path:
+            air = stage.air
+            if self.air != before.air and "time" not in parameters:
+                air = stage.named(lambda: replace(stage.air, time_s=self.air.time_s))
+                values = values | {"time": self.parameters["time"]} if "time" in values else values
+            medium = medium if air == self.air else stage.named(air.read)
+        transport = stage.transport if self.transport == before.transport else self.transport
+        stage.check_march(transport, medium)
+        cameras = {name: self._named("camera", stage.cameras, name) for name in self.cameras}
+        sources = {name: self._named("source", stage.sources, name) for name in self.sources}
+        return Scene(self.path, values, medium, air, cameras, sources, transport, self.hot, stage)
 
     def _one(self, kind: str, named: Mapping[str, Any]) -> str:
         """The only name."""
@@ -417,8 +464,7 @@ def _unpickled(
     origin.check()
     path = origin.files[0]
     stage = _staged(path, origin.given, origin.here, poses)
-    described: MediumDescription = stage.loaded.scene.integrator().air
-    described = replace(described, time_s=air) if of_file else described.without_file()
+    described = replace(stage.air, time_s=air) if of_file else stage.air.without_file()
     medium = described.read() if of_file else air
     cameras = {name: stage.cameras[name] for name in chosen[0]}
     sources = {name: stage.sources[name] for name in chosen[1]}
@@ -465,16 +511,9 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     """
     path = find_scene(name)
     stage = _staged(path, {key: str(value) for key, value in parameters.items()}, Path(), {})
-    integrator = stage.loaded.scene.integrator()
-    air, transport = integrator.air, integrator.transport
-    try:
-        medium = air.read()
-    except InputError as error:
-        raise InputError(f"{stage.where}: {error}") from None
-    try:
-        transport.march.check(None if transport.name == "straight" else medium)
-    except InputError as error:
-        raise InputError(f"{stage.where}: refractive: {error} (step)") from None
+    air, transport = stage.air, stage.transport
+    medium = stage.named(air.read)
+    stage.check_march(transport, medium)
     return Scene(
         path, stage.parameters, medium, air, stage.cameras, stage.sources, transport, True, stage
     )

@@ -175,7 +175,7 @@ def measure(
         )
     states = {"cold": cold} | ({"hot": hot} if hot else {})
     for name, state in states.items():
-        words = [] if state.dots else upright_line(state.dense)
+        words = [] if state.dots else upright_line(state.dense, state.scene.camera_element)
         words += frame_notes(state.frame.account, state.line, state.compared, state.by_frame)
         notes += [f"{name}: {each}" for each in words]
     seconds = time.perf_counter() - started

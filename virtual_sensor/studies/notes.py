@@ -68,14 +68,14 @@ def coarse_grid(scene: Scene) -> list[str]:
     ]
 
 
-def upright_line(found: FoundPixels) -> list[str]:
-    """Note of a searched line that stands upright in the image."""
+def upright_line(found: FoundPixels, camera: str) -> list[str]:
+    """Note of a searched line that stands upright in the image of the camera of this element."""
     steps = np.abs(np.diff(found.pixel, axis=0))
     steps = steps[np.isfinite(steps[:, 0])]
     if not len(steps) or np.median(steps[:, 1]) <= np.median(steps[:, 0]):
         return []
     return [
-        "<sensor>: the laser line stands upright in the image, where its centres are searched for"
+        f"{camera}: the laser line stands upright in the image, where its centres are searched for"
         " column by column; turn the camera by 90 degrees about its axis (to_world)"
     ]
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import lit_pixels, render_columns
-from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, compare_line
@@ -183,15 +183,15 @@ def _bent(
 
 
 def with_rung(scene: Scene, rung: Rung) -> Scene:
-    """The scene loaded anew with a rung's parameters.
+    """The scene with a rung's parameters and transport.
 
     Raises
     ------
     InputError
         If the scene has no such parameters.
     """
-    again = load_scene(scene.path, **(scene.parameters | rung.parameters))
-    return again.only(scene.camera_name, scene.source_name)
+    again = scene.with_parameters(**rung.parameters)
+    return scene_on(again, rung.transport, rung.step_mm, rung.table_px)
 
 
 def search_line(scene: Scene) -> FoundPixels:
