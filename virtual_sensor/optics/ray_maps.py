@@ -50,7 +50,7 @@ _STRETCH = 2e-4  # error of derivatives by s and t, mm per mm: light is concentr
 _CHECKS = 96  # rays between the nodes of each axis, and as many anywhere
 _SETTLED = 0.03  # of the tolerance: what is left when a ray through a point is found
 _MOST_STEPS = 12
-_NEAR = 0.005  # of a cell: derivatives are the same so near by
+_SLOW = 0.1  # of the miss before: a step of Newton's that leaves more has old derivatives
 _ROOM = 1.3  # times the shifts that were seen: an inverse map's forward one reaches so far beyond
 _MOST_PADS = 4
 
@@ -261,29 +261,37 @@ class ForwardMap(RayMap):
         trace = (y_t * a - x_t * c - y_s * b + x_s * d) / spread
         return np.asarray((_determinant(jacobian) / spread <= 0.0) | (trace <= 0.0))
 
+    def _turned(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
+        """Where tubes are known to be turned over: only the map's own places tell."""
+        return self.table.grid.holds(places) & self._folded(places, jacobian)
+
     def _through(self, places: Array, moved: Array, jacobian: Array) -> "_Through":
         """The bent rays through where straight ones are, by Newton's method.
 
         `moved` and `jacobian` are those of the bent rays at the places, to start with.
         """
-        start, of = places.copy(), places.copy()
-        moved, jacobian = moved.copy(), jacobian.copy()
+        start, moved, jacobian = places.copy(), moved.copy(), jacobian.copy()
         settled_mm = _SETTLED * self.error_mm if self.error_mm else 1e-9
-        wanted, near = _straight(self.family, places), _NEAR * self.table.grid.spacing
-        folded = self.table.grid.holds(of) & self._folded(of, jacobian)
+        wanted = _straight(self.family, places)
+        folded = self._turned(places, jacobian)
+        before = np.full(len(places), np.inf)
         for _ in range(_MOST_STEPS):
-            miss = wanted - _straight(self.family, start) - moved[:, :2]
-            missed = ~(np.abs(miss).max(axis=1) < settled_mm)
+            away = wanted - _straight(self.family, start) - moved[:, :2]
+            miss = np.abs(away).max(axis=1)
+            missed = ~(miss < settled_mm)
             go = missed & ~folded
             if not go.any():
                 break
-            start[go, :2] += _solved(jacobian[go], miss[go])
-            moved[go] = self.table.at(start[go])
-            far = go & np.any(np.abs(start - of) > near, axis=1)
-            of[far] = start[far]
-            jacobian[far] = self.jacobian(of[far])
-            folded[far] |= self.table.grid.holds(of[far]) & self._folded(of[far], jacobian[far])
-        return _Through(start, moved, jacobian, folded, missed)
+            slow = go & ~(miss < _SLOW * before)  # derivatives of close by do, while they do
+            if slow.any() and np.isfinite(before).all():
+                jacobian[slow] = self.jacobian(start[slow])
+                folded[slow] |= self._turned(start[slow], jacobian[slow])
+            before = miss
+            some = slice(None) if go.all() else go
+            start[some, :2] += _solved(jacobian[some], away[some])
+            moved[some] = self.table.at(start[some])
+        jacobian = self.jacobian(start)
+        return _Through(start, moved, jacobian, folded | self._turned(start, jacobian), missed)
 
 
 @dataclass(frozen=True)
@@ -297,7 +305,7 @@ class _Through:
     moved : ndarray of shape (N, 4)
         The map there.
     jacobian : ndarray of shape (N, 2, 2)
-        There or very near by.
+        There.
     folded, missed : ndarray of shape (N,)
         Rays that met a fold on their way, and those that were not found.
     """
@@ -638,9 +646,9 @@ class _Lines:
 
 def _shape_like(grid: Grid, low: Array, high: Array) -> tuple[int, int, int]:
     """Nodes of a box that has them as close as a grid."""
-    nodes = zip(high - low, grid.spacing, strict=True)
-    s, t, depth = (max(int(np.ceil(extent / step)) + 1, _FEWEST) for extent, step in nodes)
-    return s, t, depth
+    apart = grid.spacing * [1.0, 1.0, 1.5]  # no Hermite's cubics here: two nodes for each do
+    s, t, depth = np.maximum(np.ceil((high - low) / apart - 1e-9).astype(int) + 1, _FEWEST)
+    return int(s), int(t), int(depth)
 
 
 def _cells_for(values: Array, tolerance_mm: float, slope_mm: float) -> float:
