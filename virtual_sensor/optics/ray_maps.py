@@ -16,7 +16,7 @@ the places.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -657,14 +657,11 @@ def _cells_for(values: Array, tolerance_mm: float, slope_mm: float) -> float:
     Its error is to keep a tolerance, and that of its slope another, per space between the values.
     """
     cells = len(values) - 1
-    at, skip = np.arange(cells + 1.0), cells // (_FEWEST - 1)
-    skip = 1 << (skip.bit_length() - 1)  # the most whose cells are whole
-    quarters = np.arange(0.0, cells, 0.5)  # a spline's slope is nearly right at half a cell
-    slopes = CubicSpline(at, values)(quarters, 1)
+    skip = 1 << ((cells // (_FEWEST - 1)).bit_length() - 1)  # the most whose cells are whole
     while True:
-        spline = CubicSpline(at[::skip], values[::skip])
-        wrong = float(np.abs(spline(at) - values).max()) / tolerance_mm
-        turned = float(np.abs(spline(quarters, 1) - slopes).max()) / slope_mm
+        at_all, slopes_of = _splines_through(cells, skip)
+        wrong = float(np.abs(at_all @ values).max()) / tolerance_mm
+        turned = float(np.abs(slopes_of @ values).max()) / slope_mm
         if max(wrong, turned) <= 1.0 or skip == 2:
             break
         skip //= 2
@@ -672,6 +669,19 @@ def _cells_for(values: Array, tolerance_mm: float, slope_mm: float) -> float:
     # on a grid, whose cubics have kinks in their third derivative, more slowly.
     finer = max(wrong ** (1.0 / 3.0), turned ** (1.0 / 2.0))
     return cells / skip * max(finer, 0.5)
+
+
+@lru_cache(64)
+def _splines_through(cells: int, skip: int) -> tuple[Array, Array]:
+    """What a cubic spline through every so many of some values errs by, as matrices of the values.
+
+    At all of them; and in its slope at quarters of cells, beside the spline through all: at half a
+    cell a spline's slope is nearly right.
+    """
+    at, quarters = np.arange(cells + 1.0), np.arange(0.0, cells, 0.5)
+    unit = np.eye(cells + 1)
+    spline, every = CubicSpline(at[::skip], unit[::skip]), CubicSpline(at, unit)
+    return spline(at) - unit, spline(quarters, 1) - every(quarters, 1)
 
 
 def _depths_for(values: Array, slopes: Array, tolerance_mm: float) -> float:
