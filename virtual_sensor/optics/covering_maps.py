@@ -1,11 +1,13 @@
-"""Forward ray maps that hold given places: which box, which march, how fine.
+"""Ray maps that hold given places: which box, which march, how fine.
 
-The box is that of the places, made larger to a lattice (`map_cache`), and wider by how far rays are
-moved.  The march's step is the longest that errs by a fifth of the tolerance, by rays of the box.
+The box is that of the places, made larger to a lattice (`map_cache`), a forward map's also
+wider by how far rays are moved.  The march's step is the longest that errs by a fifth of the
+tolerance, by rays of the box.
 """
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +16,12 @@ from virtual_sensor.optics.map_cache import MapCache
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_maps import (
     ForwardMap,
+    InverseMap,
     NoMapError,
     displaced,
     forward_map,
     in_coordinates,
+    inverse_map,
 )
 from virtual_sensor.optics.rays import Field, March
 
@@ -54,14 +58,34 @@ def covering_map(
     NoMapError
         If the tolerance can't be met, or a ray does not reach its depth.
     """
+    return MAPS.forward(field, family, *_asked(field, places, tolerance_mm))
+
+
+def covering_inverse(
+    field: Field | None, family: RayFamily, places: Array, tolerance_mm: float
+) -> InverseMap:
+    """The map of the bent rays through places; see `covering_map`.
+
+    Raises
+    ------
+    NoMapError
+        Also, as CausticError, if more than one ray passes through a place near by.
+    """
+    return MAPS.inverse(field, family, *_asked(field, places, tolerance_mm))
+
+
+def _asked(
+    field: Field | None, places: Array, tolerance_mm: float
+) -> tuple[Array, Array, March, float]:
+    """The box of places, the first march that is tried, and the tolerance of a map."""
     march = March() if field is None else first_march(field)
     low, high = places.min(axis=0), places.max(axis=0)
     thin = _THINNEST * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
     low, high = np.minimum(low, high - thin), np.maximum(high, low + thin)
-    return MAPS.forward(field, family, low, high, march, 2.0 ** np.floor(np.log2(tolerance_mm)))
+    return low, high, march, float(2.0 ** np.floor(np.log2(tolerance_mm)))
 
 
-def _made(
+def _forward(
     field: Field | None,
     family: RayFamily,
     low: Array,
@@ -78,8 +102,7 @@ def _made(
     for _ in range(_MOST_MAPS):
         made = forward_map(field, family, low - pad, high + pad, march, asked_mm)
         nodes, checks = made.table.grid.nodes(), _anywhere(low - pad, high + pad)
-        missed = made.table.at(checks) - displaced(field, family, march, checks)
-        error_mm = float(np.linalg.norm(missed[:, :2], axis=1).max())
+        error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
         shift = _shifts(family, nodes, made.table.at(nodes))
         if np.all(shift <= pad) and error_mm <= allowed_mm:
             break
@@ -89,7 +112,30 @@ def _made(
     return made
 
 
-MAPS = MapCache(forward=_made)
+def _inverse(
+    field: Field | None,
+    family: RayFamily,
+    low: Array,
+    high: Array,
+    march: March,
+    tolerance_mm: float,
+) -> InverseMap:
+    """The map of a box, by a march that is fine enough."""
+    if field is None:
+        return inverse_map(None, family, low, high, march, tolerance_mm)
+    march, _ = _probed(field, family, low, high, march, tolerance_mm)
+    allowed_mm = (1.0 - _MARCH_SHARE) * tolerance_mm
+    asked_mm, checks = allowed_mm, _anywhere(low, high)
+    for _ in range(_MOST_MAPS):
+        made = inverse_map(field, family, low, high, march, asked_mm)
+        error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
+        if error_mm <= allowed_mm:
+            break
+        asked_mm *= _SAFE * allowed_mm / error_mm
+    return made
+
+
+MAPS = MapCache(forward=_forward, inverse=_inverse)
 """Covering maps of this process."""
 
 

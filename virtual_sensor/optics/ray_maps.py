@@ -14,7 +14,7 @@ the places.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
 
@@ -249,6 +249,11 @@ class ForwardMap(RayMap):
         by = np.stack([by_s[:, :2], by_t[:, :2]], axis=2)
         return moved, by + _matrices(self.family.by_coordinates(*places.T), len(places))
 
+    def missed_mm(self, places: Array, marched: Callable[[Array], Array]) -> Array:
+        """How far (N,) the map is beside marched rays (`displaced`) at places (N, 3)."""
+        moved = self.table.at(places, 2)
+        return np.asarray(np.linalg.norm(moved - marched(places)[:, :2], axis=1))
+
     def _folded(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
         """Where tubes of bent rays are turned over beside straight ones: beyond a fold, or a focus.
 
@@ -341,6 +346,13 @@ class InverseMap(RayMap):
         status = np.where(held, MapStatus.OK, MapStatus.OFF).astype(np.uint8)
         return PointRays(coordinates, direction, status)
 
+    def missed_mm(self, places: Array, marched: Callable[[Array], Array]) -> Array:
+        """How far (N,) the rays through places (N, 3) are beside them when they are marched."""
+        start = places.copy()
+        start[:, :2] += self.table.at(places, 2)
+        beside = _straight(self.family, places) - _straight(self.family, start)
+        return np.asarray(np.linalg.norm(beside - marched(start)[:, :2], axis=1))
+
     def _units(self) -> tuple[float, float]:
         corners = self.table.grid.nodes()
         x_s, x_t, y_s, y_t = self.family.by_coordinates(*corners.T)
@@ -431,14 +443,11 @@ def inverse_map(
     else:
         raise CausticError("rays through the box come from far off: a caustic may be near")
     for _ in range(_LEVELS):
-        table = SplineTable(grid, values)
-        checks = _checks(grid)
-        start = checks.copy()
-        start[:, :2] += table.at(checks)[:, :2]
-        miss = _straight(family, checks) - _straight(family, start) - marched(start)[:, :2]
-        error_mm = float(np.linalg.norm(miss, axis=1).max())
+        table, checks = SplineTable(grid, values), _checks(grid)
+        back = InverseMap(family, table, 0.0, linear_mm, ahead.largest_mm)
+        error_mm = float(back.missed_mm(checks, marched).max())
         if error_mm <= spline_mm:
-            return InverseMap(family, table, error_mm, linear_mm, ahead.largest_mm)
+            return replace(back, error_mm=error_mm)
         finer = [int(1.3 * n) for n in grid.shape]
         grid = Grid(low, high, (finer[0], finer[1], finer[2]))
         values, _ = _inverted(ahead, grid)
