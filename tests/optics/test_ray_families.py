@@ -78,6 +78,12 @@ def test_a_point_of_a_ray_has_the_rays_coordinates(family, places):
     assert_allclose(found, np.stack(places, axis=1), rtol=1e-12, atol=1e-10)
 
 
+def test_rays_through_points_start_where_the_rays_do(family, places):
+    s, t, _ = places
+    found = family.origins(along(family, *places))
+    assert_allclose(found, family.rays(s, t)[0], rtol=0, atol=1e-10)
+
+
 def test_rays_are_where_their_place_says(family, places):
     s, t, depth = places
     local = family.pose.to_local(along(family, s, t, depth))

@@ -232,10 +232,10 @@ def border_crossings(
     dict
         `BorderCrossing` by "camera" and "laser", one row per point of the line.
     """
-    laser_mm, _ = sensor.laser.family.rays(0.0, line.y_mm)
+    families = {"camera": sensor.camera, "laser": sensor.laser.family}
     return {
-        name: _border_crossing(field, sensor, origin_mm, line.points_mm)
-        for name, origin_mm in (("camera", sensor.camera.pose.origin_mm), ("laser", laser_mm))
+        name: _border_crossing(field, sensor, family.origins(line.points_mm), line.points_mm)
+        for name, family in families.items()
     }
 
 

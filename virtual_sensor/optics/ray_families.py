@@ -142,6 +142,11 @@ class RayFamily(ABC):
         with np.errstate(divide="ignore", invalid="ignore"):  # no ray goes there
             return _columns(*self.straight(x, y, depth), depth, depth)
 
+    def origins(self, points_mm: ArrayLike) -> Array:
+        """Where the straight rays through world points (N, 3) start: world, (N, 3)."""
+        s, t, _ = np.moveaxis(self.coordinates(points_mm), -1, 0)
+        return self.rays(s, t)[0]
+
     def starts(self, s: ArrayLike, t: ArrayLike) -> RayStarts:
         """Rays of coordinates (N,) with their derivatives."""
         s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))

@@ -182,10 +182,8 @@ def _draw_ways(axes: Axes, info: FieldInfo, cut: Cut) -> None:
     sensor, line = info.scene.sensor, info.line
     chosen = np.unique(np.linspace(0, len(line.y_mm) - 1, _WAYS).astype(int))
     ends = line.points_mm[chosen]
-    laser_mm, _ = sensor.laser.family.rays(0.0, line.y_mm[chosen])
-    camera_mm = np.broadcast_to(sensor.camera.pose.origin_mm, ends.shape)
-    for who, starts in (("laser", laser_mm), ("camera", camera_mm)):
-        ways = np.stack([info.field.to_local(place) for place in (starts, ends)])
+    for who, family in (("laser", sensor.laser.family), ("camera", sensor.camera)):
+        ways = np.stack([info.field.to_local(place) for place in (family.origins(ends), ends)])
         axes.plot(ways[..., cut.across], ways[..., cut.up], color=_COLOURS[who], lw=0.9)
         if cut.normal == 2:
             along = ways[1] - ways[0]

@@ -14,8 +14,8 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.ray_maps import ForwardMap, forward_map
-from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.optics.ray_status import RayStatus
+from virtual_sensor.optics.sight import incidence_points, lines_of_sight
 from virtual_sensor.optics.surfaces import NoSurface
 
 Array = NDArray[np.float64]
@@ -77,8 +77,7 @@ def camera_bundle(scene: Scene, count: int) -> Bundle:
     u = np.linspace(line[0, 0], line[-1, 0], count)
     across = np.arange(count) // max(count // _ROWS, 1) % _ROWS - _ROWS // 2
     v = np.interp(u, *line.T) + across
-    directions = camera.lines_of_sight(np.stack([u, v], axis=1))
-    origins = np.broadcast_to(camera.pose.origin_mm, directions.shape)
+    origins, directions = lines_of_sight(camera, np.stack([u, v], axis=1))
     straight = Straight.through(to_vectors(origins), to_vectors(directions), FINEST)
     met = bend(None, scene.surface, straight, FINEST)
     dr.eval(met)
