@@ -116,18 +116,28 @@ class Exposure:
             ray, weight = self.view.rays(place, aperture)
             value, alpha = shade(ray, row, pixel)
             value = value * weight
-            alpha = dr.select(alpha, mi.Float(1.0), 0.0)
-            if self._own_pixel:
-                dr.eval(value, alpha)  # together: each by itself would follow all rays again
-                value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
-                self._image[pixels[first : first + count]] = np.array(value)[0]
-                own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
-                place = self.view.place(dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
             if self._block is not None:
-                self._block.put(place, ray.wavelengths, value, alpha)
-                dr.eval(self._block.tensor())
+                self._put(place, value, alpha, numbers, first, count)
+            else:
+                dr.eval(value)
+                value = dr.block_sum(value, spp) / spp
+                self._image[pixels[first : first + count]] = np.array(value)[0]
             self._chunks += 1
             self._done += count
             if self._progress:
                 dr.sync_thread()
                 self._progress(min(1.0, self._done / self._pixels))
+
+    def _put(
+        self, place: Any, value: Any, alpha: Any, numbers: Any, first: int, count: int
+    ) -> None:
+        """Put samples on the film."""
+        alpha = dr.select(alpha, mi.Float(1.0), 0.0)
+        if self._own_pixel:
+            spp = self.sampler.sample_count()
+            dr.eval(value, alpha)  # together: each by itself would follow all rays again
+            value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
+            own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
+            place = self.view.place(dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
+        self._block.put(place, mi.Ray3f().wavelengths, value, alpha)
+        dr.eval(self._block.tensor())

@@ -22,7 +22,7 @@ from virtual_sensor.optics.surfaces import SceneSurface, own_variant
 from virtual_sensor.optics.transports import Marched, Sight, Transport, rows
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
-_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 22}
+_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23}
 
 _FAR_MM = 20.0  # Mitsuba's float32 hits from nearer are good to 0.03 um
 _NEAR_MM = 1.0
@@ -137,14 +137,16 @@ class Arrangement:
         start = dr.maximum(enters - _NEAR_MM, 0.0)
         near = mi.Ray3f(ray(start), ray.d)
         si = self.scene.ray_intersect(near)
-        slipped = dr.dot(si.n, ray.d) > 0.0
-        again = si.is_valid() & ((si.t > _FAR_MM) | slipped)
-        nearer = near(dr.maximum(si.t - _NEAR_MM, 0.0))
-        nearer += dr.select(slipped, _ASIDE_MM, 0.0) * mi.Frame3f(ray.d).s
-        closer = self.scene.ray_intersect(mi.Ray3f(nearer, ray.d), again)
-        si = dr.select(again, closer, si)
+        again = si.is_valid() & ((si.t > _FAR_MM) | _from_behind(si, near))
+        si = dr.if_stmt((near, si), again, self._met_closer, lambda near, si: si)
         valid = si.is_valid()
         return self._shaded(si, ray.d, valid, [], draws), valid
+
+    def _met_closer(self, ray: Any, si: Any) -> Any:
+        """What rays meet, that start again close to it; or aside, if they met it from behind."""
+        start = ray(dr.maximum(si.t - _NEAR_MM, 0.0))
+        start += dr.select(_from_behind(si, ray), _ASIDE_MM, 0.0) * mi.Frame3f(ray.d).s
+        return self.scene.ray_intersect(mi.Ray3f(start, ray.d))
 
     def _shaded(
         self,
@@ -157,7 +159,8 @@ class Arrangement:
         bsdf, context = si.bsdf(), mi.BSDFContext()
         si.wi = dr.select(valid, si.wi, -direction)  # what meets nothing sees the environment
         radiance = mi.Spectrum(0.0)
-        if self.lamps:
+        flags = mi.EmitterFlags.Surface, mi.EmitterFlags.Infinite
+        if any(mi.has_flag(e.flags(), flag) for e in self.lamps for flag in flags):
             seen, shines = si.emitter(self.scene), mi.Bool(True)
             for emitter in self.cold:
                 shines &= seen != mi.EmitterPtr(emitter)
@@ -174,6 +177,10 @@ class Arrangement:
             value = bsdf.eval(context, si, si.to_local(ds.d), lit) * weight
             radiance += dr.select(lit, value, 0.0)
         return radiance
+
+
+def _from_behind(si: Any, ray: Any) -> Any:
+    return dr.dot(si.n, ray.d) > 0.0
 
 
 def arrangement_of(
