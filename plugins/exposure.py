@@ -95,18 +95,24 @@ class Exposure:
             return self._image.reshape(shape)
         return np.array(self.developed(), np.float32).reshape(*shape, -1)[:, :, 0]
 
-    def add(self, pixels: NDArray[np.uint32], shade: Shade, lanes: int) -> None:
-        """Expose pixels, with so many samples in flight at once."""
-        if not pixels.size:
+    @property
+    def overwrites(self) -> bool:
+        """Whether pixels that are exposed again are those of the last time; else they add up."""
+        return self._block is None
+
+    def add(self, pixels: NDArray[np.uint32] | None, shade: Shade, lanes: int) -> None:
+        """Expose pixels, or all of the film, with so many samples in flight at once."""
+        total = self.view.pixels if pixels is None else pixels.size
+        if not total:
             return
         spp = self.sampler.sample_count()
-        numbers = in_own_memory(pixels, mi.UInt32)
+        numbers = None if pixels is None else in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
-        for first in range(0, pixels.size, chunk):
+        for first in range(0, total, chunk):
             # What changes from chunk to chunk is opaque, so that one kernel serves them all.
-            count = min(chunk, pixels.size - first)
+            count = min(chunk, total - first)
             row = dr.repeat(dr.arange(mi.UInt32, count), spp) + dr.opaque(mi.UInt32, first)
-            pixel = dr.gather(mi.UInt32, numbers, row)
+            pixel = row if numbers is None else dr.gather(mi.UInt32, numbers, row)
             self.sampler.set_samples_per_wavefront(spp)
             shuffled = self._seed + self._chunks * _GOLDEN & 0xFFFFFFFF
             self.sampler.seed(dr.opaque(mi.UInt32, shuffled), count * spp)
@@ -117,27 +123,26 @@ class Exposure:
             value, alpha = shade(ray, row, pixel)
             value = value * weight
             if self._block is not None:
-                self._put(place, value, alpha, numbers, first, count)
+                self._put(place, value, alpha, pixel)
             else:
                 dr.eval(value)
                 value = dr.block_sum(value, spp) / spp
-                self._image[pixels[first : first + count]] = np.array(value)[0]
+                part = slice(first, first + count)
+                self._image[part if pixels is None else pixels[part]] = np.array(value)[0]
             self._chunks += 1
             self._done += count
             if self._progress:
                 dr.sync_thread()
                 self._progress(min(1.0, self._done / self._pixels))
 
-    def _put(
-        self, place: Any, value: Any, alpha: Any, numbers: Any, first: int, count: int
-    ) -> None:
+    def _put(self, place: Any, value: Any, alpha: Any, pixel: Any) -> None:
         """Put samples on the film."""
         alpha = dr.select(alpha, mi.Float(1.0), 0.0)
         if self._own_pixel:
             spp = self.sampler.sample_count()
             dr.eval(value, alpha)  # together: each by itself would follow all rays again
             value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
-            own = dr.arange(mi.UInt32, count) + dr.opaque(mi.UInt32, first)
-            place = self.view.place(dr.gather(mi.UInt32, numbers, own), mi.Point2f(0.5))
+            own = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, dr.width(value)) * spp)
+            place = self.view.place(own, mi.Point2f(0.5))
         self._block.put(place, mi.Ray3f().wavelengths, value, alpha)
         dr.eval(self._block.tensor())

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.views import View
+from virtual_sensor_plugins.views import StraightSight, View
 
 from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
@@ -104,8 +104,7 @@ class LitPixels:
 
 
 def find_lit_pixels(
-    view: View,
-    surface: SceneSurface,
+    straight: StraightSight,
     medium: Field | None,
     sources: Mapping[str, Source],
     transport: Transport,
@@ -121,13 +120,13 @@ def find_lit_pixels(
     by_maps = transport.name in ("tabulated", "straight")
     account, reason = Account(transport.name), ""
     try:
-        region = _searched(view, surface, field, march, sources)
+        region = _searched(straight, field, march, sources)
     except NoMapError as why:
-        region, reason = _guessed(view, surface, sources), str(why)
+        region, reason = _guessed(straight, sources), str(why)
     if column is not None:
         region = region.in_columns(column)
     beams = region.beams
-    marched = Marched(field, surface, tuple(beam.source for beam in beams.values()), march)
+    marched = Marched(field, straight.surface, tuple(beam.source for beam in beams.values()), march)
     tracer: Tracer = marched
     if not beams:
         return LitPixels(np.zeros(0, np.uint32), (), tracer, account)
@@ -140,7 +139,7 @@ def find_lit_pixels(
             account = _with_maps(account, tracer, tuple(beams), region.pixel_mm)
         except NoMapError as why:
             account = replace(account, transport="marched", reason=str(why))
-    sight, _ = tracer.sight(view.centres(region.candidates))
+    sight, _ = tracer.sight(straight.view.centres(region.candidates))
     lit, folded = region.lit(sight)
     account = replace(account, folded=folded)
     if not lit.size:
@@ -286,8 +285,7 @@ class _Region:
 
 
 def _searched(
-    view: View,
-    surface: SceneSurface,
+    straight: StraightSight,
     field: Field | None,
     march: March,
     sources: Mapping[str, Source],
@@ -299,24 +297,25 @@ def _searched(
     NoMapError
         If they can't.
     """
-    if view.camera is None:
+    camera, surface = straight.view.camera, straight.surface
+    if camera is None:
         raise NoMapError("the camera is no pinhole")
     per_mm = {name: _per_mm(source, surface) for name, source in sources.items()}
     margins = {name: _FIRST_MARGIN_MM * per_mm[name] for name in sources}
     for _ in range(_MOST_TRIALS):
-        beams, distance = _straight(view, surface, sources, per_mm, margins)
-        found = {n: _probed(beam, view.camera, surface, field, march) for n, beam in beams.items()}
+        beams = _beams(straight, sources, per_mm, margins)
+        found = {n: _probed(beam, camera, surface, field, march) for n, beam in beams.items()}
         if all(np.all(beam.margin <= margins[name]) for name, beam in found.items()):
-            return _region(view, {name: beam.near() for name, beam in found.items()}, distance)
+            return _region(straight, {name: beam.near() for name, beam in found.items()})
         margins |= {name: 2.0 * beam.margin for name, beam in found.items()}
     raise NoMapError("refraction moves light too far for what is lit to be found beforehand")
 
 
-def _guessed(view: View, surface: SceneSurface, sources: Mapping[str, Source]) -> _Region:
+def _guessed(straight: StraightSight, sources: Mapping[str, Source]) -> _Region:
     """Where light may be seen if refraction moves none of it far."""
-    per_mm = {name: _per_mm(source, surface) for name, source in sources.items()}
+    per_mm = {name: _per_mm(source, straight.surface) for name, source in sources.items()}
     margins = {name: _FAR_MM * per_mm[name] for name in sources}
-    return _region(view, *_straight(view, surface, sources, per_mm, margins))
+    return _region(straight, _beams(straight, sources, per_mm, margins))
 
 
 def _per_mm(source: Source, surface: SceneSurface) -> Array:
@@ -328,22 +327,20 @@ def _per_mm(source: Source, surface: SceneSurface) -> Array:
     return np.array([1.0 / np.min(np.hypot(x_s, y_s)), 1.0 / np.min(np.hypot(x_t, y_t))])
 
 
-def _straight(
-    view: View,
-    surface: SceneSurface,
+def _beams(
+    straight: StraightSight,
     sources: Mapping[str, Source],
     per_mm: Mapping[str, Array],
     margins: Mapping[str, Array],
-) -> tuple[dict[str, _Beam], NDArray[np.float32]]:
-    """What straight rays of pixels meet near the sources' straight light; and all distances."""
-    ray = view.centres()
-    distance = surface.distance(mi.Array3f(ray.o), mi.Array3f(ray.d), ray.maxt, True)
-    point = mi.Array3f(ray(distance))
+) -> dict[str, _Beam]:
+    """What straight rays of pixels meet near the sources' straight light."""
+    view, distance = straight.view, straight.distance
+    point = mi.Array3f(view.centres()(distance))
     near = {}
     for name, source in sources.items():
         s, t, _ = FamilyFrame.of(source.family, mi.Array3f).coordinates(point)
         near[name] = dr.isfinite(distance) & source.reaches(s, t, _opaque(margins[name]))
-    dr.eval(distance, *near.values())
+    dr.eval(*near.values())
     distances, beams = distance.numpy(), {}
     for name, mask in near.items():
         index = np.array(dr.compress(mask), np.uint32)
@@ -352,7 +349,7 @@ def _straight(
             places = _places(view, index, distances[index], sources[name])
             what = sources[name], per_mm[name], pixel_mm, index, *places
             beams[name] = _Beam(*what, margins[name], margins[name])
-    return beams, distances
+    return beams
 
 
 def _places(
@@ -409,11 +406,12 @@ def _probed(
     )
 
 
-def _region(view: View, beams: dict[str, _Beam], distance: NDArray[np.float32]) -> _Region:
+def _region(straight: StraightSight, beams: dict[str, _Beam]) -> _Region:
     """The beams' pixels, those beside them, and more where there are edges.
 
     Bent rays see past edges of the part.
     """
+    view = straight.view
     if not beams:
         nothing = slice(0, 0)
         none = np.zeros(0, np.uint32), (nothing, nothing)
@@ -430,7 +428,8 @@ def _region(view: View, beams: dict[str, _Beam], distance: NDArray[np.float32]) 
     for beam in beams.values():
         mask[_places_in(window, beam.index, view.width)] = 1
     square = np.ones((border - 1, border - 1), np.uint8)
-    depth = np.minimum(distance.reshape(view.height, view.width)[window], _FARTHEST_MM)
+    distance = straight.distance.numpy().reshape(view.height, view.width)[window]
+    depth = np.minimum(distance, _FARTHEST_MM)
     edge = cv2.dilate(depth, _THREE) - cv2.erode(depth, _THREE) > _EDGE_PX * pixel_mm
     beside = cv2.dilate(mask, square) & cv2.dilate(edge.astype(np.uint8), square)
     row, column = np.nonzero(cv2.dilate(mask, _THREE) | beside)

@@ -9,7 +9,7 @@ import numpy as np
 from virtual_sensor_plugins import glow
 from virtual_sensor_plugins.exposure import Exposure, own_sampler
 from virtual_sensor_plugins.lit_pixels import Account, Columns, LitPixels, find_lit_pixels
-from virtual_sensor_plugins.views import View, pinhole_of
+from virtual_sensor_plugins.views import StraightSight, View, pinhole_of
 from virtual_sensor_plugins.whole_film import WholeFilm
 
 from virtual_sensor.devices.device import Device
@@ -80,6 +80,11 @@ class Arrangement:
     def surface(self) -> SceneSurface:
         """What rays meet."""
         return SceneSurface(self.scene)
+
+    @cached_property
+    def straight(self) -> StraightSight:
+        """What the camera would see if light ran straight."""
+        return StraightSight(self.view, self.surface)
 
     @cached_property
     def lamps(self) -> list[mi.Emitter]:
@@ -206,9 +211,8 @@ class Prepared:
     @staticmethod
     def of(arrangement: Arrangement, column: Columns | None = None) -> "Prepared":
         """Find the lit pixels, all or those of some columns, and what tells of their samples."""
-        view, surface = arrangement.view, arrangement.surface
         given = arrangement.medium, arrangement.sources, arrangement.transport, column
-        return Prepared(arrangement, find_lit_pixels(view, surface, *given))
+        return Prepared(arrangement, find_lit_pixels(arrangement.straight, *given))
 
     @cached_property
     def film(self) -> tuple[WholeFilm | None, str]:
@@ -217,9 +221,8 @@ class Prepared:
         if isinstance(self.lit.tracer, Marched) and self.lit.names:
             return None, ""
         try:
-            march = arrangement.transport.march
-            field = arrangement.refracting
-            return WholeFilm.of(arrangement.view, arrangement.surface, field, march), ""
+            march, field = arrangement.transport.march, arrangement.refracting
+            return WholeFilm.of(arrangement.straight, field, march), ""
         except NoMapError as why:
             return None, f"pixels without light of a source were marched: {why}"
 
@@ -249,14 +252,8 @@ class Prepared:
         sampler = own_sampler(arrangement.sensor, spp)
         devices = [arrangement.sources[name] for name in lit.names]
         account, view = lit.account, arrangement.view
-        rest, film = np.zeros(0, np.uint32), None
-        if others and arrangement.lamps:
-            film, why = self.film
-            account = replace(account, reason=why or account.reason)
-            dark = np.ones(view.pixels, bool)
-            dark[lit.index] = False
-            rest = np.flatnonzero(dark).astype(np.uint32)
-        pixels = lit.index.size + rest.size
+        others = others and bool(arrangement.lamps)
+        pixels = lit.index.size + (view.pixels if others else 0)
         exposure = Exposure(view, sampler, seed, pixels, progress, on_film)
         samples = marched = 0
 
@@ -268,6 +265,22 @@ class Prepared:
             samples, marched = samples + dr.width(row), marched + count
             return arrangement.radiance(sight, devices, draws), sight.hit
 
+        if others:
+            account = self._expose_others(exposure, sampler)
+        lanes = "marched" if isinstance(lit.tracer, Marched) else "tabulated"
+        exposure.add(lit.index, by_tracer, _LANES[lanes])
+        return exposure, replace(account, samples=samples, marched=marched)
+
+    def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> Account:
+        """Expose the pixels that no source lights, and say how."""
+        arrangement, (film, why) = self.arrangement, self.film
+        pixels = None
+        if not exposure.overwrites:
+            dark = np.ones(arrangement.view.pixels, bool)
+            dark[self.lit.index] = False
+            pixels = np.flatnonzero(dark).astype(np.uint32)
+        marched = replace(arrangement.marched, sources=())
+
         def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             assert film is not None
             draws = arrangement.draws(sampler)
@@ -275,14 +288,11 @@ class Prepared:
 
         def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             draws = arrangement.draws(sampler)
-            sight = dark_tracer.hits(ray)
+            sight = marched.hits(ray)
             return arrangement.radiance(sight, [], draws), sight.hit
 
-        dark_tracer = replace(arrangement.marched, sources=())
-        lanes = "marched" if isinstance(lit.tracer, Marched) else "tabulated"
-        exposure.add(lit.index, by_tracer, _LANES[lanes])
         if film is None:
-            exposure.add(rest, by_marching, _LANES["marched"])
+            exposure.add(pixels, by_marching, _LANES["marched"])
         else:
-            exposure.add(rest, by_tangents, _LANES["whole film"])
-        return exposure, replace(account, samples=samples, marched=marched)
+            exposure.add(pixels, by_tangents, _LANES["whole film"])
+        return replace(self.lit.account, reason=why or self.lit.account.reason)

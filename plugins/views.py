@@ -1,5 +1,6 @@
 """A camera's straight rays through its film."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -10,10 +11,13 @@ from virtual_sensor.arrays import in_own_memory, to_numpy
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Pinhole
+from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.poses import Pose
 
 OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward."""
+
+Array = NDArray[np.float64]
 
 
 def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
@@ -99,6 +103,16 @@ class View:
             index = in_own_memory(pixels, mi.UInt32)
         return self.rays(self.place(index, middle), middle)[0]
 
+    @property
+    def corners(self) -> tuple[Array, Array]:
+        """Lowest and highest (p, q) of a pinhole's pixels, each of shape (2,)."""
+        first = np.array(self.sensor.film().crop_offset(), float) - 0.5
+        last = first + np.array([self.width, self.height])
+        assert self.camera is not None
+        sides = np.stack(np.meshgrid(*np.stack([first, last]).T), axis=-1)
+        p, q = self.camera.of_pixels(sides)
+        return np.array([p.min(), q.min()]), np.array([p.max(), q.max()])
+
     @cached_property
     def pitch(self) -> float:
         """Angle between rays of pixels side by side, in the middle of the film, rad."""
@@ -107,3 +121,25 @@ class View:
         middle = self.pixels // 2 + self.width // 2
         one, other = to_numpy(self.centres(np.array([middle, middle + 1], np.uint32)).d)
         return float(np.linalg.norm(one - other))
+
+
+@dataclass(frozen=True)
+class StraightSight:
+    """What a camera would see if light ran straight.
+
+    Attributes
+    ----------
+    view : View
+    surface : SceneSurface
+    """
+
+    view: View
+    surface: SceneSurface
+
+    @cached_property
+    def distance(self) -> Any:
+        """From the camera along the rays of all pixels, mm; infinite where they meet nothing."""
+        ray = self.view.centres()
+        met = self.surface.distance(mi.Array3f(ray.o), mi.Array3f(ray.d), ray.maxt, True)
+        dr.eval(met)
+        return met

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from virtual_sensor_plugins.views import View
+from virtual_sensor_plugins.views import StraightSight
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.ray_maps import NoMapError
-from virtual_sensor.optics.surfaces import SceneSurface
 
 _TOLERANCE_PX = 0.1  # of the map
 _BEHIND_MM = 1.0  # what is seen lies before the map's far end
@@ -28,19 +27,17 @@ class WholeFilm:
     ----------
     axes : tuple of two vectors
         The camera's x and y.
-    distance : scalar
-        From the camera to where the displacement is told, mm.
-    moved, turned : tuple of two scalars
-        Displacement there along the axes, mm, and what it adds to a ray's direction.
+    offset, turn : tuple of two scalars
+        By how much the tangents of the bent rays start beside the straight rays along these axes,
+        mm, and what is added to their directions.
     """
 
     axes: tuple[Any, Any]
-    distance: Any
-    moved: tuple[Any, Any]
-    turned: tuple[Any, Any]
+    offset: tuple[Any, Any]
+    turn: tuple[Any, Any]
 
     @staticmethod
-    def of(view: View, surface: SceneSurface, medium: Field | None, march: March) -> "WholeFilm":
+    def of(straight: StraightSight, medium: Field | None, march: March) -> "WholeFilm":
         """Tabulate the bent rays of all that is seen.
 
         Raises
@@ -48,40 +45,37 @@ class WholeFilm:
         NoMapError
             If there is no map that can be trusted.
         """
+        view, distance = straight.view, straight.distance
         if view.camera is None:
             raise NoMapError("the camera is no pinhole")
-        ray = view.centres()
-        direction = mi.Array3f(ray.d)
-        distance = surface.distance(mi.Array3f(ray.o), direction, dr.inf, True)
-        frame = FamilyFrame.of(view.camera, mi.Array3f)
+        ray, frame = view.centres(), FamilyFrame.of(view.camera, mi.Array3f)
+        direction, seen = mi.Array3f(ray.d), dr.isfinite(distance)
         ahead = dr.dot(direction, frame.z)
-        p, q = dr.dot(direction, frame.x) / ahead, dr.dot(direction, frame.y) / ahead
-        depth, valid = distance * ahead, dr.isfinite(distance)
-        dr.eval(p, q, depth, ahead, valid)
-        if not dr.any(valid):
+        depth = dr.select(seen, distance * ahead, dr.nan)
+        dr.eval(depth)
+        ends = dr.min(dr.select(seen, depth, dr.inf)), dr.max(dr.select(seen, depth, -dr.inf))
+        near, far = (float(end[0]) for end in ends)
+        if far < near:
             raise NoMapError("the camera sees nothing")
-        low = dr.min(p), dr.min(q), dr.min(dr.select(valid, depth, dr.inf))
-        high = dr.max(p), dr.max(q), dr.max(dr.select(valid, depth, -dr.inf)) + _BEHIND_MM
-        first, last = (np.array([float(c[0]) for c in corner]) for corner in (low, high))
-        error_mm = _TOLERANCE_PX * view.pitch * float(first[2])
-        camera = MAPS.forward(medium, view.camera, first, last, march, error_mm)
-        depth = dr.select(valid, depth, dr.opaque(mi.Float, float(last[2])))
-        x, y, along_x, along_y = camera.linear.at(mi.Array3f(p, q, depth))
-        film = WholeFilm(
-            (frame.x, frame.y), depth / ahead, (x, y), (along_x * ahead, along_y * ahead)
-        )
-        dr.eval(film.distance, film.moved, film.turned)
-        return film
+        far += _BEHIND_MM
+        (p0, q0), (p1, q1) = view.corners
+        low, high = np.array([p0, q0, near]), np.array([p1, q1, far])
+        error_mm = _TOLERANCE_PX * view.pitch * near
+        camera = MAPS.forward(medium, view.camera, low, high, march, error_mm)
+        p, q = dr.dot(direction, frame.x) / ahead, dr.dot(direction, frame.y) / ahead
+        place = mi.Array3f(p, q, dr.select(seen, depth, dr.opaque(mi.Float, far)))
+        x, y, along_x, along_y = camera.linear.at(place)
+        turn = along_x * ahead, along_y * ahead
+        told_at = place.z / ahead
+        offset = x - told_at * turn[0], y - told_at * turn[1]
+        dr.eval(offset, turn)
+        return WholeFilm((frame.x, frame.y), offset, turn)
 
     def bent(self, ray: Any, pixel: Any) -> Any:
-        """The tangents of the bent rays of samples in pixels, as rays from before the camera."""
-        distance, moved, turned = (
-            dr.gather(mi.Float, numbers, pixel)
-            if not isinstance(numbers, tuple)
-            else tuple(dr.gather(mi.Float, each, pixel) for each in numbers)
-            for numbers in (self.distance, self.moved, self.turned)
-        )
+        """The tangents of the bent rays of samples in pixels, as rays from the camera."""
         x, y = (mi.Vector3f(axis) for axis in self.axes)
-        heading = dr.normalize(ray.d + x * turned[0] + y * turned[1])
-        there = ray(distance) + x * moved[0] + y * moved[1]
-        return mi.Ray3f(there - heading * distance, heading)
+        by_x, by_y, turn_x, turn_y = (
+            dr.gather(mi.Float, numbers, pixel) for numbers in (*self.offset, *self.turn)
+        )
+        heading = dr.normalize(ray.d + x * turn_x + y * turn_y)
+        return mi.Ray3f(ray.o + x * by_x + y * by_y, heading)
