@@ -140,20 +140,32 @@ class CubicLookup(GridLookup):
 
     def delta(self, p: Any) -> Any:
         """See `GridLookup`."""
-        value, _, _ = self._derivatives(p, 0)
-        return value
+        along, _ = self._derivatives(p, 0)
+        return along[self._order()]
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """See `GridLookup`."""
-        value, gradient, _ = self._derivatives(p, 1)
-        return value, gradient
+        along, scale = self._derivatives(p, 1)
+        gradient = [along[self._order(i)] for i in range(len(self._axes))]
+        return along[self._order()], self._in_world(p, gradient, scale)
 
     def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
         """See `GridLookup`."""
-        return self._derivatives(p, 2)
+        along, scale = self._derivatives(p, 2)
+        axes = range(len(self._axes))
+        gradient = [along[self._order(i)] for i in axes]
+        hessian = self._matrix(0.0)  # the corner of it that the axes take
+        for i, j in product(axes, repeat=2):
+            hessian[i, j] = along[self._order(i, j)]
+        in_world = self._in_world(p, gradient, scale)
+        return along[self._order()], in_world, self._matrix_in_world(hessian, scale)
 
-    def _derivatives(self, p: Any, most: int) -> tuple[Any, Any, Any]:
-        """Value, gradient and Hessian; zero those of an order above `most`."""
+    def _order(self, *by: int) -> tuple[int, ...]:
+        """Orders along each axis of a derivative by these axes."""
+        return tuple(by.count(axis) for axis in range(len(self._axes)))
+
+    def _derivatives(self, p: Any, most: int) -> tuple[dict[tuple[int, ...], Any], Any]:
+        """Derivatives by grid coordinates, by their orders, and those by the field's of these."""
         u, scale = self._on_grid(p, self._scale, self._first)
         u = dr.clip(u, 0.0, self._end)
         cell = [dr.minimum(mi.UInt32(x), last) for x, last in zip(u, self._last, strict=True)]
@@ -167,21 +179,7 @@ class CubicLookup(GridLookup):
             for orders, four in fours.items()
             for order in range(most - sum(orders) + 1)
         }
-        axes = range(len(u))
-        none = self._scalar(0.0)
-
-        def derivative(*by: int) -> Any:
-            return along.get(tuple(by.count(axis) for axis in axes), none)
-
-        gradient = [derivative(i) for i in axes]
-        hessian = self._matrix(0.0)
-        for i, j in product(axes, repeat=2):
-            hessian[i, j] = derivative(i, j)
-        return (
-            derivative(),
-            self._in_world(p, gradient, scale),
-            self._matrix_in_world(hessian, scale),
-        )
+        return along, scale
 
     def _four(self, first: Any) -> Any:
         """Four coefficients side by side."""

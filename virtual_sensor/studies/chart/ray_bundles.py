@@ -127,6 +127,7 @@ def tabulated_ends(
     """The same by maps, as functions to be timed: all of it, and making the map alone."""
     family = scene.sensor.camera
     place = family.coordinates(bundle.targets)
+    held = to_vectors(place)  # as `prepare` holds its rays
     low, high = place.min(axis=0) - _MARGIN, place.max(axis=0) + _MARGIN
     march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
 
@@ -134,7 +135,7 @@ def tabulated_ends(
         return forward_map(scene.field, family, low, high, march, error_mm)
 
     def work() -> Array:
-        x, y, _, _ = make().linear.at(to_vectors(place))
+        x, y, _, _ = make().linear.at(held)
         dr.eval(x, y)
         sideways = np.stack([np.array(x, float), np.array(y, float)], axis=1)
         return bundle.targets + sideways @ family.pose.rotation[:, :2].T
