@@ -119,16 +119,23 @@ def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     """Points (N, 3) as Dr.Jit vectors in double precision."""
     from virtual_sensor.engine import dr, mi
 
-    held = _with_room(points.T, float)
-    vectors = mi.Array3f64(held)
-    dr.eval(vectors)  # into columns: kernels that gather them compile anew for every number N
-    dr.sync_thread()  # see `in_own_memory`
+    held = in_own_memory(points.T, mi.Float64)
+    # N is opaque, and the columns are evaluated: else kernels compile anew for every number N.
+    row, count = dr.arange(mi.UInt32, len(points)), dr.opaque(mi.UInt32, len(points))
+    vectors = mi.Array3f64(*(dr.gather(mi.Float64, held, row + k * count) for k in range(3)))
+    dr.eval(vectors)
     return vectors
 
 
-def to_numpy(vectors: object) -> NDArray[np.float64]:
-    """Dr.Jit vectors of any precision as points (N, 3)."""
-    return np.array(vectors, float).T
+def to_numpy(vectors: Any) -> NDArray[np.float64]:
+    """Dr.Jit vectors of any precision, and of any length C, as rows (N, C).
+
+    Column by column: to put them side by side in Dr.Jit compiles a kernel for every number N.
+    """
+    from virtual_sensor.engine import dr
+
+    dr.eval(vectors)
+    return np.stack([np.array(column, float) for column in vectors], axis=1)
 
 
 def by_rows(compute: Callable[..., Result], *arrays: np.ndarray) -> Result:

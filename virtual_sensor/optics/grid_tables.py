@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from virtual_sensor.arrays import by_rows, in_own_memory, to_vectors
+from virtual_sensor.arrays import by_rows, in_own_memory, to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.lookups import contracted, cubic_weights
 from virtual_sensor.medium.spline import bspline_coefficients
@@ -205,8 +205,10 @@ class _CubicTable:
                 for four in self._fours[: -(-functions // _PACKET)]
             ]
         dr.eval(fours)
-        together = (np.concatenate(parts) for parts in zip(*fours, strict=True))
-        return tuple(np.ascontiguousarray(values[:functions].T) for values in together)
+        together = (
+            np.hstack([to_numpy(part) for part in parts]) for parts in zip(*fours, strict=True)
+        )
+        return tuple(values[:, :functions] for values in together)
 
 
 _ONE_AT_A_TIME = threading.Lock()
