@@ -132,14 +132,15 @@ class RayFamily(ABC):
     def rays(self, s: ArrayLike, t: ArrayLike) -> tuple[Array, Array]:
         """Origins and unit directions (N, 3), world, of rays of coordinates (N,)."""
         s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
-        direction = _columns(*self.slope(s, t), 1.0, s) @ self.pose.rotation.T
-        unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+        direction = _columns(*self.slope(s, t), 1.0, s)
+        direction = direction / np.abs(direction).max(axis=-1, keepdims=True)  # however steep
+        unit = direction / np.linalg.norm(direction, axis=-1, keepdims=True) @ self.pose.rotation.T
         return self.pose.to_world(_columns(*self.foot(s, t), 0.0, s)), unit
 
     def coordinates(self, points_mm: ArrayLike) -> Array:
         """(s, t, depth) of the straight rays through world points (N, 3): shape (N, 3)."""
-        x, y, depth = np.moveaxis(self.pose.to_local(points_mm), -1, 0)
-        with np.errstate(divide="ignore", invalid="ignore"):  # no ray goes there
+        with np.errstate(all="ignore"):  # no ray goes there, or none is known
+            x, y, depth = np.moveaxis(self.pose.to_local(points_mm), -1, 0)
             return _columns(*self.straight(x, y, depth), depth, depth)
 
     def origins(self, points_mm: ArrayLike) -> Array:
@@ -314,6 +315,8 @@ class Pinhole(RayFamily):
 
         NaN where a distortion can't be undone.
         """
+        pixel = np.asarray(pixel, float)
+        pixel = np.where(np.isfinite(pixel), pixel, np.nan)
         homogeneous = self._homogeneous(self.undistorted(pixel))
         return homogeneous[..., 0], homogeneous[..., 1]
 
