@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.optics.map_cache import MapCache
-from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_maps import (
     ForwardMap,
     InverseMap,
@@ -29,12 +29,14 @@ Array = NDArray[np.float64]
 
 _LONGEST_MM = 4.0  # step that is tried; it is halved until it errs little enough
 _SHORTEST_MM = 0.05
-_THINNEST = 1e-5  # of coordinates, or an absolute length: a box is never flat
+_THINNEST = 1e-5  # a box is, as a part of its coordinates or absolutely
 _MARCH_SHARE = 0.2  # of the tolerance is for the march
 _ROOM = 1.5  # times the shifts that these tell
 _ANYWHERE = 1000  # rays in a box that tell how far light is moved, and how march and map err
 _SAFE = 0.7  # of the tolerance is asked for where a map errs by more
 _MOST_MAPS = 4
+_MOST_NODES = 2_000_000
+_LATTICE = np.full(3, 8.0)  # a box grows by a sixteenth to each side at most
 
 
 def covering_map(
@@ -51,14 +53,14 @@ def covering_map(
         (s, t, depth) of straight rays, finite. Beyond a caustic, bent rays through them may come
         from beside the map.
     tolerance_mm : float
-        Largest error of the map and of its march; made to the next lower power of two.
+        Largest error of the map and of its march.
 
     Raises
     ------
     NoMapError
         If the tolerance can't be met, or a ray does not reach its depth.
     """
-    return MAPS.forward(field, family, *_asked(field, places, tolerance_mm))
+    return MAPS.forward(field, family, *_box(places), first_march(field), tolerance_mm)
 
 
 def covering_inverse(
@@ -71,18 +73,14 @@ def covering_inverse(
     NoMapError
         Also, as CausticError, if more than one ray passes through a place near by.
     """
-    return MAPS.inverse(field, family, *_asked(field, places, tolerance_mm))
+    return MAPS.inverse(field, family, *_box(places), first_march(field), tolerance_mm)
 
 
-def _asked(
-    field: Field | None, places: Array, tolerance_mm: float
-) -> tuple[Array, Array, March, float]:
-    """The box of places, the first march that is tried, and the tolerance of a map."""
-    march = March() if field is None else first_march(field)
+def _box(places: Array) -> tuple[Array, Array]:
+    """The box of places (N, 3); never a flat one."""
     low, high = places.min(axis=0), places.max(axis=0)
     thin = _THINNEST * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
-    low, high = np.minimum(low, high - thin), np.maximum(high, low + thin)
-    return low, high, march, float(2.0 ** np.floor(np.log2(tolerance_mm)))
+    return np.minimum(low, high - thin), np.maximum(high, low + thin)
 
 
 def _forward(
@@ -100,7 +98,7 @@ def _forward(
     pad, allowed_mm = _ROOM * shift, (1.0 - _MARCH_SHARE) * tolerance_mm
     asked_mm = allowed_mm
     for _ in range(_MOST_MAPS):
-        made = forward_map(field, family, low - pad, high + pad, march, asked_mm)
+        made = forward_map(field, family, low - pad, high + pad, march, asked_mm, _MOST_NODES)
         nodes, checks = made.table.grid.nodes(), _anywhere(low - pad, high + pad)
         error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
         shift = _shifts(family, nodes, made.table.at(nodes))
@@ -127,7 +125,7 @@ def _inverse(
     allowed_mm = (1.0 - _MARCH_SHARE) * tolerance_mm
     asked_mm, checks = allowed_mm, _anywhere(low, high)
     for _ in range(_MOST_MAPS):
-        made = inverse_map(field, family, low, high, march, asked_mm)
+        made = inverse_map(field, family, low, high, march, asked_mm, _MOST_NODES)
         error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
         if error_mm <= allowed_mm:
             break
@@ -135,7 +133,7 @@ def _inverse(
     return made
 
 
-MAPS = MapCache(forward=_forward, inverse=_inverse)
+MAPS = MapCache(forward=_forward, inverse=_inverse, lattice=_LATTICE)
 """Covering maps of this process."""
 
 
@@ -144,10 +142,18 @@ def _anywhere(low: Array, high: Array) -> Array:
     return low + np.random.default_rng(0).random((_ANYWHERE, 3)) * (high - low)
 
 
-def first_march(field: Field) -> March:
+def first_march(field: Field | None) -> March:
     """The march with the longest step that is tried."""
+    if field is None:
+        return March()
     shortest = float(np.ptp(np.asarray(field.box, float), axis=0).min())
     return March(min(_LONGEST_MM, shortest / 4.0), "leapfrog", "double")
+
+
+def in_mm(tolerance_px: float, camera: Pinhole, depth: Array) -> float:
+    """A tolerance in mm, where things are seen at depths (N,): the same within an octave."""
+    nearest = 2.0 ** np.floor(np.log2(depth.min()))
+    return float(tolerance_px * nearest / camera.matrix[0, 0])
 
 
 def by_octaves(depth: Array) -> Iterator[NDArray[np.intp]]:

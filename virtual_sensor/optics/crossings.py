@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.optics.covering_maps import by_octaves, covering_map, first_march
+from virtual_sensor.optics.covering_maps import by_octaves, covering_map, first_march, in_mm
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
-from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus, displaced
+from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus, along, displaced
 from virtual_sensor.optics.rays import Field
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def crossings(
         bent = np.flatnonzero(status == CrossingStatus.OK)
         for some in by_octaves(depth[bent]):
             rows = bent[some]
-            tolerance_mm = tolerance_px * float(depth[rows].min() / camera.matrix[0, 0])
+            tolerance_mm = in_mm(tolerance_px, camera, depth[rows])
             place[rows], t[rows], status[rows] = _bent(
                 field, pairs.of(rows), depth[rows], t[rows], tolerance_mm
             )
@@ -109,9 +109,9 @@ def _bent(
     for _ in range(_MOST_MAPS):
         sight = covering_map(field, pairs.camera, seen, tolerance_mm)
         light = covering_map(field, pairs.family, lit, tolerance_mm)
-        root, along, settled = pairs.solved(depth, t, sight, light)
+        root, root_t, settled = pairs.solved(depth, t, sight, light)
         place, beyond = pairs.places(root, sight)
-        on_sight, on_light = pairs.on_maps(root, along, beyond)
+        on_sight, on_light = pairs.on_maps(root, root_t, beyond)
         held = sight.table.grid.holds(on_sight) & light.table.grid.holds(on_light)
         more = ~held & (root > depth / _FARTHEST) & (root < depth * _FARTHEST)
         if not more.any():
@@ -120,7 +120,7 @@ def _bent(
     folded = held & ~settled
     folded[held] |= light.points(on_light[held]).status == MapStatus.FOLDED
     status = np.where(held, CrossingStatus.OK, CrossingStatus.NO_CROSSING)
-    return place, along, np.where(folded, CrossingStatus.FOLDED, status).astype(np.uint8)
+    return place, root_t, np.where(folded, CrossingStatus.FOLDED, status).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -141,18 +141,18 @@ class _Pairs:
         origin, direction = self.camera.rays(*self.sight.T)
         other, heading = self.family.rays(self.s, 0.0)
         gap = origin - other
-        along, ahead, behind = (
+        cosine, ahead, behind = (
             np.sum(a * b, axis=1)
             for a, b in ((direction, heading), (gap, direction), (gap, heading))
         )
-        length = (along * behind - ahead) / (1.0 - along**2)
+        length = (cosine * behind - ahead) / (1.0 - cosine**2)
         depth = length * (direction @ self.camera.pose.rotation[:, 2])
         point = origin + length[:, None] * direction
         return depth, self.family.coordinates(point)[:, 1]
 
     def places(self, depth: Array, sight: ForwardMap | None) -> tuple[Array, Array]:
         """Points on the lines of sight (N, 3) in the camera's frame and in the source's."""
-        here, _ = _on_rays(self.camera, sight, self.sight[:, 0], self.sight[:, 1], depth)
+        here, _ = self._seen(depth, sight)
         return here, self.family.pose.to_local(self.camera.pose.to_world(here))
 
     def on_maps(self, depth: Array, t: Array, beyond: Array) -> tuple[Array, Array]:
@@ -166,16 +166,15 @@ class _Pairs:
         """Depths and t from a start, by Newton's method, and which of them settled."""
         turn = self.camera.pose.rotation.T @ self.family.pose.rotation
         for _ in range(_MOST_STEPS):
-            here, slope = _on_rays(self.camera, sight, self.sight[:, 0], self.sight[:, 1], depth)
+            here, slope = self._seen(depth, sight)
             place = self.family.pose.to_local(self.camera.pose.to_world(here))
-            there, light_slope = _on_rays(self.family, light, self.s, t, place[:, 2])
+            there, light_slope, (x_t, y_t) = self._lit(t, place[:, 2], light)
             x, y = (place - there)[:, :2].T
             settled = np.maximum(np.abs(x), np.abs(y)) <= _SETTLED_MM
             if settled.all():
                 break
             heading = slope @ turn
             x_z, y_z, _ = (heading - heading[:, 2:] * light_slope).T
-            x_t, y_t = _by_t(self.family, light, np.column_stack([self.s, t, place[:, 2]]))
             area = np.where(settled, np.inf, y_z * x_t - x_z * y_t)
             depth, t = depth - (x_t * y - y_t * x) / area, t - (x_z * y - y_z * x) / area
         return depth, t, settled
@@ -195,30 +194,26 @@ class _Pairs:
         (_, one), (_, other) = self.camera.rays(*self.sight.T), self.family.rays(self.s, t)
         sine = np.linalg.norm(np.cross(one, other), axis=1).min()
         room = _ROOM * moved_mm / sine
-        by_t = np.hypot(*_by_t(self.family, None, lit)).min()
+        by_t = np.hypot(*self._lit(t, lit[:, 2], None)[2]).min()
         seen_room, lit_room = np.array([0.0, 0.0, room]), np.array([0.0, room / by_t, room])
         return (
             np.concatenate([seen - seen_room, seen + seen_room]),
             np.concatenate([lit - lit_room, lit + lit_room]),
         )
 
+    def _seen(self, depth: Array, sight: ForwardMap | None) -> tuple[Array, Array]:
+        """Points on the lines of sight and their slopes, in the camera's frame."""
+        places = np.column_stack([self.sight, depth])
+        return along(self.camera, places, sight.table.at(places) if sight else None)
 
-def _on_rays(
-    family: RayFamily, bent: ForwardMap | None, s: Array, t: Array, depth: Array
-) -> tuple[Array, Array]:
-    """Points on rays at depths in the family's frame, and their slopes by the depth; (N, 3)."""
-    x, y = family.place(s, t, depth)
-    x_z, y_z = family.slope(s, t)
-    if bent is not None:
-        moved = bent.table.at(np.column_stack([s, t, depth]))
-        x, y, x_z, y_z = x + moved[:, 0], y + moved[:, 1], x_z + moved[:, 2], y_z + moved[:, 3]
-    return np.column_stack([x, y, depth]), np.column_stack([x_z, y_z, np.ones_like(depth)])
-
-
-def _by_t(family: RayFamily, bent: ForwardMap | None, places: Array) -> tuple[Array, Array]:
-    """dx/dt and dy/dt of rays at places (N, 3) of (s, t, depth)."""
-    _, x_t, _, y_t = (np.broadcast_to(v, len(places)) for v in family.by_coordinates(*places.T))
-    if bent is None:
-        return x_t, y_t
-    moved = bent.table.slopes(places, 1)
-    return x_t + moved[:, 0], y_t + moved[:, 1]
+    def _lit(
+        self, t: Array, depth: Array, light: ForwardMap | None
+    ) -> tuple[Array, Array, tuple[Array, Array]]:
+        """Points on the source's rays, their slopes, and dx/dt and dy/dt; in the source's frame."""
+        places = np.column_stack([self.s, t, depth])
+        _, x_t, _, y_t = self.family.by_coordinates(self.s, t, depth)
+        moved = None
+        if light is not None:
+            moved, _, by_t = light.table.with_slopes(places)
+            x_t, y_t = x_t + by_t[:, 0], y_t + by_t[:, 1]
+        return *along(self.family, places, moved), (x_t + 0.0 * depth, y_t + 0.0 * depth)

@@ -61,6 +61,8 @@ class MapCache:
         Of all maps; the one that was used longest ago goes first.
     forward, inverse : callable
         What makes them.
+    lattice : ndarray of shape (3,)
+        Steps of a box's lattice that the box has at least, halved: fewer make it larger.
     """
 
     def __init__(
@@ -68,9 +70,11 @@ class MapCache:
         most_bytes: int = _MOST_BYTES,
         forward: Callable[..., ForwardMap] = forward_map,
         inverse: Callable[..., InverseMap] = inverse_map,
+        lattice: Array = _LATTICE,
     ) -> None:
         self._most_bytes = most_bytes
         self._forward, self._inverse = forward, inverse
+        self._lattice = lattice
         self._entries: OrderedDict[int, _Entry] = OrderedDict()
         self._number = 0
         self._lock = threading.RLock()
@@ -126,7 +130,7 @@ class MapCache:
         tolerance_mm: float,
     ) -> RayMap:
         """The map of the roomier box; where there is none, that of the box itself."""
-        box = roomier(low, high)
+        box = roomier(low, high, self._lattice)
         try:
             return self._one(make, medium, family, *box, march, tolerance_mm)
         except NoMapError:
@@ -173,10 +177,10 @@ MAPS = MapCache()
 """Of this process."""
 
 
-def roomier(low: Array, high: Array) -> tuple[Array, Array]:
+def roomier(low: Array, high: Array, lattice: Array = _LATTICE) -> tuple[Array, Array]:
     """The box of a lattice that holds one of (s, t, depth); its rays start no later than asked."""
     extent = np.maximum(high - low, 1e-9)
-    step = 2.0 ** np.ceil(np.log2(extent / (2.0 * _LATTICE)))
+    step = 2.0 ** np.ceil(np.log2(extent / (2.0 * lattice)))
     first, last = np.floor(low / step) * step, np.ceil(high / step) * step
     while first[2] <= 0.0 < low[2]:  # rays of a pinhole don't differ at depth 0
         step[2] /= 2.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
 from virtual_sensor.engine import mi
-from virtual_sensor.optics.covering_maps import by_octaves, covering_map
+from virtual_sensor.optics.covering_maps import by_octaves, covering_map, in_mm
 from virtual_sensor.optics.newton_search import Roots
 from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus
 from virtual_sensor.optics.sight import SearchScene
@@ -51,8 +51,8 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     if not np.isfinite(depth[~told]).any():
         return found, told
     depth = np.where(np.isfinite(depth), depth, np.median(depth[np.isfinite(depth)]))
-    px_mm = camera.pose.to_local(origins + directions * (depth / ahead)[:, None])[:, 2]
-    tolerance_mm = tolerance_px * float(px_mm.min() / camera.matrix[0, 0])
+    seen_from = camera.pose.to_local(origins + directions * (depth / ahead)[:, None])[:, 2]
+    tolerance_mm = in_mm(tolerance_px, camera, seen_from)
     rows = np.flatnonzero(~told)
     places = np.column_stack([np.zeros(len(rows)), b[rows], depth[rows]])
     light = covering_map(scene.field, family, _deeper(places), tolerance_mm)
@@ -95,15 +95,15 @@ def _met(bent: ForwardMap, places: Array, surface: Surface) -> tuple[Array, Mask
     point = np.full((len(places), 3), np.nan)
     going = np.flatnonzero(told)
     for turn in range(_TANGENTS):
-        here = bent.points(places[going])
-        ahead = here.direction @ axis
+        here, heading = bent.lines(places[going])
+        ahead = heading @ axis
         # At first from where the ray starts: whatever stands before is met.
         back = np.full(len(going), _REACH_MM) if turn else places[going, 2] / ahead
-        begin = here.point_mm - here.direction * back[:, None]
+        begin = here - heading * back[:, None]
         limit = np.full(len(going), 2.0 * _REACH_MM if turn else np.inf)
-        met = _distance(surface, begin, here.direction, limit)
+        met = _distance(surface, begin, heading, limit)
         hit = np.isfinite(met)
-        point[going] = begin + here.direction * np.where(hit, met, np.nan)[:, None]
+        point[going] = begin + heading * np.where(hit, met, np.nan)[:, None]
         going = going[hit]
         places[going, 2] += ((met - back) * ahead)[hit]
         held = bent.table.grid.holds(places[going])

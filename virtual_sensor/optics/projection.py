@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, points_of, unmasked
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.covering_maps import by_octaves, covering_inverse, covering_map
+from virtual_sensor.optics.covering_maps import (
+    by_octaves,
+    covering_inverse,
+    covering_map,
+    in_mm,
+)
 from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap, MapStatus, NoMapError
@@ -26,7 +31,7 @@ Array = NDArray[np.float64]
 TOLERANCE_PX = 1e-3
 """Of pixels by maps, unless another is asked for."""
 
-MANY = 1000
+MANY = 5000
 """So many points are projected by maps."""
 
 _BESIDE = 0.5  # images to each side of the sensor: points seen farther out are off the map
@@ -157,7 +162,7 @@ def _tabulated(scene: Any, points: Array, tolerance_px: float) -> tuple[Array, N
     places = camera.coordinates(points)
     pixel, status = np.full((len(points), 2), np.nan), np.zeros(len(points), np.uint8)
     for some in by_octaves(places[:, 2]):
-        tolerance_mm = tolerance_px * float(places[some, 2].min() / camera.matrix[0, 0])
+        tolerance_mm = in_mm(tolerance_px, camera, places[some, 2])
         try:
             bent = _map(scene.field, camera, places[some], tolerance_mm)
         except NoMapError:

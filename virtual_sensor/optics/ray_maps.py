@@ -17,12 +17,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from virtual_sensor.arrays import by_rows, to_vectors
+from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -44,6 +45,7 @@ _ALONG = (
 )  # rays of a line along s, t and depth: they tell how fine a grid to begin with
 _LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 2_500, 30_000, 250_000, 10_000_000
 _MOST_FIRST_ALONG = 500
+_MANY = 20_000  # nodes, whose rays are marched once through all depths
 _LEVELS = 8
 _PATIENCE = 2.5  # grids are refined as if errors were so many times larger than was seen
 _STRETCH = 2e-4  # error of derivatives by s and t, mm per mm: light is concentrated by them
@@ -209,18 +211,21 @@ class ForwardMap(RayMap):
     def points(self, places: Array) -> RayPoints:
         """Points on the rays (s, t) at depths, of places (N, 3)."""
         held = self.table.grid.holds(places)
-        s, t, depth = places[held].T
         moved, jacobian = self._bent(places[held])
-        (x, y), (along_x, along_y) = self.family.place(s, t, depth), self.family.slope(s, t)
-        local = np.stack([x + moved[:, 0], y + moved[:, 1], depth], axis=1)
-        slope = np.stack([along_x + moved[:, 2], along_y + moved[:, 3], np.ones(len(s))], axis=1)
         point, direction = np.full((2, len(places), 3), np.nan)
-        point[held] = self.family.pose.to_world(local)
-        direction[held] = _unit(slope @ self.family.pose.rotation.T)
+        point[held], direction[held] = self._lines(places[held], moved)
         status = np.full(len(places), MapStatus.OFF, np.uint8)
         folded = self._folded(places[held], jacobian)
         status[held] = np.where(folded, MapStatus.FOLDED, MapStatus.OK)
         return RayPoints(point, direction, status)
+
+    def lines(self, places: Array) -> tuple[Array, Array]:
+        """Points and unit directions (N, 3), world, as `points` has them; off the box guesses."""
+        return self._lines(places, self.table.at(places))
+
+    def _lines(self, places: Array, moved: Array) -> tuple[Array, Array]:
+        place, slope = along(self.family, places, moved)
+        return self.family.pose.to_world(place), _unit(slope @ self.family.pose.rotation.T)
 
     def rays(self, points_mm: Array) -> PointRays:
         """The bent rays through world points (N, 3), by Newton's method on the splines.
@@ -359,6 +364,18 @@ class InverseMap(RayMap):
         return 1.0 / float(np.max(np.hypot(x_s, y_s))), 1.0 / float(np.max(np.hypot(x_t, y_t)))
 
 
+def along(family: RayFamily, places: Array, moved: Array | None) -> tuple[Array, Array]:
+    """Points on rays at places (N, 3) and their slopes by the depth, (N, 3), in the family's frame.
+
+    `moved` (N, 4) is what a forward map's table has there; None: straight rays.
+    """
+    s, t, depth = places.T
+    (x, y), (x_z, y_z) = family.place(s, t, depth), family.slope(s, t)
+    if moved is not None:
+        x, y, x_z, y_z = x + moved[:, 0], y + moved[:, 1], x_z + moved[:, 2], y_z + moved[:, 3]
+    return np.column_stack([x, y, depth]), np.column_stack([x_z, y_z, np.ones_like(depth)])
+
+
 def forward_map(
     field: Field | None,
     family: RayFamily,
@@ -366,6 +383,7 @@ def forward_map(
     high: Array,
     march: March,
     tolerance_mm: float,
+    most_nodes: int = _MOST_NODES,
 ) -> ForwardMap:
     """Tabulate where a family's bent rays are.
 
@@ -379,6 +397,8 @@ def forward_map(
     march : March
     tolerance_mm : float
         Largest error that the linear table's estimate may have; the splines have 0.6 of it.
+    most_nodes : int
+        Beyond so many the tolerance is given up.
 
     Raises
     ------
@@ -392,9 +412,14 @@ def forward_map(
     def marched(place: Array) -> Array:
         return displaced(field, family, march, place)
 
+    def on_grid(grid: Grid) -> Array:
+        return _displaced_on(field, family, march, grid)
+
     spline_mm = _SPLINE * tolerance_mm
     shape = _Lines.through(marched, family, low, high).shape(spline_mm, np.inf, low, high)
-    table, error_mm, largest_mm = _refined(marched, low, high, spline_mm, shape)
+    table, error_mm, largest_mm = _refined(
+        marched, on_grid, low, high, spline_mm, shape, most_nodes
+    )
     return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
 
 
@@ -405,6 +430,7 @@ def inverse_map(
     high: Array,
     march: March,
     tolerance_mm: float,
+    most_nodes: int = _MOST_NODES,
 ) -> InverseMap:
     """Tabulate which of a family's bent rays comes through a point; see `forward_map`.
 
@@ -425,6 +451,9 @@ def inverse_map(
     def marched(place: Array) -> Array:
         return displaced(field, family, march, place)
 
+    def on_grid(grid: Grid) -> Array:
+        return _displaced_on(field, family, march, grid)
+
     spline_mm = _SPLINE * tolerance_mm
     lines = _Lines.through(marched, family, low, high)
     shift = in_coordinates(family, lines.places, lines.values[:, :2])
@@ -432,7 +461,9 @@ def inverse_map(
     for _ in range(_MOST_PADS):
         room = low - pad, high + pad
         first = lines.shape(_FORWARD * spline_mm, _STRETCH, *room)
-        table, error_mm, largest_mm = _refined(marched, *room, _FORWARD * spline_mm, first)
+        table, error_mm, largest_mm = _refined(
+            marched, on_grid, *room, _FORWARD * spline_mm, first, most_nodes
+        )
         ahead = ForwardMap(family, table, error_mm, linear_mm, largest_mm)
         grid = Grid(low, high, _shape_like(table.grid, low, high))
         values, reach = _inverted(ahead, grid)
@@ -480,24 +511,62 @@ def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> 
     s, t, depth = to_vectors(places)
     frame = FamilyFrame.of(family, mi.Array3f64)
     origin, direction, _ = frame.rays(s, t)
+    moved, turned, ended = _beside(field, march, frame, origin, direction, depth)
+    return _rows(frame, moved, turned, ended)
+
+
+def _displaced_on(field: Field, family: RayFamily, march: March, grid: Grid) -> Array:
+    """`displaced` at the nodes of a grid: of many, rays go on from one depth to the next."""
+    if grid.low[2] <= 0.0 or np.prod(grid.shape) < _MANY:  # before rays start, or soon done
+        return displaced(field, family, march, grid.nodes())
+    s, t, _ = Grid(grid.low, grid.high, (*grid.shape[:2], 1)).nodes().T
+    frame = FamilyFrame.of(family, mi.Array3f64)
+    first, course, _ = frame.rays(to_scalars(s), to_scalars(t))
+    origin, direction = first, course
+    values = []
+    for node in grid.axes()[2]:
+        depth = dr.opaque(mi.Float64, float(node))
+        moved, turned, ended = _beside(field, march, frame, origin, direction, depth)
+        straight, slope = _at_depth(frame, origin, direction, depth)
+        origin, slope = straight + moved, slope + turned
+        direction = dr.normalize(slope)
+        started, first_slope = _at_depth(frame, first, course, depth)
+        dr.eval(origin, direction)
+        values.append(_rows(frame, origin - started, slope - first_slope, ended))
+    return np.stack(values, axis=1).reshape(-1, 4)
+
+
+def _at_depth(frame: FamilyFrame, origin: Any, direction: Any, depth: Any) -> tuple[Any, Any]:
+    """Points on straight rays at a depth of a frame, and their slopes: world vectors by depth."""
+    slope = direction / dr.dot(direction, frame.z)
+    return origin + slope * (depth + frame.centre[2] - dr.dot(origin, frame.z)), slope
+
+
+def _beside(
+    field: Field, march: March, frame: FamilyFrame, origin: Any, direction: Any, depth: Any
+) -> tuple[Any, Any, Any]:
+    """How far bent rays are beside their straight ones at a depth; which of them got there.
+
+    World vectors, the displacement in mm and the slope by depth, in double precision; taken in the
+    same plane they are free of the rounding of either ray's own place.
+    """
     line = Straight.through(origin, direction, march)
-    x, y, z = (march.vector(axis) for axis in (frame.x, frame.y, frame.z))
+    z = march.vector(frame.z)
     plane = march.scalar(depth + frame.centre[2])
-    ray = bend(
-        field,
-        NoSurface(),
-        line,
-        march,
-        remaining=in_plane(z, plane - dr.dot(z, line.anchor)),
-    )
-    # Beside the straight ray in the same plane: free of the rounding of either's own place.
+    ends = in_plane(z, plane - dr.dot(z, line.anchor))
+    ray = bend(field, NoSurface(), line, march, remaining=ends)
     d, offset, tau = line.direction, ray.offset[0], ray.tau[0]
     ahead = dr.dot(d, z)
     moved = offset - d * (dr.dot(offset, z) / ahead)
     turned = (tau - d * (dr.dot(tau, z) / ahead)) / (ahead + dr.dot(tau, z))
-    numbers = [dr.dot(moved, x), dr.dot(moved, y), dr.dot(turned, x), dr.dot(turned, y)]
-    dr.eval(*numbers, ray.status)
-    if not np.all(np.array(ray.status) == RayStatus.ENDED):
+    return mi.Array3f64(moved), mi.Array3f64(turned), ray.status == int(RayStatus.ENDED)
+
+
+def _rows(frame: FamilyFrame, moved: Any, turned: Any, ended: Any) -> Array:
+    """World vectors as rows of `displaced`, (N, 4)."""
+    numbers = [dr.dot(v, axis) for v in (moved, turned) for axis in (frame.x, frame.y)]
+    dr.eval(*numbers, ended)
+    if not np.all(np.array(ended)):
         raise NoMapError("a ray did not reach its depth: it was turned away, or ran out of steps")
     return np.stack([np.array(n, float) for n in numbers], axis=1)
 
@@ -539,19 +608,20 @@ def in_coordinates(family: RayFamily, places: Array, moved_mm: Array) -> Array:
 
 def _refined(
     marched: Callable[[Array], Array],
+    on_grid: Callable[[Grid], Array],
     low: Array,
     high: Array,
     tolerance_mm: float,
     shape: tuple[int, int, int],
+    most_nodes: int = _MOST_NODES,
 ) -> tuple[SplineTable, float, float]:
     """A table refined along the axes that need it, its error between nodes and largest value."""
     grid = Grid(low, high, shape)
     for _ in range(_LEVELS):
-        if np.prod(grid.shape, dtype=float) > _MOST_NODES:
+        if np.prod(grid.shape, dtype=float) > most_nodes:
             break
         planes, checks = _planes(grid), _checks(grid)
-        values = marched(np.concatenate([planes.nodes(), checks]))
-        values, truth = np.split(values, [-len(checks)])
+        values, truth = on_grid(planes), marched(checks)
         table = SplineTable(grid, _between_planes(planes, values))
         wrong = np.linalg.norm((table.at(checks) - truth)[:, :2], axis=1).reshape(4, -1)
         by_axis = wrong.max(axis=1)
