@@ -333,6 +333,7 @@ REFUSED = {
         ["line ", "air.nc", "no such file"],
     ),
     "no camera": (COLD.replace(CAMERA, ""), ["no camera", '<sensor type="perspective">']),
+    "no integrator": (COLD.replace(STRAIGHT, ""), [STRAIGHT]),
     "other integrator": (COLD.replace(STRAIGHT, '<integrator type="direct"/>'), [STRAIGHT]),
     "other camera": (
         COLD.replace('"perspective"', '"thinlens"').replace(CLIP, CLIP + APERTURE),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from several import LAMP, ORTHOGRAPHIC, text_of, two_by_two
+from several import LAMP, ORTHOGRAPHIC, element, text_of, two_by_two
 
 import virtual_sensor as vs
 from virtual_sensor.imaging.checks import check_scene
@@ -167,3 +167,50 @@ def test_each_cameras_sampler_is_asked(written, tmp_path):
     path.write_text(text[:at] + 'value="7"' + text[at + len('value="$spp"') :], encoding="utf-8")
     with pytest.raises(vs.InputError, match=r"line \d+.*sample_count of 7: it would take 9"):
         vs.load_scene(path)
+
+
+def test_bent_triangulation_of_each_pair_gives_the_incidence_points(written):
+    """Rationale: air bends every pair's light its own way; straight lines miss by far more."""
+    scene = written(
+        [("near", 0, 1), ("far", 20, 1)],
+        [("red", 0, 0), ("blue", 15, 4)],
+        name="hot_cylinder",
+        **{"width": 2048, "height": 2048, "line_radius": 0.15},
+    )
+    y = np.linspace(-10.0, 10.0, 401)
+    for camera in scene.cameras:
+        for source in scene.sources:
+            names = {"camera": camera, "source": source}
+            found = vs.ray_search(scene, y, "newton", **names)
+            pixel, point = found.pixel, found.laser_point_mm
+            assert np.all(found.status == SearchStatus.FOUND)
+            bent = vs.triangulate(scene, pixel, medium=scene.medium, **names)
+            straight = vs.triangulate(scene, pixel, **names)
+            assert np.linalg.norm(bent - point, axis=1).max() < 5e-5
+            assert np.linalg.norm(straight - point, axis=1).max() > 5e-3
+            seen = vs.project(scene, point, camera=camera)
+            np.testing.assert_allclose(seen, pixel, atol=2e-3)
+
+
+def test_lasers_in_other_files_and_inside_shapes_are_sources(written, tmp_path):
+    """Named in their order, and each light is there once though a <ref> names it again."""
+    text = text_of("cold_cylinder", [("", 0, 1)], [("", 0, 0)])
+    laser = element(text, "emitter")
+    (tmp_path / "laser.xml").write_text(f'<scene version="3.0.0">{laser}</scene>', encoding="utf-8")
+    include, part = '<include filename="laser.xml"/>', '<float name="radius" value="13.5"/>'
+    image = None
+    for changed, names in (
+        (text.replace(laser, include), ["laser"]),
+        (text.replace(laser, "").replace(part, part + laser), ["laser"]),
+        (text.replace(laser, laser.replace(">", ' id="red">', 1)) + "", ["red"]),
+        (text.replace(laser, laser.replace(">", ' id="red">', 1) + '<ref id="red"/>'), ["red"]),
+        (text.replace(laser, laser + include + include), ["laser", "laser_2", "laser_3"]),
+    ):
+        path = tmp_path / "odd.xml"
+        path.write_text(changed, encoding="utf-8")
+        scene = vs.load_scene(path, width=64, height=64, spp=1, line_radius=0.8)
+        assert list(scene.sources) == names
+        frame = vs.render(scene, source=names[-1])
+        image = frame if image is None else image
+        np.testing.assert_allclose(frame, image, atol=1e-5 * image.max())
+        np.testing.assert_allclose(vs.render(scene), len(names) * image, atol=1e-4 * image.max())
