@@ -72,3 +72,11 @@ def pixels_and_radiance(scene):
     import virtual_sensor as vs
 
     return vs.ray_search(scene, [0.0, -4.0], "newton").pixel, vs.render(scene)
+
+
+def variant_and_radiance(scene):
+    """Mitsuba's variant where a scene is unpickled, and what is rendered of it there."""
+    import virtual_sensor as vs
+    from virtual_sensor.engine import mi
+
+    return mi.variant(), vs.render(scene)

@@ -21,8 +21,10 @@ XDG_CACHE_HOME         where ``virtual_sensor/`` keeps the proofs, else ``~/.cac
 from __future__ import annotations
 
 import hashlib
+import importlib
 import mmap
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -42,7 +44,7 @@ if TYPE_CHECKING:
     import drjit as dr
     import mitsuba as mi
 
-__all__ = ["Engine", "Llvm", "RejectedLibrary", "activate", "dr", "find_llvm", "mi"]
+__all__ = ["Engine", "Llvm", "RejectedLibrary", "activate", "dr", "find_llvm", "mi", "under"]
 
 DEFAULT_VARIANT = "llvm_ad_mono"
 OLDEST_LLVM = 17
@@ -172,6 +174,22 @@ def activate(variant: str | None = None) -> Engine:
             current or variant or os.environ.get("VIRTUAL_SENSOR_VARIANT") or DEFAULT_VARIANT
         )
     return _active
+
+
+def under(variant: str, function: str, data: bytes) -> Any:
+    """Call a function, "module:name", with pickled arguments once a variant is active.
+
+    To import what they are made of starts the engine, with another variant than theirs maybe.
+
+    Raises
+    ------
+    EngineError
+        As `activate` does.
+    """
+    if _mitsuba_variant() != variant:
+        activate(variant)
+    module, _, name = function.partition(":")
+    return getattr(importlib.import_module(module), name)(*pickle.loads(data))
 
 
 def find_llvm() -> tuple[Path, str, tuple[RejectedLibrary, ...]]:

@@ -18,6 +18,8 @@ from scipy.spatial.transform import Rotation
 from several import two_by_two
 
 import virtual_sensor as vs
+from virtual_sensor.engine import mi
+from virtual_sensor.errors import EngineError
 from virtual_sensor.imaging import scene as scenes
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.description import MediumDescription
@@ -337,3 +339,27 @@ def test_at_is_of_the_fields_file_only(hot):
     """After other air there are no instants to choose from."""
     with pytest.raises(vs.InputError, match="there is no 'field' to have instants"):
         hot.with_medium(hot.medium).at(1.0)
+
+
+def test_a_scene_keeps_its_variant_in_another_process(hot):
+    """Rationale: a worker starts with the usual one, and would compute something else."""
+    usual = mi.variant()
+    try:
+        mi.set_variant("llvm_ad_rgb")
+        scene = vs.load_scene("cold_cylinder", **FILM)
+        image, data = vs.render(scene), pickle.dumps(scene)
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            variant, radiance = pool.apply(child_functions.variant_and_radiance, (scene,))
+    finally:
+        mi.set_variant(usual)
+    assert variant == "llvm_ad_rgb"
+    np.testing.assert_array_equal(radiance, image)
+    with pytest.raises(EngineError, match="is active, too late for 'llvm_ad_rgb'"):
+        pickle.loads(data)
+    assert hot != scene
+
+
+def test_parameters_do_not_change_either(hot):
+    """Rationale: a scene would be another one than its parameters say."""
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        hot.parameters["beta"] = "5"

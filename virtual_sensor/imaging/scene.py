@@ -26,6 +26,7 @@ lengths                          in mm; a scene that seems to be in metres gets 
 from __future__ import annotations
 
 import hashlib
+import pickle
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -136,6 +137,7 @@ class _Stage:
     sources: dict[str, LaserLine]
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
+    variant: str  # of Mitsuba
 
     @property
     def air(self) -> MediumDescription:
@@ -175,7 +177,7 @@ class Scene:
     Attributes
     ----------
     path : Path
-    parameters : dict
+    parameters : Mapping
         The scene's ``$parameters`` as used, defaults included.
     medium : IndexField or None
         The air; None where light runs straight.
@@ -192,7 +194,7 @@ class Scene:
     """
 
     path: Path
-    parameters: dict[str, str]
+    parameters: Mapping[str, str]
     medium: IndexField | None
     air: MediumDescription
     cameras: Mapping[str, Pinhole]
@@ -202,7 +204,7 @@ class Scene:
     _stage: _Stage
 
     def __post_init__(self) -> None:
-        for name in ("cameras", "sources"):
+        for name in ("parameters", "cameras", "sources"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     @property
@@ -313,7 +315,7 @@ class Scene:
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
         time = {"time": f"{time_s:.9g}"} if "time" in self.parameters else {}
-        return replace(self, medium=medium, air=air, parameters=self.parameters | time)
+        return replace(self, medium=medium, air=air, parameters={**self.parameters, **time})
 
     def with_transport(self, transport: Transport) -> Scene:
         """The same scene by another transport of light."""
@@ -418,6 +420,7 @@ class Scene:
         stage = self._stage
         return (
             stage.origin.digests,
+            stage.variant,
             tuple(sorted(self.parameters.items())),
             tuple((name, matrix.tobytes()) for name, matrix in sorted(stage.poses.items())),
             self.air,
@@ -438,8 +441,9 @@ class Scene:
         stage, chosen = self._stage, (tuple(self.cameras), tuple(self.sources))
         air = self.air.time_s if self.air.path else self.medium
         of_file = self.air.path is not None
-        changes = self.parameters, of_file, air, self.transport, self.hot
-        return _unpickled, (mi.variant(), stage.origin, stage.poses, chosen, *changes)
+        changes = dict(self.parameters), of_file, air, self.transport, self.hot
+        data = pickle.dumps((stage.origin, stage.poses, chosen, *changes))
+        return engine.under, (stage.variant, f"{__name__}:_unpickled", data)
 
     def __copy__(self) -> Scene:
         return self
@@ -449,7 +453,6 @@ class Scene:
 
 
 def _unpickled(
-    variant: str,
     origin: _Origin,
     poses: dict[str, Array],
     chosen: tuple[tuple[str, ...], tuple[str, ...]],
@@ -460,7 +463,6 @@ def _unpickled(
     hot: bool,
 ) -> Scene:
     """A scene that was pickled, loaded again; `air` is an instant of its file, or a medium."""
-    engine.activate(variant)
     origin.check()
     path = origin.files[0]
     stage = _staged(path, origin.given, origin.here, poses)
@@ -536,7 +538,8 @@ def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Arra
     surface = _surface(loaded.scene)
     origin = _Origin.of(given, here, [path, *_referred(files, folders, values)])
     where = next(e.where for f in files for e in f.elements if e.tag == "integrator")
-    return _Stage(origin, poses, values, loaded, surface, cameras, sources, tuple(notes), where)
+    rest = tuple(notes), where, mi.variant()
+    return _Stage(origin, poses, values, loaded, surface, cameras, sources, *rest)
 
 
 def scene_parameters(path: Path, given: dict[str, str]) -> dict[str, str]:

@@ -270,7 +270,7 @@ def summary(result: Burst) -> dict[str, Any]:
     frames = len(result.time_s)
     return {
         "scene": str(result.scene.path),
-        "parameters": result.scene.parameters,
+        "parameters": dict(result.scene.parameters),
         "field": {
             "file": str(result.scene.air.path),
             "source": result.scene.field.source if result.scene.field else "",

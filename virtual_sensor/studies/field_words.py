@@ -197,7 +197,7 @@ def figures(info: FieldInfo) -> dict[str, Any]:
         "ambient n - 1": field.ambient,
         "implied temperature, degC": info.temperature_range_c,
         "scene": str(info.scene.path) if info.scene else None,
-        "parameters": info.scene.parameters if info.scene else None,
+        "parameters": dict(info.scene.parameters) if info.scene else None,
         "border": {
             face.name: {
                 "largest jump of n": face.jump,

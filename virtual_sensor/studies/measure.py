@@ -244,7 +244,7 @@ def summary(result: Measurement) -> dict[str, Any]:
         "scene": str(scene.path),
         "camera": scene.camera_name,
         "source": scene.source_name,
-        "parameters": scene.parameters,
+        "parameters": dict(scene.parameters),
         "field": _field_summary(scene.field) if scene.field else None,
         "notes": result.notes,
         "states": {name: _state_summary(state) for name, state in result.states.items()},
