@@ -18,6 +18,7 @@ from virtual_sensor.optics.ray_maps import (
     ForwardMap,
     InverseMap,
     NoMapError,
+    PointRays,
     displaced,
     forward_map,
     in_coordinates,
@@ -74,6 +75,25 @@ def covering_inverse(
         Also, as CausticError, if more than one ray passes through a place near by.
     """
     return MAPS.inverse(field, family, *_box(places), first_march(field), tolerance_mm)
+
+
+def rays_through(
+    field: Field | None, family: RayFamily, points_mm: Array, tolerance_mm: float
+) -> PointRays:
+    """A family's bent rays through world points (N, 3), which straight ones reach as well.
+
+    By the inverse map; beside a caustic, where there is none, by the forward one.
+
+    Raises
+    ------
+    NoMapError
+        If there is neither.
+    """
+    places = family.coordinates(points_mm)
+    try:
+        return covering_inverse(field, family, places, tolerance_mm).rays(points_mm)
+    except NoMapError:
+        return covering_map(field, family, places, tolerance_mm).rays(points_mm)
 
 
 def _box(places: Array) -> tuple[Array, Array]:

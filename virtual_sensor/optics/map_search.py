@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
 from virtual_sensor.engine import mi
-from virtual_sensor.optics.covering_maps import by_octaves, covering_map, in_mm
+from virtual_sensor.optics.covering_maps import by_octaves, covering_map, in_mm, rays_through
 from virtual_sensor.optics.newton_search import Roots
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus
 from virtual_sensor.optics.sight import SearchScene
 from virtual_sensor.optics.surfaces import Surface
@@ -63,15 +64,34 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     rows = rows[known & np.isfinite(target[:, 0])]
     places = camera.coordinates(found.target[rows])
     for some in by_octaves(places[:, 2]):
-        at, point = rows[some], found.target[rows[some]]
-        sight = covering_map(scene.field, camera, _deeper(places[some]), tolerance_mm)
-        ray = sight.rays(point)
-        seen, known = _met(
-            sight, np.column_stack([ray.coordinates, places[some, 2]]), scene.surface
-        )
-        found.pixel[at], found.seen[at] = camera.pixels(*ray.coordinates.T), seen
-        told[at] = known & (ray.status == MapStatus.OK)
+        ray = rays_through(scene.field, camera, found.target[rows[some]], tolerance_mm)
+        ok = ray.status == MapStatus.OK
+        at, sight = rows[some][ok], np.column_stack([ray.coordinates, places[some, 2]])[ok]
+        found.pixel[at] = camera.pixels(*sight[:, :2].T)
+        found.seen[at] = _there(scene.surface, camera, found.target[at], ray.direction[ok])
+        told[rows[some]] = ok
+        other = np.flatnonzero(np.isnan(found.seen[at, 0]))  # something is met before or behind
+        if other.size:
+            bent = covering_map(scene.field, camera, _deeper(sight[other]), tolerance_mm)
+            found.seen[at[other]], told[at[other]] = _met(bent, sight[other], scene.surface)
     return found, told
+
+
+def _there(surface: Surface, camera: Pinhole, point: Array, direction: Array) -> Array:
+    """Where lines of sight through points (N, 3) meet a surface close to those; else NaN.
+
+    They are followed along their tangents in the points, from the camera on.
+    """
+    seen, near = np.full_like(point, np.nan), np.arange(len(point))
+    back = np.linalg.norm(point - camera.pose.origin_mm, axis=1)
+    for _ in range(2):  # for the second time from near by: a hit from afar is rounded
+        ahead = direction[near]
+        begin = point[near] - ahead * back[:, None]
+        met = _distance(surface, begin, ahead, back + _REACH_MM)
+        here = np.abs(met - back) <= _REACH_MM
+        near, back = near[here], np.full(np.count_nonzero(here), _REACH_MM)
+    seen[near] = begin[here] + ahead[here] * met[here, None]
+    return seen
 
 
 def _deeper(places: Array) -> Array:

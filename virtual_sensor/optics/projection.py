@@ -14,16 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, points_of, unmasked
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.covering_maps import (
-    by_octaves,
-    covering_inverse,
-    covering_map,
-    in_mm,
-)
+from virtual_sensor.optics.covering_maps import by_octaves, in_mm, rays_through
 from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
-from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap, MapStatus, NoMapError
-from virtual_sensor.optics.rays import Field
+from virtual_sensor.optics.ray_maps import MapStatus, NoMapError
 from virtual_sensor.optics.sight import check_scene_given, chosen
 
 Array = NDArray[np.float64]
@@ -164,11 +158,10 @@ def _tabulated(scene: Any, points: Array, tolerance_px: float) -> tuple[Array, N
     for some in by_octaves(places[:, 2]):
         tolerance_mm = in_mm(tolerance_px, camera, places[some, 2])
         try:
-            bent = _map(scene.field, camera, places[some], tolerance_mm)
+            found = rays_through(scene.field, camera, points[some], tolerance_mm)
         except NoMapError:
             pixel[some], status[some] = _marched(scene, points[some])
             continue
-        found = bent.rays(points[some])
         pixel[some] = camera.pixels(*found.coordinates.T)
         status[some] = np.where(
             found.status == MapStatus.FOLDED, ProjectionStatus.FOLDED, ProjectionStatus.OK
@@ -177,16 +170,6 @@ def _tabulated(scene: Any, points: Array, tolerance_px: float) -> tuple[Array, N
         if off.size:
             pixel[off], status[off] = _marched(scene, points[off])
     return pixel, status
-
-
-def _map(
-    field: Field, camera: Pinhole, places: Array, tolerance_mm: float
-) -> ForwardMap | InverseMap:
-    """The map that tells a place's ray; beside a caustic the other one, which is inverted."""
-    try:
-        return covering_inverse(field, camera, places, tolerance_mm)
-    except NoMapError:
-        return covering_map(field, camera, places, tolerance_mm)
 
 
 def _marched(scene: Any, points: Array) -> tuple[Array, NDArray[np.uint8]]:
