@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-OTHERS = "from typing import Any\nimage: Any\n"  # the reader's own
+OTHERS = "from typing import Any\nimage: Any\ny_mm: Any\n"  # the reader's own
 
 WRONG = """
 import virtual_sensor as vs

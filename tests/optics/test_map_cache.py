@@ -163,6 +163,24 @@ def test_a_box_near_by_has_the_same_map_and_order_does_not_matter(spot):
         np.testing.assert_array_equal(table.at(places), same.at(places))
 
 
+def test_a_map_is_the_same_whatever_was_asked_before(spot):
+    """Rationale: a frame's bits must not tell which other frames were made before it.
+
+    Of devices that stand a hair's breadth apart, or that were moved with their medium.
+    """
+    motion = pose([30.0, -4.0, 7.0], (10.0, 20.0, 30.0))
+    there = replace(CAMERA, pose=CAMERA.pose.moved(motion))
+    moved = [(spot.moved(motion), there)]
+    hair = replace(CAMERA, pose=pose(CAMERA.pose.origin_mm + 1e-7))
+    asked = [(spot, CAMERA), (spot, hair), *moved]
+    one, other = Maps(), Maps()
+    tables = [one.sight(medium, family).table for medium, family in asked]
+    again = [other.sight(medium, family).table for medium, family in reversed(asked)]
+    places = BOX[0] + np.random.default_rng(1).random((50, 3)) * (BOX[1] - BOX[0])
+    for table, same in zip(tables, reversed(again), strict=True):
+        np.testing.assert_array_equal(table.at(places), same.at(places))
+
+
 # ------------------------------------------------------------------- memory, threads and failures
 
 

@@ -5,8 +5,10 @@ together by one rigid motion have the same maps, a device that is moved in still
 What a device shines with, what a camera records with and which part stands there do not count.
 
 A map's box is the one asked for, made larger to a lattice: another part or source near by finds its
-place in it.  Which box that is depends on what is asked and on nothing that was asked before, so
-that frames are equal to the bit in whatever order they are made.
+place in it.  The device's pose in the medium is rounded to a lattice too, since one that was moved
+with it is where it was but for rounding; and the map is made there, in the medium's own frame.  So
+a map depends on what is asked and on nothing that was asked before, and frames are equal to the bit
+in whatever order they are made.
 """
 
 import threading
@@ -38,7 +40,7 @@ Make = Callable[[Field | None, RayFamily, Array, Array, March, float], RayMap]
 _MOST_BYTES = 512 << 20
 _MOST_MAPS = 256  # failures, which take no memory, among them
 _LATTICE = np.array([4.0, 4.0, 1.0])  # steps of a box's lattice that it has at least
-_SAME = 0.01  # of the tolerance: rays that start and end so close run the same way
+_POSE_MM, _POSE_TURN = 2.0**-30, 2.0**-38  # the lattice of poses: 1e-9 mm at 300 mm
 _AT = np.linspace(0.0, 1.0, 4)  # of the box: a family is known by its rays there
 
 
@@ -48,7 +50,6 @@ class _Entry:
 
     medium: Any  # a weak reference, or None
     settings: Hashable
-    rays: Array
     found: RayMap | NoMapError
 
 
@@ -146,26 +147,28 @@ class MapCache:
         march: March,
         tolerance_mm: float,
     ) -> RayMap:
-        whose, by_value, pose = _medium(medium)
-        settings = make, by_value, march, tolerance_mm, low.tobytes(), high.tobytes(), mi.variant()
-        rays = _rays(family, pose, low, high)
+        whose, by_value = _medium(medium)
+        still, there = _in_own_frame(medium, family)
+        box = low.tobytes(), high.tobytes()
+        rays = _rays(there, low, high).tobytes()
+        settings = make, by_value, march, tolerance_mm, box, rays, mi.variant()
         with self._lock:
             for number, entry in list(self._entries.items()):
                 if entry.medium is not None and entry.medium() is None:
                     del self._entries[number]
                     continue
                 same = (entry.medium() if entry.medium else None) is whose
-                if same and entry.settings == settings and _close(entry.rays, rays, tolerance_mm):
+                if same and entry.settings == settings:
                     self._entries.move_to_end(number)
                     return _of(entry.found, family)
             found: RayMap | NoMapError
             try:
-                found = make(medium, family, low, high, march, tolerance_mm)
+                found = make(still, there, low, high, march, tolerance_mm)
             except NoMapError as why:
                 found = why.with_traceback(None)
             reference = None if whose is None else weakref.ref(whose)
             self._number += 1
-            self._entries[self._number] = _Entry(reference, settings, rays, found)
+            self._entries[self._number] = _Entry(reference, settings, found)
             while len(self._entries) > 1 and (
                 self.bytes > self._most_bytes or len(self._entries) > _MOST_MAPS
             ):
@@ -188,31 +191,41 @@ def roomier(low: Array, high: Array, lattice: Array = _LATTICE) -> tuple[Array, 
     return first, last
 
 
-def _medium(medium: Field | None) -> tuple[Any, Hashable, Pose | None]:
-    """What a medium is by identity and by value, and its pose; the nodes of one that has them."""
+def _medium(medium: Field | None) -> tuple[Any, Hashable]:
+    """What a medium is by identity and by value: the nodes of one that has them."""
     if medium is None:
-        return None, None, None
+        return None, None
     nodes = getattr(medium, "nodes", None)
     if nodes is None:
-        return medium, None, medium.pose
+        return medium, None
     field: Any = medium
     lattice = field.origin.tobytes(), field.spacing.tobytes(), field.mirror
-    values = *lattice, field.ambient, field.interpolation, field.dimensions
-    return nodes, values, medium.pose
+    return nodes, (*lattice, field.ambient, field.interpolation, field.dimensions)
 
 
-def _rays(family: RayFamily, medium: Pose | None, low: Array, high: Array) -> Array:
-    """Where a family's rays and its frame are in a medium's frame, mm: numbers to compare."""
+def _in_own_frame(medium: Field | None, family: RayFamily) -> tuple[Field | None, RayFamily]:
+    """A medium that was never moved, and the family where it is in it, on the lattice of poses."""
+    pose, still = family.pose, medium
+    if medium is not None and medium.pose is not None:
+        turn = medium.pose.rotation.T
+        pose = Pose(turn @ pose.rotation, medium.pose.to_local(pose.origin_mm))
+        still = replace(medium, pose=None)  # type: ignore[type-var]
+    on_lattice = _rounded(pose.rotation, _POSE_TURN), _rounded(pose.origin_mm, _POSE_MM)
+    return still, family.with_pose(Pose(*on_lattice))
+
+
+def _rounded(numbers: Array, step: float) -> Array:
+    rounded: Array = np.rint(numbers / step) * step + 0.0  # without -0.0, whose bytes are others
+    return rounded
+
+
+def _rays(family: RayFamily, low: Array, high: Array) -> Array:
+    """Where a family's rays and its frame are, mm: numbers to compare."""
     s, t = (a.ravel() for a in np.meshgrid(*(low[:2] + _AT[:, None] * (high - low)[:2]).T))
     origins, directions = family.rays(s, t)
     ends = origins + directions * max(high[2], 1.0)
     frame = family.pose.to_world(np.vstack([np.zeros(3), max(high[2], 1.0) * np.eye(3)]))
-    points = np.concatenate([origins, ends, frame])
-    return points if medium is None else medium.to_local(points)
-
-
-def _close(one: Array, other: Array, tolerance_mm: float) -> bool:
-    return bool(np.abs(one - other).max() <= _SAME * tolerance_mm)
+    return np.concatenate([origins, ends, frame])
 
 
 def _of(found: RayMap | NoMapError, family: RayFamily) -> RayMap:
