@@ -6,11 +6,13 @@ the straight ray (s0, t0) is at a depth has the coordinates (s0, t0) + shift.  B
 any part's shape.  Only differences from straight rays are stored, so that float32 is exact to a
 nanometre.
 
-A map is made to a tolerance: rays are marched at the nodes of a grid and between them, and the grid
-is refined along the axes that need it.  The inverse is found at the nodes of its own grid from the
-forward map by Newton's method, and checked by marching.  Where a map folds (a caustic), two rays of
-the family pass through a point: there is no inverse map of such a box, and the forward one marks
-the places.
+A map is made to a tolerance.  Rays along lines through the box tell about how many nodes each
+coordinate needs; rays are marched to some depths, with cubics between them, and between the nodes,
+and the grid is refined along the axes that need it.  The inverse is found at the nodes of its own
+grid from the forward map by Newton's method, and checked by marching.
+
+Where a map folds (a caustic), two rays of the family pass through a point: there is no inverse map
+of such a box, and the forward one marks the places.
 """
 
 from collections.abc import Callable
@@ -43,7 +45,7 @@ _ALONG = (
     193,
     17,
 )  # rays of a line along s, t and depth: they tell how fine a grid to begin with
-_LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 2_500, 30_000, 250_000, 10_000_000
+_LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 1_500, 30_000, 250_000, 10_000_000
 _MOST_FIRST_ALONG = 500
 _MANY = 20_000  # nodes, whose rays are marched once through all depths
 _LEVELS = 8

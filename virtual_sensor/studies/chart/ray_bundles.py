@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
-from virtual_sensor.engine import dr
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
+from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_maps import ForwardMap, forward_map
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sight import incidence_points, lines_of_sight
@@ -127,7 +128,7 @@ def tabulated_ends(
     """The same by maps, as functions to be timed: all of it, and making the map alone."""
     family = scene.sensor.camera
     place = family.coordinates(bundle.targets)
-    held = to_vectors(place)  # as `prepare` holds its rays
+    held, targets = to_vectors(place), to_vectors(bundle.targets)  # as `prepare` holds its rays
     low, high = place.min(axis=0) - _MARGIN, place.max(axis=0) + _MARGIN
     march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
 
@@ -135,10 +136,9 @@ def tabulated_ends(
         return forward_map(scene.field, family, low, high, march, error_mm)
 
     def work() -> Array:
+        frame = FamilyFrame.of(family, mi.Array3f64)
         x, y, _, _ = make().linear.at(held)
-        dr.eval(x, y)
-        sideways = np.stack([np.array(x, float), np.array(y, float)], axis=1)
-        return bundle.targets + sideways @ family.pose.rotation[:, :2].T
+        return to_numpy(targets + frame.x * mi.Float64(x) + frame.y * mi.Float64(y))
 
     return work, make
 
