@@ -414,14 +414,12 @@ def forward_map(
     def marched(place: Array) -> Array:
         return displaced(field, family, march, place)
 
-    def on_grid(grid: Grid) -> Array:
-        return _displaced_on(field, family, march, grid)
+    def on_grid(grid: Grid, checks: Array) -> tuple[Array, Array]:
+        return _displaced_on(field, family, march, grid, checks)
 
     spline_mm = _SPLINE * tolerance_mm
     shape = _Lines.through(marched, family, low, high).shape(spline_mm, np.inf, low, high)
-    table, error_mm, largest_mm = _refined(
-        marched, on_grid, low, high, spline_mm, shape, most_nodes
-    )
+    table, error_mm, largest_mm = _refined(on_grid, low, high, spline_mm, shape, most_nodes)
     return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
 
 
@@ -453,8 +451,8 @@ def inverse_map(
     def marched(place: Array) -> Array:
         return displaced(field, family, march, place)
 
-    def on_grid(grid: Grid) -> Array:
-        return _displaced_on(field, family, march, grid)
+    def on_grid(grid: Grid, checks: Array) -> tuple[Array, Array]:
+        return _displaced_on(field, family, march, grid, checks)
 
     spline_mm = _SPLINE * tolerance_mm
     lines = _Lines.through(marched, family, low, high)
@@ -464,7 +462,7 @@ def inverse_map(
         room = low - pad, high + pad
         first = lines.shape(_FORWARD * spline_mm, _STRETCH, *room)
         table, error_mm, largest_mm = _refined(
-            marched, on_grid, *room, _FORWARD * spline_mm, first, most_nodes
+            on_grid, *room, _FORWARD * spline_mm, first, most_nodes
         )
         ahead = ForwardMap(family, table, error_mm, linear_mm, largest_mm)
         grid = Grid(low, high, _shape_like(table.grid, low, high))
@@ -517,10 +515,16 @@ def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> 
     return _rows(frame, moved, turned, ended)
 
 
-def _displaced_on(field: Field, family: RayFamily, march: March, grid: Grid) -> Array:
-    """`displaced` at the nodes of a grid: of many, rays go on from one depth to the next."""
+def _displaced_on(
+    field: Field, family: RayFamily, march: March, grid: Grid, checks: Array
+) -> tuple[Array, Array]:
+    """`displaced` at the nodes of a grid, and at places (N, 3) between them.
+
+    Of many nodes, rays go on from one depth to the next; of few, all are marched at once.
+    """
     if grid.low[2] <= 0.0 or np.prod(grid.shape) < _MANY:  # before rays start, or soon done
-        return displaced(field, family, march, grid.nodes())
+        together = displaced(field, family, march, np.concatenate([grid.nodes(), checks]))
+        return together[: -len(checks)], together[-len(checks) :]
     s, t, _ = Grid(grid.low, grid.high, (*grid.shape[:2], 1)).nodes().T
     frame = FamilyFrame.of(family, mi.Array3f64)
     first, course, _ = frame.rays(to_scalars(s), to_scalars(t))
@@ -535,7 +539,8 @@ def _displaced_on(field: Field, family: RayFamily, march: March, grid: Grid) -> 
         started, first_slope = _at_depth(frame, first, course, depth)
         dr.eval(origin, direction)
         values.append(_rows(frame, origin - started, slope - first_slope, ended))
-    return np.stack(values, axis=1).reshape(-1, 4)
+    nodes = np.stack(values, axis=1).reshape(-1, 4)
+    return nodes, displaced(field, family, march, checks)
 
 
 def _at_depth(frame: FamilyFrame, origin: Any, direction: Any, depth: Any) -> tuple[Any, Any]:
@@ -609,8 +614,7 @@ def in_coordinates(family: RayFamily, places: Array, moved_mm: Array) -> Array:
 
 
 def _refined(
-    marched: Callable[[Array], Array],
-    on_grid: Callable[[Grid], Array],
+    on_grid: Callable[[Grid, Array], tuple[Array, Array]],
     low: Array,
     high: Array,
     tolerance_mm: float,
@@ -623,7 +627,7 @@ def _refined(
         if np.prod(grid.shape, dtype=float) > most_nodes:
             break
         planes, checks = _planes(grid), _checks(grid)
-        values, truth = on_grid(planes), marched(checks)
+        values, truth = on_grid(planes, checks)
         table = SplineTable(grid, _between_planes(planes, values))
         wrong = np.linalg.norm((table.at(checks) - truth)[:, :2], axis=1).reshape(4, -1)
         by_axis = wrong.max(axis=1)
