@@ -67,8 +67,21 @@ def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
 
 
 def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
-    """The values as an array of float, whose shape is the caller's to check; [] as (0, length)."""
-    array = np.asarray(values, float)
+    """The values as an array of float, whose shape is the caller's to check; [] as (0, length).
+
+    Raises
+    ------
+    InputError
+        If they are no real numbers.
+    """
+    wanted = f"{short(values)}: give real numbers, an array of shape (N, {length})"
+    try:
+        array = unmasked(values)
+        if array.dtype.kind not in "bufiO":
+            raise InputError(wanted)
+        array = array.astype(float)
+    except (TypeError, ValueError):
+        raise InputError(wanted) from None
     return array.reshape(0, length) if array.shape == (0,) else array
 
 

@@ -310,3 +310,11 @@ def test_thousands_of_rays_and_none_are_searched_by_maps(scene):
     few = ray_search(scene, y[::1000], "tabulated")
     np.testing.assert_allclose(few.pixel, many.pixel[::1000], atol=1e-3)
     assert ray_search(scene, [], "tabulated").pixel.shape == (0, 2)
+
+
+def test_rays_far_beside_the_line_are_no_burden_to_the_maps(scene):
+    """Rationale: a box that holds numbers which overflow has no map; such rays are missed."""
+    y = np.array([1.0, 1e300, -1e15, np.inf, np.nan, 300.0, 1e-300])
+    found, exact = (ray_search(scene, y, method) for method in ("tabulated", "newton"))
+    np.testing.assert_array_equal(found.status, exact.status)
+    assert found.iterations[0] == 0

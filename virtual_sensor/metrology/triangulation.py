@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, points_of, unmasked
+from virtual_sensor.arrays import number_within, numbers_of, points_of, short
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
@@ -95,14 +95,19 @@ def triangulated_points(
     number_within("triangulate: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
     if hasattr(sensor, "cameras"):
         sensor = sensor.only(camera, source).sensor
-    pixel = points_of(unmasked(pixel), 2)
+    pixel = points_of(pixel, 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
-    shape, s = pixel.shape[:-1], np.asarray(coordinate, float)
+    shape, s = pixel.shape[:-1], numbers_of("triangulate: coordinate", coordinate)
     if s.shape not in ((), shape):
         raise InputError(
             f"triangulate: coordinate has shape {s.shape}; give one number, or one for each pixel"
         )
+    if medium is not None and not hasattr(medium, "lookup"):
+        raise InputError(
+            f"triangulate: medium is {short(medium)}; give an IndexField, such as scene.medium"
+        )
+    s = np.where(np.isfinite(s), s, np.nan)
     plane = _plane(sensor.laser, s)
     if plane:
         check_geometry(sensor)

@@ -34,6 +34,7 @@ _THINNEST = 1e-5  # a box is, as a part of its coordinates or absolutely
 _MARCH_SHARE = 0.2  # of the tolerance is for the march
 _ROOM = 1.5  # times the shifts that these tell
 _ANYWHERE = 1000  # rays in a box that tell how far light is moved, and how march and map err
+_BESIDE = 0.5  # images to each side of the sensor
 _SAFE = 0.7  # of the tolerance is asked for where a map errs by more
 _MOST_MAPS = 4
 _MOST_NODES = 2_000_000
@@ -168,6 +169,13 @@ def first_march(field: Field | None) -> March:
         return March()
     shortest = float(np.ptp(np.asarray(field.box, float), axis=0).min())
     return March(min(_LONGEST_MM, shortest / 4.0), "leapfrog", "double")
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def in_view(camera: Pinhole, points_mm: Array) -> NDArray[np.bool_]:
+    """Which points (N, 3) a camera's map may hold: seen on the sensor, or not too far beside it."""
+    place = camera.project(points_mm) / np.array(camera.size)
+    return np.asarray(np.all((place >= -_BESIDE) & (place <= 1.0 + _BESIDE), axis=1))
 
 
 def in_mm(tolerance_px: float, camera: Pinhole, depth: Array) -> float:

@@ -9,7 +9,7 @@ class CrossingStatus(IntEnum):
     OK = 0
     """There is a point."""
     NO_PIXEL = 1
-    """The pixel is not finite, or lies where the lens shows nothing."""
+    """Pixel or coordinate are not finite, or the lens shows nothing there."""
     NO_CROSSING = 2
     """The line of sight runs beside the source's rays, or meets them behind camera or source."""
     FOLDED = 3

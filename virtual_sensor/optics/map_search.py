@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
 from virtual_sensor.engine import mi
-from virtual_sensor.optics.covering_maps import by_octaves, covering_map, in_mm, rays_through
+from virtual_sensor.optics.covering_maps import (
+    by_octaves,
+    covering_map,
+    in_mm,
+    in_view,
+    rays_through,
+)
 from virtual_sensor.optics.newton_search import Roots
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus
@@ -32,7 +38,7 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     ----------
     scene : SearchScene
     b : ndarray of shape (N,)
-        Places of the rays along the line; NaN is told of: it misses.
+        Places of the rays along the line; NaN is told of: it misses.  Unlit rays are not.
     tolerance_px : float
         Of the maps.
 
@@ -44,24 +50,31 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     nothing = np.full((len(b), 3), np.nan)
     slopes, marches = np.full((len(b), 2, 2), np.nan), np.zeros(len(b), int)
     found = Roots(nothing, nothing[:, :2].copy(), slopes, nothing.copy(), marches)
-    told = np.isnan(b)
-    camera, family = scene.camera, scene.sensor.laser.family
-    origins, directions = family.rays(0.0, np.nan_to_num(b))
-    ahead = directions @ family.pose.rotation[:, 2]
-    depth = _distance(scene.surface, origins, directions, np.full(len(b), np.inf)) * ahead
-    if not np.isfinite(depth[~told]).any():
+    told, lit = np.isnan(b), scene.sensor.laser.reaches(0.0, b)
+    camera, family, rows = scene.camera, scene.sensor.laser.family, np.flatnonzero(lit)
+    if not rows.size:
         return found, told
-    depth = np.where(np.isfinite(depth), depth, np.median(depth[np.isfinite(depth)]))
-    seen_from = camera.pose.to_local(origins + directions * (depth / ahead)[:, None])[:, 2]
-    tolerance_mm = in_mm(tolerance_px, camera, seen_from)
-    rows = np.flatnonzero(~told)
-    places = np.column_stack([np.zeros(len(rows)), b[rows], depth[rows]])
+    origins, directions = family.rays(0.0, b[rows])
+    ahead = directions @ family.pose.rotation[:, 2]
+    met = _distance(scene.surface, origins, directions, np.full(len(rows), np.inf))
+    if not np.isfinite(met).any():
+        return found, told
+    met = np.where(np.isfinite(met), met, np.median(met[np.isfinite(met)]))
+    straight = origins + directions * met[:, None]
+    near = in_view(camera, straight)
+    if not near.any():
+        return found, told
+    rows = rows[near]
+    tolerance_mm = in_mm(tolerance_px, camera, camera.pose.to_local(straight[near])[:, 2])
+    places = np.column_stack([np.zeros(len(rows)), b[rows], (met * ahead)[near]])
     light = covering_map(scene.field, family, _deeper(places), tolerance_mm)
     target, known = _met(light, places, scene.surface)
     told[rows] = known
     found.target[rows] = target
 
-    rows = rows[known & np.isfinite(target[:, 0])]
+    seen_at = in_view(camera, target)
+    told[rows] &= seen_at | np.isnan(target[:, 0])
+    rows = rows[known & seen_at]
     places = camera.coordinates(found.target[rows])
     for some in by_octaves(places[:, 2]):
         ray = rays_through(scene.field, camera, found.target[rows[some]], tolerance_mm)

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, points_of, unmasked
+from virtual_sensor.arrays import number_within, points_of
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.covering_maps import by_octaves, in_mm, rays_through
+from virtual_sensor.optics.covering_maps import by_octaves, in_mm, in_view, rays_through
 from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import MapStatus, NoMapError
@@ -27,8 +27,6 @@ TOLERANCE_PX = 1e-3
 
 MANY = 5000
 """So many points are projected by maps."""
-
-_BESIDE = 0.5  # images to each side of the sensor: points seen farther out are off the map
 
 
 class ProjectionStatus(IntEnum):
@@ -120,7 +118,7 @@ def projected_points(
     tolerance_px : float
         Of "tabulated".
     """
-    points = points_of(unmasked(points_mm))
+    points = points_of(points_mm)
     if points.shape[-1:] != (3,):
         raise InputError(f"project: points_mm has the shape {points.shape}; give it (N, 3)")
     if method not in (None, "tabulated", "newton"):
@@ -133,8 +131,7 @@ def projected_points(
     rows = np.where(finite[:, None], rows, np.nan)
     pixel, status = np.full((len(rows), 2), np.nan), np.zeros(len(rows), np.uint8)
     straight, depth = view.project(rows), view.pose.to_local(rows)[:, 2]
-    margin = _BESIDE * np.array(view.size)
-    near = np.all((straight >= -margin) & (straight <= np.array(view.size) + margin), axis=1)
+    near = in_view(view, rows)
     reasons = (~finite, ProjectionStatus.NO_POINT), (~(depth > 0.0), ProjectionStatus.BEHIND)
     for missing, reason in (*reasons, (~near, ProjectionStatus.OFF)):
         status[missing & (status == ProjectionStatus.OK)] = reason
