@@ -20,7 +20,8 @@ CAMERA = """<sensor type="perspective" id="{id}"><float name="fov" value="4"/>
     <transform name="to_world"><lookat origin="{origin}" target="0, 0, 0" up="0, 1, 0"/></transform>
     <film type="hdrfilm"><integer name="width" value="{width}"/><integer name="height" value="48"/>
     <string name="pixel_format" value="luminance"/><rfilter type="box"/></film>
-    <sampler type="independent"><integer name="sample_count" value="16"/></sampler></sensor>"""
+    <sampler type="stratified"><integer name="sample_count" value="16"/>
+    <boolean name="jitter" value="false"/></sampler></sensor>"""
 LASER = """<emitter type="laser_line" id="{id}"><float name="length" value="10"/>
     <float name="radius" value="1"/><float name="power" value="{power}"/>
     <transform name="to_world"><lookat origin="{origin}" target="{target}" up="0, 1, 0"/>
