@@ -1,8 +1,9 @@
 """The ray search by maps: where bent rays meet the part, and which pixel sees that, from tables.
 
 A ray is followed by tangents: from before the part along the tangent at about where the ray ends,
-then from half a millimetre before the place found, along the tangent there. Rays that run off a
-map, or see a caustic, are left to Newton's search.
+then from half a millimetre before the place found, along the tangent there. A line of sight needs
+no more than the tangent in the point that it is to see, unless something is met elsewhere. Rays
+that run off a map, or see a caustic, are left to Newton's search.
 """
 
 import numpy as np

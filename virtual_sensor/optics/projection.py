@@ -1,6 +1,6 @@
 """Points to pixels, through a medium: which pixel sees a point along a bent line of sight.
 
-By maps, the ray of the camera through the point is found on a table of its bent lines of sight
+By maps, the ray of the camera through the point is read from a table of its bent lines of sight
 (`ray_maps`); by Newton's method on marched rays, each point's own line of sight is marched until it
 meets the point. Parts hide nothing: a point within one or behind it has its pixel too.
 """
