@@ -11,6 +11,7 @@ from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium import exact_fields
 from virtual_sensor.medium.exact_fields import ExactField
+from virtual_sensor.optics import ray_maps
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.illumination import LightStatus, illuminate
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
@@ -188,8 +189,13 @@ def test_splines_keep_their_own_error_and_give_points_on_the_rays(case, toleranc
     )
 
 
-def test_first_order_rays_are_tabulated_as_first_order_rays():
-    """Rationale: a table must tell of the march that was asked for, not of a better one."""
+@pytest.mark.parametrize("many", [20_000, 0])
+def test_first_order_rays_are_tabulated_as_first_order_rays(many, monkeypatch):
+    """Rationale: a table must tell of the march that was asked for, not of a better one.
+
+    Rays of many nodes go on from depth to depth, which those of first order can't.
+    """
+    monkeypatch.setattr(ray_maps, "_MANY", many)
     march = March(step_mm=1.0, method="rk4", first_order=True)
     camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, march, 1e-4)
     places = around(camera.table.grid, 200)

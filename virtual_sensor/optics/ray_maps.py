@@ -520,9 +520,11 @@ def _displaced_on(
 ) -> tuple[Array, Array]:
     """`displaced` at the nodes of a grid, and at places (N, 3) between them.
 
-    Of many nodes, rays go on from one depth to the next; of few, all are marched at once.
+    Of many nodes, rays go on from one depth to the next; of few, all are marched at once.  Those of
+    first order can't go on: they are deflected by the air along the straight ray from their start.
     """
-    if grid.low[2] <= 0.0 or np.prod(grid.shape) < _MANY:  # before rays start, or soon done
+    alone = grid.low[2] <= 0.0 or march.first_order  # or before rays start
+    if alone or np.prod(grid.shape) < _MANY:
         together = displaced(field, family, march, np.concatenate([grid.nodes(), checks]))
         return together[: -len(checks)], together[-len(checks) :]
     s, t, _ = Grid(grid.low, grid.high, (*grid.shape[:2], 1)).nodes().T
