@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from oracles import integrate, unit
+from scipy.spatial.transform import Rotation
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
@@ -166,6 +167,25 @@ def test_each_pair_of_two_cameras_and_two_lasers_does(pairs, view, source):
     )
     with pytest.raises(InputError, match="camera"):
         vs.triangulate(pairs, found.pixel, source=source)
+
+
+def test_a_scene_that_is_moved_as_a_whole_sees_and_measures_the_same(scene):
+    """Rationale: maps are of where rays run in the medium, wherever in the world that stands."""
+    turn = Rotation.from_euler("xyz", [20.0, -35.0, 50.0], degrees=True).as_matrix()
+    motion = Pose(turn, np.array([100.0, -40.0, 25.0]))
+    moved = replace(
+        scene,
+        cameras={"camera": scene.camera.with_pose(scene.camera.pose.moved(motion))},
+        sources={"laser": scene.source.with_pose(scene.source.pose.moved(motion))},
+        medium=scene.medium.moved(motion),
+    )
+    found = vs.ray_search(scene, np.linspace(-10.0, 10.0, 41), "newton")
+    there = motion.to_world(found.laser_point_mm)
+    np.testing.assert_allclose(vs.project(moved, there), found.pixel, atol=1e-4)
+    tabulated = projected_points(moved, there, method="tabulated")
+    np.testing.assert_allclose(tabulated.pixel, found.pixel, atol=1e-3)
+    points = vs.triangulate(moved, found.pixel, medium=moved.medium)
+    assert UM * np.linalg.norm(points - there, axis=1).max() <= 0.05
 
 
 def test_several_coordinates_are_triangulated_at_once(scene):
