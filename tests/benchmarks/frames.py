@@ -1,19 +1,26 @@
-"""Frames: ours through hot air beside the stock `direct` integrator's without any."""
+"""Frames: ours through hot air beside the stock `direct` integrator's without any.
+
+By itself, `python tests/benchmarks/frames.py`, it prints their ratios, with no marched frames.
+"""
 
 from __future__ import annotations
 
+import argparse
+import itertools
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from problem import timed
 
 from virtual_sensor.engine import dr
-from virtual_sensor.imaging.render import frame_anew
+from virtual_sensor.imaging.render import frame_anew, render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.studies.chart.frames import SCENE, frame_direct, with_lamp
+
+STOCK = "stock direct, cold"
 
 # Marched rays to every pixel of a lit scene take minutes a frame, and tell nothing of speed.
 LIGHTS: dict[str, tuple[Callable[..., Scene], tuple[str, ...]]] = {
@@ -33,20 +40,49 @@ class FrameRow:
     times_stock: float
 
 
-def measured(film_px: int, spp: int, runs: int) -> Iterator[FrameRow]:
-    """The stock frame, then ours, under the laser alone and with the whole scene lit."""
+def measured(film_px: int, spp: int, runs: int, marched: bool = True) -> Iterator[FrameRow]:
+    """The stock frame and ours, under the laser alone and with the whole scene lit.
+
+    They are taken in turn, so that all suffer from the same load; least times count.
+    """
     size = {"width": film_px, "height": film_px, "spp": spp}
+    seeds = itertools.count()
     for light, (load, transports) in LIGHTS.items():
-        stock, cpu = _timed(partial(frame_direct, load(**size)), runs)
-        yield FrameRow(light, "stock direct, cold", stock, cpu, 1.0)
-        for name in transports:
-            seconds, cpu = _timed(partial(frame_anew, load(transport=name, **size)), runs)
-            yield FrameRow(light, f"ours, hot, {name}", seconds, cpu, seconds / stock)
+        scenes = {name: load(transport=name, **size) for name in transports}
+        scene = scenes["tabulated"]
+        frames: dict[str, Callable[[], Any]] = {STOCK: partial(frame_direct, scene)}
+        for name in transports if marched else ("tabulated",):
+            frames[f"ours, hot, {name}"] = partial(frame_anew, scenes[name])
+        again = "ours, hot, tabulated, same scene, another seed"
+        frames[again] = lambda scene=scene: render_frame(scene, seed=next(seeds))
+        seconds = _timed(frames, runs)
+        for renderer, (wall, cpu) in seconds.items():
+            yield FrameRow(light, renderer, wall, cpu, wall / seconds[STOCK][0])
 
 
-def _timed(frame: Callable[[], Any], runs: int) -> tuple[float, float]:
-    def work() -> None:
-        np.asarray(frame())
-        dr.sync_thread()
+def _timed(frames: dict[str, Callable[[], Any]], runs: int) -> dict[str, tuple[float, float]]:
+    """Least wall and processor time of each, s, after one that warms up."""
+    walls: dict[str, list[float]] = {name: [] for name in frames}
+    cpus: dict[str, list[float]] = {name: [] for name in frames}
+    for number in range(runs + 1):
+        for name, frame in frames.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            frame()
+            dr.sync_thread()
+            if number:
+                walls[name].append(time.perf_counter() - wall)
+                cpus[name].append(time.process_time() - cpu)
+    return {name: (float(np.min(walls[name])), float(np.min(cpus[name]))) for name in frames}
 
-    return timed(work, runs)
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--film", type=int, default=2048, help="px")
+    parser.add_argument("--spp", type=int, default=16, help="samples a pixel")
+    parser.add_argument("--runs", type=int, default=5)
+    asked = parser.parse_args()
+    for row in measured(asked.film, asked.spp, asked.runs, marched=False):
+        print(
+            f"{row.light:12s} {row.renderer:48s} {1e3 * row.seconds:6.0f} ms,"
+            f" {1e3 * row.cpu_s:6.0f} of processors; {row.times_stock:.3f} times stock"
+        )
