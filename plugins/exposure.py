@@ -18,6 +18,7 @@ ONE_FRAME = threading.RLock()
 Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
 """From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
 
+_UNDER_WAY = 4  # chunks at most: each takes memory
 _GOLDEN = 0x9E3779B9  # seeds of chunks lie so far apart
 
 
@@ -76,6 +77,7 @@ class Exposure:
             self.film.prepare([])
             self._block = self.film.create_block()
         self._image = np.zeros(view.pixels, np.float32)
+        self._under_way: list[tuple[Any, Any]] = []
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = self._chunks = 0
 
@@ -92,6 +94,7 @@ class Exposure:
         """The radiance, (H, W)."""
         shape = self.view.height, self.view.width
         if self._block is None:
+            self._take_over()
             return self._image.reshape(shape)
         return np.array(self.developed(), np.float32).reshape(*shape, -1)[:, :, 0]
 
@@ -127,13 +130,22 @@ class Exposure:
             else:
                 dr.eval(value)
                 value = dr.block_sum(value, spp) / spp
+                dr.eval(value)
                 part = slice(first, first + count)
-                self._image[part if pixels is None else pixels[part]] = np.array(value)[0]
+                self._under_way.append((part if pixels is None else pixels[part], value))
+            if len(self._under_way) >= _UNDER_WAY:  # the next ones are prepared meanwhile
+                self._take_over()
             self._chunks += 1
             self._done += count
             if self._progress:
                 dr.sync_thread()
                 self._progress(min(1.0, self._done / self._pixels))
+
+    def _take_over(self) -> None:
+        """Take samples that are under way into the image."""
+        for pixels, value in self._under_way:
+            self._image[pixels] = np.array(value)[0]
+        self._under_way.clear()
 
     def _put(self, place: Any, value: Any, alpha: Any, pixel: Any) -> None:
         """Put samples on the film."""
