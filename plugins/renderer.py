@@ -178,8 +178,9 @@ class Arrangement:
         for emitter, draw in zip(lamps, draws, strict=True):
             ds, weight = emitter.sample_direction(si, draw, valid)
             lit = valid & (ds.pdf > 0.0)
-            lit &= ~self.scene.ray_test(si.spawn_ray_to(ds.p), lit)
             value = bsdf.eval(context, si, si.to_local(ds.d), lit) * weight
+            lit &= dr.any(value != 0.0)  # else a shadow makes no difference
+            lit &= ~self.scene.ray_test(si.spawn_ray_to(ds.p), lit)
             radiance += dr.select(lit, value, 0.0)
         return radiance
 
