@@ -19,6 +19,7 @@ Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
 """From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
 
 _UNDER_WAY = 4  # chunks at most: each takes memory
+_STREAM = 1 << 20  # chunks of a stream at most
 _GOLDEN = 0x9E3779B9  # seeds of chunks lie so far apart
 
 
@@ -79,7 +80,7 @@ class Exposure:
         self._image = np.zeros(view.pixels, np.float32)
         self._under_way: list[tuple[Any, Any]] = []
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
-        self._done = self._chunks = 0
+        self._done = 0
 
     def developed(self, develop: bool = True) -> Any:
         """Mitsuba's image, on the sensor's film; None if it is to stay there."""
@@ -103,21 +104,26 @@ class Exposure:
         """Whether pixels that are exposed again are those of the last time; else they add up."""
         return self._block is None
 
-    def add(self, pixels: NDArray[np.uint32] | None, shade: Shade, lanes: int) -> None:
-        """Expose pixels, or all of the film, with so many samples in flight at once."""
+    def add(
+        self, pixels: NDArray[np.uint32] | None, shade: Shade, lanes: int, stream: int = 0
+    ) -> None:
+        """Expose pixels, or all of the film, with so many samples in flight at once.
+
+        Those of another stream have other random numbers, whatever else is exposed.
+        """
         total = self.view.pixels if pixels is None else pixels.size
         if not total:
             return
         spp = self.sampler.sample_count()
         numbers = None if pixels is None else in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
-        for first in range(0, total, chunk):
+        for number, first in enumerate(range(0, total, chunk), stream * _STREAM):
             # What changes from chunk to chunk is opaque, so that one kernel serves them all.
             count = min(chunk, total - first)
             row = dr.repeat(dr.arange(mi.UInt32, count), spp) + dr.opaque(mi.UInt32, first)
             pixel = row if numbers is None else dr.gather(mi.UInt32, numbers, row)
             self.sampler.set_samples_per_wavefront(spp)
-            shuffled = self._seed + self._chunks * _GOLDEN & 0xFFFFFFFF
+            shuffled = self._seed + number * _GOLDEN & 0xFFFFFFFF
             self.sampler.seed(dr.opaque(mi.UInt32, shuffled), count * spp)
             place = self.view.place(pixel, self.sampler.next_2d())
             lens = self.view.sensor.needs_aperture_sample()
@@ -135,7 +141,6 @@ class Exposure:
                 self._under_way.append((part if pixels is None else pixels[part], value))
             if len(self._under_way) >= _UNDER_WAY:  # the next ones are prepared meanwhile
                 self._take_over()
-            self._chunks += 1
             self._done += count
             if self._progress:
                 dr.sync_thread()

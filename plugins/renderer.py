@@ -293,7 +293,7 @@ class Prepared:
             return arrangement.radiance(sight, [], draws), sight.hit
 
         if film is None:
-            exposure.add(pixels, by_marching, _LANES["marched"])
+            exposure.add(pixels, by_marching, _LANES["marched"], stream=1)
         else:
-            exposure.add(pixels, by_tangents, _LANES["whole film"])
+            exposure.add(pixels, by_tangents, _LANES["whole film"], stream=1)
         return replace(self.lit.account, reason=why or self.lit.account.reason)
