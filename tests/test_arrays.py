@@ -88,6 +88,13 @@ def test_rows_come_back_as_they_went(count):
     np.testing.assert_array_equal(result["both"][0], points[:, 1])
 
 
+def test_a_constant_component_is_that_of_every_row():
+    """Rationale: in a field that does not vary along x, the gradient's x is a number to Dr.Jit."""
+    vectors = mi.Array3f64(0.0, mi.Float64([1.0, 2.0, 3.0]), 0.5)
+    expected = [[0.0, 1.0, 0.5], [0.0, 2.0, 0.5], [0.0, 3.0, 0.5]]
+    np.testing.assert_array_equal(to_numpy(vectors), expected)
+
+
 @pytest.mark.parametrize("brought", [to_vectors, to_scalars])
 def test_an_empty_array_does_not_reach_drjit(brought):
     """Rationale: a ray query of none ends the process, with everything that is not saved."""

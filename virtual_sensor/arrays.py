@@ -148,7 +148,8 @@ def to_numpy(vectors: Any) -> NDArray[np.float64]:
     from virtual_sensor.engine import dr
 
     dr.eval(vectors)
-    return np.stack([np.array(column, float) for column in vectors], axis=1)
+    columns = (np.array(column, float) for column in vectors)
+    return np.stack(np.broadcast_arrays(*columns), axis=1)  # a constant one has one row
 
 
 def by_rows(compute: Callable[..., Result], *arrays: np.ndarray) -> Result:
