@@ -133,6 +133,24 @@ def test_maps_of_a_medium_that_is_gone_are_gone():
     assert 0 < maps.bytes < held
 
 
+@pytest.mark.parametrize("asked", [[0.0109, 0.0095], [0.0095, 0.0109], [1e-30, 1.05e-30]])
+def test_a_tolerance_near_by_has_the_same_map_and_a_tighter_one(spot, asked):
+    """Rationale: a pixel's size on the part changes with each part that it sees."""
+    made = []
+
+    def note(medium, family, low, high, march, tolerance_mm):
+        made.append(tolerance_mm)
+        return forward_map(medium, family, low, high, march, TOLERANCE_MM)
+
+    maps = MapCache(forward=note)
+    for tolerance_mm in asked:
+        maps.forward(spot, CAMERA, *BOX, MARCH, tolerance_mm)
+    (tolerance_mm,) = made
+    assert 0.8 * max(asked) < tolerance_mm <= min(asked)
+    maps.forward(spot, CAMERA, *BOX, MARCH, tolerance_mm)
+    assert len(made) == 1
+
+
 # ------------------------------------------------------------------------------------------ boxes
 
 

@@ -41,6 +41,7 @@ _MOST_BYTES = 512 << 20
 _MOST_MAPS = 256  # failures, which take no memory, among them
 _LATTICE = np.array([4.0, 4.0, 1.0])  # steps of a box's lattice that it has at least
 _POSE_MM, _POSE_TURN = 2.0**-30, 2.0**-38  # the lattice of poses: 1e-9 mm at 300 mm
+_PER_OCTAVE = 4.0  # tolerances: the next tighter one is taken
 _AT = np.linspace(0.0, 1.0, 4)  # of the box: a family is known by its rays there
 
 
@@ -131,6 +132,9 @@ class MapCache:
         tolerance_mm: float,
     ) -> RayMap:
         """The map of the roomier box; where there is none, that of the box itself."""
+        # A pixel's size on the part changes a little with whatever is seen of it.
+        steps = np.floor(_PER_OCTAVE * np.log2(tolerance_mm) + 1e-9)
+        tolerance_mm = float(2.0 ** (steps / _PER_OCTAVE))
         box = roomier(low, high, self._lattice)
         try:
             return self._one(make, medium, family, *box, march, tolerance_mm)
