@@ -74,14 +74,14 @@ def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
     InputError
         If they are no real numbers.
     """
-    wanted = f"{short(values)}: give real numbers, an array of shape (N, {length})"
     try:
         array = unmasked(values)
         if array.dtype.kind not in "bufiO":
-            raise InputError(wanted)
+            raise TypeError
         array = array.astype(float)
     except (TypeError, ValueError):
-        raise InputError(wanted) from None
+        wanted = f"real numbers, an array of shape (N, {length})"
+        raise InputError(f"{short(values)}: give {wanted}") from None
     return array.reshape(0, length) if array.shape == (0,) else array
 
 
