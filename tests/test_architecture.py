@@ -163,6 +163,16 @@ def test_metrology_knows_no_mitsuba(lazy):
     assert violations(unknown, lazy) == []
 
 
+def test_only_imaging_knows_the_plugins():
+    """Rationale: studies and commands that hold a plugin's types can't be had without Mitsuba's."""
+
+    def leaked(name, other):
+        above = is_in(name, "virtual_sensor") and not is_in(name, "virtual_sensor.imaging")
+        return above and is_in(other, "virtual_sensor_plugins")
+
+    assert violations(leaked) == []
+
+
 def test_metrology_and_imaging_stand_apart():
     """Rationale: what makes images must not know what is looked for in them."""
     rooms = {"virtual_sensor.metrology", "virtual_sensor.imaging"}

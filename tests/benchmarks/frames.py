@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from virtual_sensor.engine import dr
-from virtual_sensor.imaging.render import frame_anew, render_frame
+from virtual_sensor.imaging.render import render_frame, render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.studies.chart.frames import SCENE, frame_direct, with_lamp
 
@@ -52,7 +52,7 @@ def measured(film_px: int, spp: int, runs: int, marched: bool = True) -> Iterato
         scene = scenes["tabulated"]
         frames: dict[str, Callable[[], Any]] = {STOCK: partial(frame_direct, scene)}
         for name in transports if marched else ("tabulated",):
-            frames[f"ours, hot, {name}"] = partial(frame_anew, scenes[name])
+            frames[f"ours, hot, {name}"] = partial(render_uncached, scenes[name])
         again = "ours, hot, tabulated, same scene, another seed"
         frames[again] = lambda scene=scene: render_frame(scene, seed=next(seeds))
         seconds = _timed(frames, runs)

@@ -11,7 +11,8 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.lit_pixels import Account, Columns
+from virtual_sensor_plugins.lit_pixels import Account as Account
+from virtual_sensor_plugins.lit_pixels import Columns
 from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
@@ -27,8 +28,8 @@ Image = NDArray[np.float32]
 _MOST_SAMPLES = 1 << 20  # a pixel's are in flight at once
 _LARGEST_SEED = 2**32 - 1
 
-_MOST_KEPT = 4
-_KEPT: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
+_MOST_PREPARED = 4
+_PREPARED: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,9 +188,9 @@ def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Im
         return exposure.image()
 
 
-def frame_anew(scene: Scene, spp: int | None = None) -> Image:
+def render_uncached(scene: Scene, spp: int | None = None) -> Image:
     """An image as of a scene that was never rendered: all is found and made again."""
-    scene, samples, seed = _checked("frame_anew", scene, spp, 0)
+    scene, samples, seed = _checked("render_uncached", scene, spp, 0)
     with ONE_FRAME:
         MAPS.clear()
         prepared = Prepared.of(arrangement(scene))
@@ -231,13 +232,13 @@ def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
     columns = None if column is None else np.asarray(column).tobytes()
     what = tuple(given.sources), window, given.transport, given.hot, columns
     key = *(id(part) for part in parts), what
-    prepared = _KEPT.pop(key, None)
+    prepared = _PREPARED.pop(key, None)
     if prepared is None:
         prepared = Prepared.of(given, column)  # it holds its parts, so that no id is given again
-        weakref.finalize(scene.loaded, _KEPT.pop, key, None).atexit = False
-    _KEPT[key] = prepared  # the latest last
-    for old in list(_KEPT)[:-_MOST_KEPT]:
-        _KEPT.pop(old, None)
+        weakref.finalize(scene.loaded, _PREPARED.pop, key, None).atexit = False
+    _PREPARED[key] = prepared  # the latest last
+    for old in list(_PREPARED)[:-_MOST_PREPARED]:
+        _PREPARED.pop(old, None)
     return prepared
 
 

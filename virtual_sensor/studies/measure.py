@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from virtual_sensor_plugins.lit_pixels import Account
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
-from virtual_sensor.imaging.render import Frame, render_frame
+from virtual_sensor.imaging.render import Account, Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status

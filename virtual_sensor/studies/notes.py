@@ -4,9 +4,9 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.lit_pixels import Account
 
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.imaging.render import Account
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.imaging.render import frame_anew, lit_pixels, render_frame
+from virtual_sensor.imaging.render import lit_pixels, render_frame, render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import Status
@@ -235,7 +235,7 @@ def _first_above(
     first, told, lost = "", "", 0
     for value in values:
         scene = load_scene(SCENE, **_FILM, **settings, **{name: value})
-        found = compare_line(line_centres(frame_anew(scene)), truth.line)
+        found = compare_line(line_centres(render_uncached(scene)), truth.line)
         lost, told = found.lost.size, _told_lost(found.lost)
         errors[value] = f"{found.largest_px:.2g} px" if found.count else "no line"
         if not found.largest_px <= TOO_MUCH_PX:
@@ -265,7 +265,7 @@ def thin_line(radii_mm: Sequence[float]) -> Failure:
     first = ""
     for radius in radii_mm:
         scene = load_scene(SCENE, spp=16, line_radius=radius, **_FILM)
-        seen[radius] = line_centres(frame_anew(scene)).status
+        seen[radius] = line_centres(render_uncached(scene)).status
         if np.any(seen[radius] == Status.TOO_NARROW):
             first = f"1/e^2 radius of {radius:g} mm"
             break

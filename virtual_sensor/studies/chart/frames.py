@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.files import scratch_folder
-from virtual_sensor.imaging.render import frame_anew, render_columns
+from virtual_sensor.imaging.render import render_columns, render_uncached
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -149,11 +149,11 @@ def rungs(report: Report, quick: bool = False) -> list[Rung]:
 
     for name, settings in chosen:
         scene = load_scene(SCENE, width=film_px, height=film_px, **settings)
-        measured(name, scene, partial(frame_anew, scene), settings)
+        measured(name, scene, partial(render_uncached, scene), settings)
     for settings in lit:
         scene = with_lamp(width=film_px, height=film_px, **settings)
         settings |= {"light": LAMP}
-        measured("tabulated, whole scene lit", scene, partial(frame_anew, scene), settings)
+        measured("tabulated, whole scene lit", scene, partial(render_uncached, scene), settings)
     for light, load in (("", partial(load_scene, SCENE)), (LAMP, with_lamp)):
         for spp in spps:
             scene = load(width=film_px, height=film_px, spp=spp)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import zoom
 
 from virtual_sensor import engine
-from virtual_sensor.imaging.render import frame_anew
+from virtual_sensor.imaging.render import render_uncached
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE
@@ -107,7 +107,7 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
             report(f"{name} frames in finer and coarser fields", done)
             air = resampled(field, factor)
             other = scene.with_medium(air)
-            seconds = timed(partial(frame_anew, other), runs=1 if quick else 3)
+            seconds = timed(partial(render_uncached, other), runs=1 if quick else 3)
             points.append((float(np.prod(air.shape)), seconds))
         found.append(power(f"{name} frame, nodes of the field", points, "4 samples a pixel"))
     return found

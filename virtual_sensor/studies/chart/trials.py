@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import frame_anew
+from virtual_sensor.imaging.render import render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.optics.rays import March
@@ -220,7 +220,7 @@ def _seconds(rungs: list[tuple[Scene, int]], clock: Callable[[], float]) -> list
         for (scene, spp), times in zip(rungs, taken, strict=True):
             dr.sync_thread()
             began = clock()
-            frame_anew(scene, spp)
+            render_uncached(scene, spp)
             dr.sync_thread()
             if run:
                 times.append(clock() - began)
