@@ -318,3 +318,15 @@ def test_rays_far_beside_the_line_are_no_burden_to_the_maps(scene):
     found, exact = (ray_search(scene, y, method) for method in ("tabulated", "newton"))
     np.testing.assert_array_equal(found.status, exact.status)
     assert found.iterations[0] == 0
+
+
+def test_rays_that_graze_the_part_are_not_left_to_the_maps():
+    """Rationale: at the limb a thousandth of a pixel across the ray is one along the surface."""
+    scene = vs.load_scene("hot_cylinder", line_length=28)
+    y = np.linspace(13.0, 13.6, 301)
+    exact = ray_search(scene, y, "newton", march=replace(REFERENCE, step_mm=0.5))
+    found = ray_search(scene, y, "tabulated")
+    both = (found.status == SearchStatus.FOUND) & (exact.status == SearchStatus.FOUND)
+    assert both.sum() > 200
+    assert np.abs(found.pixel - exact.pixel)[both].max() < 0.01
+    assert (found.iterations > 0).any()  # they were marched

@@ -29,6 +29,7 @@ Mask = NDArray[np.bool_]
 
 _TANGENTS = 3
 _DEEPER = 0.05  # of a map's depths, beside them: for bent rays, where straight ones end
+_NUDGE_MM, _FLAT = 1e-3, 8.0  # a ray so far beside another meets the part so much farther, at most
 _REACH_MM = 0.5  # along the later tangents, before and behind the place found
 
 
@@ -70,8 +71,11 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     places = np.column_stack([np.zeros(len(rows)), b[rows], (met * ahead)[near]])
     light = covering_map(scene.field, family, _deeper(places), tolerance_mm)
     target, known = _met(light, places, scene.surface)
-    told[rows] = known
     found.target[rows] = target
+    hit = np.flatnonzero(known & np.isfinite(target[:, 0]))
+    places[hit, 2] = family.pose.to_local(target[hit])[:, 2]
+    known[hit] = ~_grazes(scene.surface, target[hit], light.lines(places[hit])[1])
+    told[rows] = known
 
     seen_at = in_view(camera, target)
     told[rows] &= seen_at | np.isnan(target[:, 0])
@@ -89,6 +93,21 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
             bent = covering_map(scene.field, camera, _deeper(sight[other]), tolerance_mm)
             found.seen[at[other]], told[at[other]] = _met(bent, sight[other], scene.surface)
     return found, told
+
+
+def _grazes(surface: Surface, point: Array, direction: Array) -> Mask:
+    """Which rays meet a surface in points (N, 3) so flat that an error beside them grows along it.
+
+    Where they do, rays close beside them meet it far before or behind, or not at all.
+    """
+    across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction), axis=1)])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    begin, limit = point - _REACH_MM * direction, np.full(len(point), 2.0 * _REACH_MM)
+    apart = np.zeros(len(point))
+    for side in (across, np.cross(direction, across)):
+        met = _distance(surface, begin + _NUDGE_MM * side, direction, limit)
+        apart = np.maximum(apart, np.abs(met - _REACH_MM))
+    return ~(apart <= _FLAT * _NUDGE_MM)
 
 
 def _there(surface: Surface, camera: Pinhole, point: Array, direction: Array) -> Array:
