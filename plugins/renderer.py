@@ -143,15 +143,17 @@ class Arrangement:
         near = mi.Ray3f(ray(start), ray.d)
         si = self.scene.ray_intersect(near)
         again = si.is_valid() & ((si.t > _FAR_MM) | _from_behind(si, near))
-        si = dr.if_stmt((near, si), again, self._met_closer, lambda near, si: si)
+        si = dr.if_stmt((near, si), again, self.met_closer, lambda near, si: si)
         valid = si.is_valid()
         return self._shaded(si, ray.d, valid, [], draws), valid
 
-    def _met_closer(self, ray: Any, si: Any) -> Any:
-        """What rays meet, that start again close to it; or aside, if they met it from behind."""
-        start = ray(dr.maximum(si.t - _NEAR_MM, 0.0))
-        start += dr.select(_from_behind(si, ray), _ASIDE_MM, 0.0) * mi.Frame3f(ray.d).s
-        return self.scene.ray_intersect(mi.Ray3f(start, ray.d))
+    def met_closer(self, ray: Any, si: Any) -> Any:
+        """What rays meet that start again close to it; from aside, if they met it from behind."""
+        aside = dr.select(_from_behind(si, ray), _ASIDE_MM, 0.0) * mi.Frame3f(ray.d).s
+        again = mi.Ray3f(ray.o + aside, ray.d)
+        met = self.scene.ray_intersect_preliminary(again)
+        ahead = dr.select(met.is_valid(), dr.maximum(met.t - _NEAR_MM, 0.0), 0.0)
+        return self.scene.ray_intersect(mi.Ray3f(again(ahead), ray.d))
 
     def _shaded(
         self,
