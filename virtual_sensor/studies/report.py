@@ -149,7 +149,7 @@ def _probe_rays(axes: Axes, result: Measurement) -> None:
         axes.plot(result.probe_y_mm, euclidean(values), "o-", ms=3, lw=1.0, label=label)
     axes.invert_xaxis()
     axes.set(xlabel="y of the laser ray in mm", ylabel="distance in µm")
-    axes.set_title("Probe rays: laser points, cold A and hot B, and points measured")
+    axes.set_title("Probe rays: points lit and measured")
     axes.legend(fontsize=8)
 
 
