@@ -4,6 +4,7 @@ import os
 
 import pytest
 
+from virtual_sensor import child
 from virtual_sensor.child import run_in_child
 from virtual_sensor.errors import InputError
 
@@ -35,6 +36,22 @@ def test_the_ways_to_die_are_input_errors(name, match, options):
     with pytest.raises(InputError, match=match) as caught:
         run(name, memory_bytes=500_000_000, **options)
     assert "\n" not in f"{caught.value}"
+
+
+def test_a_server_that_is_ended_while_its_death_is_noticed_has_died(monkeypatch):
+    """Rationale: the time limit, in a thread of its own, closed the file that was just read."""
+    server = child._ForkServer()
+    wait = server.process.wait
+
+    def waited(*limit):
+        status = wait(*limit)
+        server.complaints.close()
+        return status
+
+    monkeypatch.setattr(server.process, "wait", waited)
+    server.process.kill()
+    assert server.ask(("child_functions:refuse", b""), print) == ("death", b"")
+    server.end()
 
 
 def test_a_mistake_of_ours_stays_one():

@@ -3,6 +3,7 @@
 import errno
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -132,6 +133,30 @@ def test_a_folder_appears_only_when_it_is_complete_and_with_its_parents(tmp_path
         (folder / "line.csv").write_text("u,v\n")
         assert not path.exists()
     assert contents(tmp_path) == {"runs/today/measured/line.csv": b"u,v\n"}
+
+
+def test_a_folder_that_a_signal_has_removed_is_not_made_again(tmp_path):
+    """Rationale: a thread that wrote on while the handler cleaned up left an unfinished folder."""
+    made = folder_written_whole(tmp_path / "made")
+    folder = made.__enter__()
+    shutil.rmtree(folder.parent)  # as the handler does
+    for late in (folder / "a.csv", folder / "report" / "b.csv"):
+        with pytest.raises(InputError), written_whole(late):
+            pass
+        assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InputError):
+        made.__exit__(None, None, None)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_within_a_new_folder_are_made(tmp_path):
+    """Rationale: pages lie in folders of their own."""
+    with (
+        folder_written_whole(tmp_path / "made") as folder,
+        written_whole(folder / "report" / "pictures" / "b.csv") as new,
+    ):
+        new.write_text("b")
+    assert contents(tmp_path / "made") == {"report/pictures/b.csv": b"b"}
 
 
 def test_an_existing_folder_is_refused_and_stays(results):

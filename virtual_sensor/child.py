@@ -143,11 +143,11 @@ class _ForkServer:
                     return kind, content
                 report(*content)
         except (BrokenPipeError, EOFError, pickle.UnpicklingError, ValueError):
-            if self.process.stdin.closed:  # by `end`, in another thread
-                return "death", b""
             self.process.wait()
-            self.complaints.seek(start)
-            return "death", self.complaints.read()
+            with contextlib.suppress(ValueError):  # closed by `end`, in another thread
+                self.complaints.seek(start)
+                return "death", self.complaints.read()
+            return "death", b""
 
     def end(self) -> None:
         """End it, with a child that it has."""

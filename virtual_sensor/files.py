@@ -208,9 +208,23 @@ def _beside(path: Path) -> Iterator[Path]:
     """Give a hidden folder on the same disk, which is removed in the end with all it holds."""
     with _told(path):
         final = path.resolve()
-        final.parent.mkdir(parents=True, exist_ok=True)
+        _make_parents(final)
         with _workshop(final) as folder:
             yield folder
+
+
+def _make_parents(final: Path) -> None:
+    """Make the folders of a file or folder; a hidden one that was removed is not made again.
+
+    A thread may still write into it while a signal's handler cleans up.
+    """
+    folders = [*reversed(final.parents)]
+    hidden = [i for i, folder in enumerate(folders) if _NAMED.fullmatch(folder.name)]
+    if not hidden:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        return
+    for folder in folders[hidden[0] + 1 :]:  # one by one: none where the hidden one is gone
+        folder.mkdir(exist_ok=True)
 
 
 @contextmanager
@@ -275,8 +289,11 @@ def _close(workshop: Path, final: Path) -> bool:
         old.replace(final)
     with suppress(OSError):  # so that other threads write into it no more
         doomed = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", workshop.parent))
-        workshop.replace(doomed)
-        workshop = doomed
+        try:
+            workshop.replace(doomed)
+            workshop = doomed
+        except OSError:  # another thread has removed it
+            doomed.rmdir()
     shutil.rmtree(workshop, ignore_errors=True)
     return restored
 
