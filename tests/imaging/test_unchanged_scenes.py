@@ -1,4 +1,4 @@
-"""A frame of an unchanged scene looks for nothing twice, and is the one that it would be anew."""
+"""A frame of an unchanged scene searches for nothing twice, and equals that of one loaded again."""
 
 import gc
 import weakref
@@ -42,8 +42,8 @@ def test_a_second_frame_is_a_first_one_to_the_bit(load, transport):
     first = render_frame(scene, spp=9, seed=3)
     for change in ({"seed": 4}, {"spp": 16, "seed": 5}):
         render_frame(scene, **change)
-    again, anew = render_frame(scene, spp=9, seed=3), render_frame(fresh, spp=9, seed=3)
-    for other in (again, anew):
+    again, reloaded = render_frame(scene, spp=9, seed=3), render_frame(fresh, spp=9, seed=3)
+    for other in (again, reloaded):
         np.testing.assert_array_equal(other.radiance, first.radiance)
         np.testing.assert_array_equal(other.point_mm, first.point_mm)
         np.testing.assert_array_equal(other.coordinates(), first.coordinates())
@@ -62,7 +62,7 @@ def test_nothing_is_looked_for_twice(load, prepared):
     assert prepared == ["tabulated"]
 
 
-def test_what_changes_a_scene_is_looked_at_anew(load, prepared):
+def test_what_changes_a_scene_is_searched_again(load, prepared):
     """Other air, another transport, a laser that is moved; and the first scene is still there."""
     scene = load()
     before = vs.render(scene)

@@ -224,7 +224,7 @@ def test_threads_that_ask_at_once_get_one_map(spot):
     maps, together = Maps(), threading.Barrier(6)
 
     def ask(_):
-        together.wait(timeout=60)
+        together.wait()
         return maps.sight(spot).table
 
     with ThreadPoolExecutor(6) as pool:
@@ -274,8 +274,8 @@ def test_device_and_medium_moved_together_keep_their_map():
     points = moved.points(places).point_mm
     expected = motion.to_world(first.points(places).point_mm)
     np.testing.assert_allclose(points, expected, rtol=0, atol=1e-10)
-    anew = forward_map(moved_field, there, *BOX, MARCH, TOLERANCE_MM).points(places).point_mm
-    np.testing.assert_allclose(points, anew, rtol=0, atol=TOLERANCE_MM)
+    made_again = forward_map(moved_field, there, *BOX, MARCH, TOLERANCE_MM).points(places).point_mm
+    np.testing.assert_allclose(points, made_again, rtol=0, atol=TOLERANCE_MM)
 
 
 def test_a_device_or_a_medium_moved_alone_needs_another_map():

@@ -125,10 +125,10 @@ def test_the_panels_rungs_are_ordered_by_their_march():
     found = rungs(lambda stage, fraction: stages.append(fraction), quick=True)
     assert stages == sorted(stages)
     assert all(r.panel == "search" and r.item == "laser point" and r.seconds > 0.0 for r in found)
-    papers, lost, newtons, longer, anew, kept = found
+    papers, lost, newtons, longer, made, kept = found
     assert newtons.largest_px < 1e-6 < 1e-4 < longer.largest_px < papers.largest_px
     assert papers.largest_px < 1.1 / UM_PER_PX
     assert lost.failed == lost.items
     assert newtons.failed == longer.failed == papers.failed == 0
-    assert newtons.largest_px < anew.largest_px == kept.largest_px <= 1e-3
-    assert anew.failed == kept.failed == 0
+    assert newtons.largest_px < made.largest_px == kept.largest_px <= 1e-3
+    assert made.failed == kept.failed == 0

@@ -50,7 +50,7 @@ class Illumination:
     shift : tuple of two scalars
         (s, t) minus the coordinates of the straight ray through the point.
     jacobian : tuple of four scalars, or None
-        dF/d(s, t) by rows: (x by s, x by t, y by s, y by t); None of light that a table tells of.
+        dF/d(s, t) by rows: (x by s, x by t, y by s, y by t); None of light that was found by maps.
     concentration : scalar
         Flux density square to the light over the flux per unit of both coordinates.
     status : int

@@ -34,13 +34,13 @@ _REACH_MM = 0.5  # along the later tangents, before and behind the place found
 
 
 def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[Roots, Mask]:
-    """Laser points and their pixels by maps, and which rays maps tell of.
+    """Laser points and their pixels by maps, and which rays the maps hold.
 
     Parameters
     ----------
     scene : SearchScene
     b : ndarray of shape (N,)
-        Places of the rays along the line; NaN is told of: it misses.  Unlit rays are not.
+        Places of the rays along the line; NaN counts as held: it misses.  Unlit rays don't.
     tolerance_px : float
         Of the maps.
 
@@ -52,20 +52,20 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     nothing = np.full((len(b), 3), np.nan)
     slopes, marches = np.full((len(b), 2, 2), np.nan), np.zeros(len(b), int)
     found = Roots(nothing, nothing[:, :2].copy(), slopes, nothing.copy(), marches)
-    told, lit = np.isnan(b), scene.sensor.laser.reaches(0.0, b)
+    mapped, lit = np.isnan(b), scene.sensor.laser.reaches(0.0, b)
     camera, family, rows = scene.camera, scene.sensor.laser.family, np.flatnonzero(lit)
     if not rows.size:
-        return found, told
+        return found, mapped
     origins, directions = family.rays(0.0, b[rows])
     ahead = directions @ family.pose.rotation[:, 2]
     met = _distance(scene.surface, origins, directions, np.full(len(rows), np.inf))
     if not np.isfinite(met).any():
-        return found, told
+        return found, mapped
     met = np.where(np.isfinite(met), met, np.median(met[np.isfinite(met)]))
     straight = origins + directions * met[:, None]
     near = in_view(camera, straight)
     if not near.any():
-        return found, told
+        return found, mapped
     rows = rows[near]
     tolerance_mm = in_mm(tolerance_px, camera, camera.pose.to_local(straight[near])[:, 2])
     places = np.column_stack([np.zeros(len(rows)), b[rows], (met * ahead)[near]])
@@ -75,10 +75,10 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     hit = np.flatnonzero(known & np.isfinite(target[:, 0]))
     places[hit, 2] = family.pose.to_local(target[hit])[:, 2]
     known[hit] = ~_grazes(scene.surface, target[hit], light.lines(places[hit])[1])
-    told[rows] = known
+    mapped[rows] = known
 
     seen_at = in_view(camera, target)
-    told[rows] &= seen_at | np.isnan(target[:, 0])
+    mapped[rows] &= seen_at | np.isnan(target[:, 0])
     rows = rows[known & seen_at]
     places = camera.coordinates(found.target[rows])
     for some in by_octaves(places[:, 2]):
@@ -87,12 +87,12 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
         at, sight = rows[some][ok], np.column_stack([ray.coordinates, places[some, 2]])[ok]
         found.pixel[at] = camera.pixels(*sight[:, :2].T)
         found.seen[at] = _there(scene.surface, camera, found.target[at], ray.direction[ok])
-        told[rows[some]] = ok
+        mapped[rows[some]] = ok
         other = np.flatnonzero(np.isnan(found.seen[at, 0]))  # something is met before or behind
         if other.size:
             bent = covering_map(scene.field, camera, _deeper(sight[other]), tolerance_mm)
-            found.seen[at[other]], told[at[other]] = _met(bent, sight[other], scene.surface)
-    return found, told
+            found.seen[at[other]], mapped[at[other]] = _met(bent, sight[other], scene.surface)
+    return found, mapped
 
 
 def _grazes(surface: Surface, point: Array, direction: Array) -> Mask:
@@ -140,13 +140,13 @@ def _met(bent: ForwardMap, places: Array, surface: Surface) -> tuple[Array, Mask
     -------
     point_mm : ndarray of shape (N, 3)
         World; NaN where they miss.
-    told : ndarray of shape (N,)
+    mapped : ndarray of shape (N,)
         Which rays stayed on the map.
     """
     places, axis = places.copy(), bent.family.pose.rotation[:, 2]
-    told = bent.table.grid.holds(places)
+    mapped = bent.table.grid.holds(places)
     point = np.full((len(places), 3), np.nan)
-    going = np.flatnonzero(told)
+    going = np.flatnonzero(mapped)
     for turn in range(_TANGENTS):
         here, heading = bent.lines(places[going])
         ahead = heading @ axis
@@ -160,10 +160,10 @@ def _met(bent: ForwardMap, places: Array, surface: Surface) -> tuple[Array, Mask
         going = going[hit]
         places[going, 2] += ((met - back) * ahead)[hit]
         held = bent.table.grid.holds(places[going])
-        told[going] = held
+        mapped[going] = held
         point[going[~held]] = np.nan
         going = going[held]
-    return point, told
+    return point, mapped
 
 
 def _distance(surface: Surface, origins: Array, directions: Array, limit_mm: Array) -> Array:

@@ -18,7 +18,7 @@ of such a box, and the forward one marks the places.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -411,12 +411,8 @@ def forward_map(
     if field is None:
         return ForwardMap(family, _zero(low, high, 4), 0.0, linear_mm, 0.0)
 
-    def marched(place: Array) -> Array:
-        return displaced(field, family, march, place)
-
-    def on_grid(grid: Grid, checks: Array) -> tuple[Array, Array]:
-        return _displaced_on(field, family, march, grid, checks)
-
+    marched = partial(displaced, field, family, march)
+    on_grid = partial(_displaced_on, field, family, march)
     spline_mm = _SPLINE * tolerance_mm
     shape = _Lines.through(marched, family, low, high).shape(spline_mm, np.inf, low, high)
     table, error_mm, largest_mm = _refined(on_grid, low, high, spline_mm, shape, most_nodes)
@@ -448,12 +444,8 @@ def inverse_map(
     if field is None:
         return InverseMap(family, _zero(low, high, 5), 0.0, linear_mm, 0.0)
 
-    def marched(place: Array) -> Array:
-        return displaced(field, family, march, place)
-
-    def on_grid(grid: Grid, checks: Array) -> tuple[Array, Array]:
-        return _displaced_on(field, family, march, grid, checks)
-
+    marched = partial(displaced, field, family, march)
+    on_grid = partial(_displaced_on, field, family, march)
     spline_mm = _SPLINE * tolerance_mm
     lines = _Lines.through(marched, family, low, high)
     shift = in_coordinates(family, lines.places, lines.values[:, :2])

@@ -117,7 +117,7 @@ def ray_search(
     method : str
         "paper": step 2 of section 4.2 to the letter.  "newton": the same root by Newton's method,
         to 1e-6 px on the field that comes with the program.  "tabulated": by ray maps, which take
-        a while to make and then serve any number of rays; rays that they don't tell of are searched
+        a while to make and then serve any number of rays; rays that they don't hold are searched
         by Newton's method.
     grid_px : tuple of float
         Width and height of the paper's search grid, w_sg and h_sg.
@@ -224,15 +224,15 @@ def _newton(scene: SearchScene, b: Array, march: March | None) -> Roots:
 
 
 def _tabulated(scene: SearchScene, b: Array, march: March | None, tolerance_px: float) -> Roots:
-    """Roots by maps, and by Newton's method where those don't tell."""
+    """Roots by maps, and by Newton's method where those don't hold a ray."""
     try:
-        roots, told = tabulated_roots(scene, b, tolerance_px)
+        roots, mapped = tabulated_roots(scene, b, tolerance_px)
     except NoMapError:
         return _newton(scene, b, march)
-    if not told.all():
-        marched = _newton(scene, b[~told], march)
+    if not mapped.all():
+        marched = _newton(scene, b[~mapped], march)
         for values, better in zip(vars(roots).values(), vars(marched).values(), strict=True):
-            values[~told] = better
+            values[~mapped] = better
     return roots
 
 
