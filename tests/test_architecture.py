@@ -76,7 +76,7 @@ def modules():
 
 
 MODULES = modules()
-TOOLS = [*(ROOT / "tests").rglob("*.py"), *(ROOT / "docs").rglob("*.py")]
+TOOLS = [file for room in ("tests", "benchmarks", "docs") for file in (ROOT / room).rglob("*.py")]
 
 
 @cache

@@ -24,7 +24,7 @@ from virtual_sensor.studies.chart.ray_bundles import (
     fish_eye_of_hot_air,
 )
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")

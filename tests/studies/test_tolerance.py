@@ -177,7 +177,7 @@ def test_the_command_tells_the_rung(tmp_path):
 
 @pytest.mark.slow
 def test_the_tolerance_is_kept_in_random_scenes():
-    """Rationale: promised of 200 scenes (tests/benchmarks/random_scenes.py); here of twelve."""
+    """Rationale: promised of 200 scenes (benchmarks/random_scenes.py); here of twelve."""
     ratios = []
     for number in range(12):
         rng = np.random.default_rng((1, number))

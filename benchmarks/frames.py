@@ -1,6 +1,6 @@
 """Frames: ours through hot air beside the stock `direct` integrator's without any.
 
-By itself, `python tests/benchmarks/frames.py`, it prints their ratios, with no marched frames.
+By itself, `python benchmarks/frames.py`, it prints their ratios, with no marched frames.
 """
 
 from __future__ import annotations

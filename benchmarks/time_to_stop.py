@@ -1,6 +1,6 @@
 """How long commands take to end after Ctrl-C, at moments spread over their run; goal 2 s.
 
-    python tests/benchmarks/time_to_stop.py [MOMENTS]
+    python benchmarks/time_to_stop.py [MOMENTS]
 
 A kernel's compilation is one call of C++ during which Python hears no signal.
 """

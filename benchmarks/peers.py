@@ -1,9 +1,9 @@
 """Bent rays and frames side by side with peers: same cores, grid, rays and stated error, one run.
 
 python -m pip install -e '.[bench]'
-python tests/benchmarks/peers.py --output peers           everything: ten minutes on two cores
-python tests/benchmarks/peers.py --output p --quick       few rays: to see that all works
-python tests/benchmarks/peers.py --output p --only numba --only ours
+python benchmarks/peers.py --output peers           everything: ten minutes on two cores
+python benchmarks/peers.py --output p --quick       few rays: to see that all works
+python benchmarks/peers.py --output p --only numba --only ours
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _facts(asked: argparse.Namespace) -> dict[str, str]:
         "runs": f"median of {asked.runs} after one that warms up",
         "versions": f"Python {platform.python_version()}, "
         + ", ".join(f"{name} {number}" for name, number in versions.items()),
-        "command": shlex.join(["python", "tests/benchmarks/peers.py", *asked.typed]),
+        "command": shlex.join(["python", "benchmarks/peers.py", *asked.typed]),
     }
 
 

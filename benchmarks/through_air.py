@@ -1,6 +1,6 @@
 """Points through hot air by maps beside Newton's method on marched lines of sight; prints ratios.
 
-python tests/benchmarks/through_air.py [points]
+python benchmarks/through_air.py [points]
 """
 
 from __future__ import annotations

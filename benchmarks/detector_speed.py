@@ -1,6 +1,6 @@
 """How many profiles of 2048 columns x 32 rows each detector takes in a second, on all cores.
 
-python tests/benchmarks/detector_speed.py            a minute; leave the machine idle meanwhile
+python benchmarks/detector_speed.py            a minute; leave the machine idle meanwhile
 
 Each core works at profiles of its own, as of a sensor's stream; the best of some rounds.
 """

@@ -20,10 +20,10 @@ from virtual_sensor.studies.chart.trials import (
 )
 
 EXAMPLES = """examples:
-  python tests/benchmarks/random_scenes.py
-  python tests/benchmarks/random_scenes.py --scenes 20 --seed 7 -o few
-  python tests/benchmarks/random_scenes.py --clock cpu     # on a machine that others use
-  python tests/benchmarks/random_scenes.py --clock none    # errors only, three times as fast
+  python benchmarks/random_scenes.py
+  python benchmarks/random_scenes.py --scenes 20 --seed 7 -o few
+  python benchmarks/random_scenes.py --clock cpu     # on a machine that others use
+  python benchmarks/random_scenes.py --clock none    # errors only, three times as fast
 """
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time, "none": None}
 

@@ -1,8 +1,8 @@
 """Steger's detector beside the package `ridge-detector`: the same 500 noisy images, and 2048 px.
 
-python tests/benchmarks/ridge_peer.py                    four minutes on two cores
-python tests/benchmarks/ridge_peer.py --images 50        a glance
-python tests/benchmarks/ridge_peer.py --python P         of an environment that has ridge-detector
+python benchmarks/ridge_peer.py                    four minutes on two cores
+python benchmarks/ridge_peer.py --images 50        a glance
+python benchmarks/ridge_peer.py --python P         of an environment that has ridge-detector
 
 It needs opencv-python, which shares its files with our opencv-contrib-python-headless: without
 --python a virtual environment of its own is made for it, and removed afterwards.
