@@ -35,6 +35,7 @@ STAIRS = (  # from the ground up
         "virtual_sensor.child",
         "virtual_sensor.engine",
         "virtual_sensor.poses",
+        "virtual_sensor.records",
     ),
     ("virtual_sensor.medium",),
     ("virtual_sensor.optics",),
@@ -43,6 +44,7 @@ STAIRS = (  # from the ground up
     ("virtual_sensor.metrology",),
     ("virtual_sensor.imaging",),
     ("virtual_sensor.studies",),
+    ("virtual_sensor.reporting",),
     ("virtual_sensor.cli", "virtual_sensor.__main__"),
 )
 # Metrology serves images of real cameras too: it knows no renderer, and bent rays only when asked.

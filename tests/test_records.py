@@ -1,25 +1,33 @@
 """Tables and point clouds say to other programs what they said to us."""
 
 import csv
+import dataclasses
 import json
+import sys
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from virtual_sensor import records
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies import tables
-from virtual_sensor.studies.tables import (
-    in_words,
+from virtual_sensor.records import (
+    Record,
+    Table,
+    counts_of,
+    documented,
+    plain,
     status_names,
+    unit_of,
     vectors,
     write_csv,
     write_json,
     write_ply,
 )
 
-SOURCES = Path(tables.__file__).parents[1]
+SOURCES = Path(records.__file__).parent
 
 
 class Status(IntEnum):
@@ -173,12 +181,166 @@ def test_all_json_of_results_comes_from_one_writer():
     ]
     keys_and_cells = {"studies/kept.py", "studies/simulate.py", "studies/chart/rows.py"}
     cases = {"medium/heat_flow/case.py"}
-    assert set(dumping) <= {"studies/tables.py"} | keys_and_cells | cases
+    assert set(dumping) <= {"records.py"} | keys_and_cells | cases
 
 
-@pytest.mark.parametrize(
-    ("value", "words"), [(0.00123, "0.0012"), (np.nan, "none"), (None, "none"), (0.0, "0.0000")]
-)
-def test_people_read_a_word_where_there_is_no_answer(value, words):
-    """Rationale: `measure` printed "nan nan 12"."""
-    assert in_words(value) == words
+@dataclass(frozen=True)
+class Line(Table):
+    """A line.
+
+    Attributes
+    ----------
+    column_px : ndarray of shape (N,)
+        Column of the image.
+    point_mm, normal : ndarray of shape (N, 3)
+        In the world.
+    pixel : ndarray of shape (N, 2)
+        Where it is seen,
+        to a hundredth.
+    status : sequence of str
+        What became of it.
+    dots : ndarray of shape (N,) or None
+        None of a line.
+    """
+
+    column_px: np.ndarray
+    point_mm: np.ndarray
+    normal: np.ndarray
+    pixel: np.ndarray
+    status: list[str]
+    dots: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Found(Record):
+    """What was found.
+
+    Attributes
+    ----------
+    rms_px : float
+        Error.
+    status : Status
+        Of all.
+    """
+
+    rms_px: float
+    status: Status
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """A summary.
+
+    Attributes
+    ----------
+    states : dict of Found
+        By name.
+    hot : Found or None
+        None of a cold part.
+    path : Path
+        Of the scene.
+    """
+
+    states: dict[str, Found]
+    hot: Found | None
+    path: Path
+
+
+def line(number=4):
+    """A table of some rows."""
+    values = np.arange(float(number))
+    three = values[:, None] + [0.0, 0.1, 0.2]
+    return Line(values, three, three, three[:, :2], ["ok"] * number)
+
+
+def test_a_tables_columns_are_its_documented_fields(tmp_path):
+    """Rationale: a column that no dictionary lists must be guessed at."""
+    columns = line().columns()
+    assert list(columns) == [
+        *("column_px", "point_mm_x", "point_mm_y", "point_mm_z"),
+        *("normal_x", "normal_y", "normal_z", "pixel_u", "pixel_v", "status"),
+    ]
+    np.testing.assert_allclose(columns["point_mm_y"], np.arange(4) + 0.1)
+    write_csv(tmp_path / "t.csv", line())
+    with (tmp_path / "t.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(line()) == 4
+    assert rows[3]["pixel_v"] == "3.1"
+    words = {each.name: each.words for each in documented(Line)}
+    assert words["point_mm"] == words["normal"] == "In the world."
+    assert words["pixel"] == "Where it is seen, to a hundredth."
+
+
+def test_a_table_is_a_data_frame():
+    """Rationale: users of pandas should not have to read the CSV that we wrote."""
+    frame = line().to_dataframe()
+    assert list(frame.columns) == list(line().columns())
+    assert frame["status"].tolist() == ["ok"] * 4
+
+
+def test_without_pandas_the_remedy_is_named(monkeypatch):
+    """Rationale: an ImportError names a module and no remedy."""
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        line().to_dataframe()
+
+
+def test_a_table_of_unequal_columns_is_a_mistake():
+    """Rationale: cut to the shortest, rows would belong to no ray."""
+    with pytest.raises(ValueError, match="different lengths"):
+        dataclasses.replace(line(), status=["ok"]).columns()
+
+
+def test_a_record_is_a_json_object(tmp_path):
+    """Rationale: keys of files are the fields' names, and a status is a word."""
+    summary = Summary({"cold": Found(np.nan, Status.NO_PEAK)}, None, Path("a/b.xml"))
+    write_json(tmp_path / "s.json", summary)
+    assert json.loads((tmp_path / "s.json").read_text()) == {
+        "states": {"cold": {"rms_px": None, "status": "no_peak"}},
+        "hot": None,
+        "path": "a/b.xml",
+    }
+    assert summary.to_dict()["path"] == "a/b.xml"
+    names = [each.name for each in documented(Summary)]
+    nested = ["states.rms_px", "states.status", "hot", "hot.rms_px", "hot.status"]
+    assert names == ["states", *nested, "path"]
+    assert [each.unit for each in documented(Found)] == ["px", ""]
+
+
+def test_an_undocumented_field_is_found():
+    """Rationale: the data dictionary is made of the fields' own words."""
+
+    @dataclass(frozen=True)
+    class Silent(Record):
+        """No words.
+
+        Attributes
+        ----------
+        other : float
+            Is no field.
+        """
+
+        rms_px: float
+
+    with pytest.raises(ValueError, match="rms_px"):
+        documented(Silent)
+
+
+def test_units_are_at_the_end_of_names():
+    """Rationale: a number without its unit is a guess."""
+    for name, unit in (
+        ("rms_px", "px"),
+        ("shift_um_norm", "µm"),
+        ("point_mm_x", "mm"),
+        ("gradient_per_mm", "1/mm"),
+        ("temperature_c", "°C"),
+        ("items", ""),
+        ("status", ""),
+    ):
+        assert unit_of(name) == unit
+
+
+def test_statuses_are_counted_by_name():
+    """Rationale: those that never occurred are told too: with 0."""
+    assert counts_of([0, 1, 1], Status) == {"ok": 1, "no_peak": 2}
+    assert plain({Status.OK: Status.NO_PEAK}) == {"ok": "no_peak"}

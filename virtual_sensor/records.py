@@ -1,0 +1,264 @@
+"""Results as data: documented dataclasses, and the JSON, CSV and PLY files that hold them.
+
+A `Record` becomes a JSON object, a `Table` a CSV file. Their fields are named in snake_case, with
+the unit at the end, and documented under "Attributes" of their docstrings, from which the data
+dictionary is made.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import json
+import re
+import types
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.files import written_whole
+
+UNITS = {
+    **{"px": "px", "mm": "mm", "um": "µm", "nm": "nm", "m": "m", "s": "s", "ms": "ms", "us": "µs"},
+    **{"ns": "ns", "deg": "°", "c": "°C", "k": "K", "w": "W", "mw": "mW", "pa": "Pa", "mb": "MB"},
+    **{"electrons": "e", "percent": "%", "mrad": "mrad", "per_mm": "1/mm"},
+}
+"""Units as names end with them, and as people read them."""
+
+_AXES = {2: "uv", 3: "xyz"}
+_SPECIAL = set(',"\r\n')
+
+
+def unit_of(name: str) -> str:
+    """Unit that a name ends with, as people read it; "" if it has none.
+
+    An axis or "norm" may follow the unit: ``point_mm_x``, ``shift_um_norm``.
+    """
+    stem = re.sub(r"(_(x|y|z|u|v|norm|height))+$", "", name)
+    found = [unit for unit in UNITS if stem == unit or stem.endswith(f"_{unit}")]
+    return UNITS[max(found, key=len)] if found else ""
+
+
+class Record:
+    """Mixin of a frozen dataclass whose fields are a JSON object's."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as plain Python: what the JSON file holds (see `plain`)."""
+        return {each.name: plain(getattr(self, each.name)) for each in _fields(self)}
+
+
+class Table(Record):
+    """Mixin of a frozen dataclass whose fields are columns of equal length.
+
+    A field is a sequence or an array (N,); an array (N, 3) makes the columns ``name_x``, ``_y``,
+    ``_z``, and one of (N, 2) ``name_u``, ``_v``. A field that is None makes no column.
+    """
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """The columns, each of shape (N,), by their names."""
+        found: dict[str, NDArray[Any]] = {}
+        for each in _fields(self):
+            value = getattr(self, each.name)
+            if value is None:
+                continue
+            array = np.asarray(value)
+            if array.ndim == 2:
+                axes = _AXES[array.shape[1]]
+                found |= {f"{each.name}_{axis}": array[:, i] for i, axis in enumerate(axes)}
+            else:
+                found[each.name] = array
+        lengths = {name: len(column) for name, column in found.items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"{type(self).__name__}: columns of different lengths, {lengths}")
+        return found
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Each row, by the columns' names."""
+        columns = self.columns()
+        for values in zip(*columns.values(), strict=True):
+            yield dict(zip(columns, values, strict=True))
+
+    def __len__(self) -> int:
+        return next((len(column) for column in self.columns().values()), 0)
+
+    def to_dataframe(self) -> Any:
+        """The table as a `pandas.DataFrame`.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_dataframe: pandas is missing; pip install pandas") from None
+        return pandas.DataFrame(self.columns())
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: NaN and infinity are None, an `IntEnum` its name in lower case."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {each.name: plain(getattr(value, each.name)) for each in _fields(value)}
+    if isinstance(value, IntEnum):
+        return value.name.lower()
+    if isinstance(value, Enum):
+        return plain(value.value)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {_key(key): plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(each) for each in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _key(key: Any) -> str:
+    return key.name.lower() if isinstance(key, IntEnum) else str(key)
+
+
+def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:
+    """Names of status numbers, in lower case."""
+    return np.array([kind(n).name.lower() for n in np.asarray(status).ravel()], np.str_)
+
+
+def counts_of(status: ArrayLike, kind: type[IntEnum]) -> dict[str, int]:
+    """How many have each status, by its name in lower case."""
+    status = np.asarray(status)
+    return {member.name.lower(): int(np.sum(status == member)) for member in kind}
+
+
+@dataclass(frozen=True)
+class Described:
+    """A field of a record as a data dictionary lists it.
+
+    Attributes
+    ----------
+    name : str
+        Its key or column; of a nested record with dots in between.
+    unit : str
+        As people read it; "" if it has none.
+    words : str
+        What it is.
+    """
+
+    name: str
+    unit: str
+    words: str
+
+
+def documented(kind: type) -> list[Described]:
+    """The fields of a record or table with their words, those of nested records too.
+
+    Raises
+    ------
+    ValueError
+        If a field is not documented, or what is documented is no field.
+    """
+    words = _attributes(kind)
+    names = [each.name for each in _fields(kind)]
+    if set(words) != set(names):
+        raise ValueError(
+            f"{kind.__name__}: documented are {sorted(words)}, fields are {sorted(names)}"
+        )
+    hints = typing.get_type_hints(kind)
+    found = []
+    for name in names:
+        found.append(Described(name, unit_of(name), words[name]))
+        for nested in _records_in(hints[name]):
+            found += [
+                dataclasses.replace(each, name=f"{name}.{each.name}") for each in documented(nested)
+            ]
+    return found
+
+
+def _fields(record: Any) -> list[dataclasses.Field[Any]]:
+    """Fields that are data; those of `metadata={"internal": True}` stay inside the program."""
+    return [f for f in dataclasses.fields(record) if not f.metadata.get("internal")]
+
+
+def _records_in(hint: Any) -> list[type]:
+    """Records that a type holds: itself, or within a union, sequence or mapping."""
+    if isinstance(hint, type) and not isinstance(hint, types.GenericAlias):
+        return [hint] if issubclass(hint, Record) else []
+    return [kind for argument in typing.get_args(hint) for kind in _records_in(argument)]
+
+
+def _attributes(kind: type) -> dict[str, str]:
+    """Words of the fields, from the numpydoc section "Attributes" of the class and its bases."""
+    found: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        lines = inspect.cleandoc(each.__doc__ or "").splitlines()
+        if "Attributes" not in lines or not dataclasses.is_dataclass(each):
+            continue
+        names: list[str] = []
+        for line in lines[lines.index("Attributes") + 2 :]:
+            if line.startswith(" "):
+                for name in names:
+                    found[name] = f"{found[name]} {line.strip()}".strip()
+            elif ":" in line:
+                names = [name.strip() for name in line.split(":")[0].split(",")]
+                found |= dict.fromkeys(names, "")
+            elif line:
+                break  # another section
+    return found
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a record, or dictionaries, sequences, texts and numbers (see `plain`)."""
+    text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False)
+    with written_whole(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def write_csv(path: Path, table: Table | Mapping[str, ArrayLike]) -> None:
+    """Write columns of equal length under their names; NaN stays empty.
+
+    Numbers have 13 digits, in which a pixel of 1000 keeps its 1e-9 px; float32 has its nine.
+    """
+    columns = table.columns() if isinstance(table, Table) else table
+    cells = [[_cell(value) for value in np.asarray(values)] for values in columns.values()]
+    lines = [",".join(map(_cell, columns)), *(",".join(row) for row in zip(*cells, strict=True))]
+    with written_whole(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float | np.floating):
+        digits = 9 if isinstance(value, np.float32) else 13
+        return "" if np.isnan(value) else f"{value:.{digits}g}"
+    text = str(value)
+    return '"' + text.replace('"', '""') + '"' if _SPECIAL & set(text) else text
+
+
+def vectors(name: str, values: NDArray[np.floating], axes: Sequence[str]) -> dict[str, ArrayLike]:
+    """Columns ``name_x``, ... of an array (N, len(axes))."""
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate(axes)}
+
+
+def write_ply(path: Path, points_mm: NDArray[np.floating], intensity: NDArray[np.floating]) -> None:
+    """Write the finite points (N, 3) in mm, world frame, with an intensity (N,) as binary PLY."""
+    finite = np.isfinite(points_mm).all(axis=1)
+    vertex = np.zeros(int(finite.sum()), [(n, "<f4") for n in ("x", "y", "z", "intensity")])
+    for i, name in enumerate("xyz"):
+        vertex[name] = points_mm[finite, i]
+    vertex["intensity"] = intensity[finite]
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment points in mm, world frame\n"
+        f"element vertex {len(vertex)}\n"
+        + "".join(f"property float {name}\n" for name in vertex.dtype.names or ())
+        + "end_header\n"
+    )
+    with written_whole(path) as temporary:
+        temporary.write_bytes(header.encode("ascii") + vertex.tobytes())

@@ -1,0 +1,1 @@
+"""How results look: one style for pictures, one set of templates for pages, one kind of table."""

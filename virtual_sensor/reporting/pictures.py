@@ -1,0 +1,221 @@
+"""Pictures made of panels, drawn once: the whole as one PNG, and each panel for a page.
+
+A page shows the panels below each other, as wide as its reader's screen; the file beside it shows
+them all at a glance.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import ceil
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from virtual_sensor.files import written_whole
+from virtual_sensor.reporting.style import style
+
+Image8 = NDArray[np.uint8]
+DPI = 100
+CELL_IN = (6.0, 4.2)
+"""Width and height of a panel of one cell, inches."""
+_MARGINS_IN = (0.8, 0.2, 0.6, 0.4)
+"""Left, right, bottom and top of a panel's axes, without a layout engine."""
+_PAD_IN = 0.1
+_LINE_PX, _LETTER_PX = 26, 12.5
+_COMPRESSION = 1  # of PNG: a picture's bytes matter less than the time to pack them
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What one panel shows, and how it is drawn.
+
+    Attributes
+    ----------
+    title : str
+    draw : callable
+        Gets the panel's axes; or, if `axes` is False, its figure.
+    alt : str
+        Alternative text: what a reader sees who can't see it.
+    width, height : int
+        Cells that it takes.
+    axes : bool
+        Whether `draw` wants one axes; else it gets the panel's figure, and makes its own in it.
+    layout : "constrained" or None
+        None sets fixed margins, which fit labels of usual length: a layout engine draws all of it
+        twice, to see how large the letters are.
+    """
+
+    title: str
+    draw: Callable[[Any], object]
+    alt: str
+    width: int = 1
+    height: int = 1
+    axes: bool = True
+    layout: Literal["constrained"] | None = "constrained"
+
+
+@dataclass(frozen=True)
+class PanelPicture:
+    """A panel as it was drawn.
+
+    Attributes
+    ----------
+    title, alt : str
+    png : bytes
+    width_px, height_px : int
+    """
+
+    title: str
+    alt: str
+    png: bytes
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A drawn picture.
+
+    Attributes
+    ----------
+    title : str
+    png : bytes
+        All of it.
+    panels : tuple of PanelPicture
+        The same, cut into its panels.
+    """
+
+    title: str
+    png: bytes
+    panels: tuple[PanelPicture, ...]
+
+    def write(self, path: Path) -> None:
+        """Write the whole as a PNG file.
+
+        Raises
+        ------
+        InputError
+            If it can't be written.
+        """
+        with written_whole(path) as temporary:
+            temporary.write_bytes(self.png)
+
+
+def draw_picture(
+    title: str,
+    panels: Sequence[Panel],
+    columns: int = 2,
+    cell_in: tuple[float, float] = CELL_IN,
+) -> Picture:
+    """Draw panels in rows of so many cells, each where the next one fits.
+
+    Parameters
+    ----------
+    title : str
+        Above them all; "" for none. A user's text goes through `style.plain` first.
+    panels : sequence of Panel
+    columns : int
+        Cells of a row; of fewer panels fewer.
+    cell_in : pair of float
+        Width and height of a cell, inches.
+    """
+    columns = max(min(columns, sum(p.width for p in panels)), *(p.width for p in panels))
+    places = _places(panels, columns)
+    rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
+    wide, high = (round(inches * DPI) for inches in cell_in)
+    with style():
+        parts = [_drawn(panel, (panel.width * wide, panel.height * high)) for panel in panels]
+        head = _title(title, columns * wide)
+    whole = np.full((len(head) + rows * high, columns * wide, 3), 255, np.uint8)
+    whole[: len(head)] = head
+    for part, (row, column) in zip(parts, places, strict=True):
+        top, left = len(head) + row * high, column * wide
+        whole[top : top + part.shape[0], left : left + part.shape[1]] = part
+    cut = tuple(
+        PanelPicture(panel.title, panel.alt, _png(part), part.shape[1], part.shape[0])
+        for panel, part in zip(panels, parts, strict=True)
+    )
+    return Picture(title, _png(whole), cut)
+
+
+def _drawn(panel: Panel, size_px: tuple[int, int]) -> Image8:
+    """A panel of some width and height as pixels (H, W, 3)."""
+    figure = _figure(size_px, panel.layout)
+    if panel.axes:
+        axes = figure.add_subplot()
+        if panel.layout is None:
+            width, height = size_px[0] / DPI, size_px[1] / DPI
+            left, right, bottom, top = _MARGINS_IN
+            figure.subplots_adjust(
+                left=left / width,
+                right=1.0 - right / width,
+                bottom=bottom / height,
+                top=1.0 - top / height,
+            )
+        axes.set_title(panel.title)
+        panel.draw(axes)
+    else:
+        figure.suptitle(panel.title, x=0.02, ha="left", fontsize=11, fontweight="bold")
+        panel.draw(figure)
+    return _pixels(figure)
+
+
+def _title(title: str, width_px: int) -> Image8:
+    """The picture's title as a strip of pixels; lines that are too long are broken."""
+    if not title:
+        return np.zeros((0, width_px, 3), np.uint8)
+    lines = textwrap.wrap(title, max(round(width_px / _LETTER_PX), 20))
+    figure = _figure((width_px, _LINE_PX * len(lines) + 12), None)
+    text = "\n".join(lines)
+    figure.text(12 / width_px, 0.5, text, va="center", fontsize=14, fontweight="bold")
+    return _pixels(figure)
+
+
+def _figure(size_px: tuple[int, int], layout: Literal["constrained"] | None) -> Figure:
+    figure = Figure(figsize=(size_px[0] / DPI, size_px[1] / DPI), dpi=DPI, layout=layout)
+    if engine := figure.get_layout_engine():
+        engine.set(w_pad=_PAD_IN, h_pad=_PAD_IN)
+    return figure
+
+
+def _pixels(figure: Figure) -> Image8:
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())[..., :3]
+
+
+def _places(panels: Sequence[Panel], columns: int) -> list[tuple[int, int]]:
+    """Row and column of each panel: the first free place from above left that holds it."""
+    taken: set[tuple[int, int]] = set()
+    places = []
+    for panel in panels:
+        at = next(
+            (row, column)
+            for row in range(ceil(len(taken) / columns) + len(panels) + 1)
+            for column in range(columns - panel.width + 1)
+            if not taken & _cells(panel, row, column)
+        )
+        taken |= _cells(panel, *at)
+        places.append(at)
+    return places
+
+
+def _cells(panel: Panel, row: int, column: int) -> set[tuple[int, int]]:
+    return {(row + i, column + j) for i in range(panel.height) for j in range(panel.width)}
+
+
+def _png(image: Image8) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(
+        buffer, format="png", compress_level=_COMPRESSION
+    )
+    return buffer.getvalue()

@@ -1,0 +1,66 @@
+"""Numbers, times and names of data in the words that people read."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from virtual_sensor.errors import printable
+from virtual_sensor.records import unit_of
+
+_PREFIXES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
+
+
+def in_words(value: object, shape: str = "{:.4f}", nothing: str = "none") -> str:
+    """A figure as people read it; `nothing` where there is no answer (None or NaN).
+
+    Texts stay as they are, True and False are yes and no.
+    """
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if value is None or (isinstance(value, float | np.floating) and np.isnan(value)):
+        return nothing
+    return shape.format(value)
+
+
+def time_in_words(seconds: float | None) -> str:
+    """A time with three digits, in the unit that it is best read in; minutes from two on."""
+    if seconds is None or not np.isfinite(seconds):
+        return "unknown"
+    if seconds >= 120.0:
+        return f"{seconds / 60.0:.3g} min"
+    scale, unit = next((p for p in _PREFIXES if abs(seconds) >= p[0]), _PREFIXES[-1])
+    return f"{seconds / scale:.3g} {unit}"
+
+
+def counted(number: int, thing: str, things: str | None = None) -> str:
+    """A number with what it counts: "1 column", "3 columns"."""
+    return f"{number} {thing if number == 1 else things or thing + 's'}"
+
+
+def heading(name: str) -> str:
+    """A column's or key's name as a heading: "rms_px" is "rms in px"."""
+    unit = unit_of(name)
+    words = [word for word in name.split("_") if word]
+    if not unit:
+        return " ".join(words)
+    for end in range(len(words), 0, -1):  # the unit, before an axis or "norm"
+        for start in reversed(range(end)):
+            if unit_of("_".join(words[start:end])) == unit and unit_of(words[end - 1]):
+                rest = [*words[:start], *words[end:]]
+                return f"{' '.join(rest)} in {unit}".strip()
+    return " ".join(words)
+
+
+def listed(items: list[str] | tuple[str, ...], last: str = "and") -> str:
+    """Items with commas in between, and a word before the last."""
+    *others, end = items or [""]
+    return f"{', '.join(others)} {last} {end}" if others else end
+
+
+def anchor(title: str) -> str:
+    """A title as the name that a link within its page leads to."""
+    return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-") or "section"
