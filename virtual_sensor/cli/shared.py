@@ -3,7 +3,8 @@
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -12,14 +13,19 @@ import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
 from virtual_sensor import interrupts
-from virtual_sensor.cli.console import console
+from virtual_sensor.cli.console import console, errors
 from virtual_sensor.errors import InputError, printable
+
+_IMPORTED = time.perf_counter()
+_LINE_EVERY_S = 10.0
+NOTHING_FOUND = 3
+"""Status that a command ends with if there are results, but no line, dot or ray in them."""
 
 SceneArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        help="A scene file, or one that comes along: hot_cylinder, cold_cylinder, stepped_shaft.",
+        help="A scene file, or one that is installed: hot_cylinder, cold_cylinder, stepped_shaft.",
     ),
 ]
 Definitions = Annotated[
@@ -77,30 +83,87 @@ def definitions(define: list[str] | None) -> dict[str, str]:
 
 
 @contextmanager
-def reporting(first: str, if_stopped: str = "") -> Iterator[Callable[[str, float], None]]:
-    """Give a function that a bar is told by: what is being done, and the fraction done.
+def reporting(
+    first: str, if_stopped: str = "", clock: Callable[[], float] = time.monotonic
+) -> Iterator[Callable[[str, float], None]]:
+    """Give a function that is called with what is being done and the fraction done.
 
-    There is no bar where the output is no terminal. A signal's line ends with `if_stopped`.
+    On a terminal it moves a bar; where the output is piped, it prints a line to standard error
+    every 10 s. A signal's line ends with `if_stopped`.
     """
+    if not console.is_terminal:
+        with interrupts.on_stop(lambda: if_stopped):
+            yield _lines(clock)
+        return
     columns = (
         TextColumn("{task.description:<36}", markup=False),
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
     )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task(first, total=1.0)
 
         def report(stage: str, fraction: float) -> None:
             bar.update(task, description=printable(stage), completed=fraction)
 
-        def leave() -> str:
-            if console.is_terminal:  # below the bar, with the cursor that it hides
-                os.write(console.file.fileno(), b"\n\x1b[?25h")
+        def leave() -> str:  # below the bar, with the cursor that it hides
+            os.write(console.file.fileno(), b"\n\x1b[?25h")
             return if_stopped
 
         with interrupts.on_stop(leave):
             yield report
+
+
+def _lines(clock: Callable[[], float]) -> Callable[[str, float], None]:
+    """A function that prints a line of progress, 10 s after the last one or later."""
+    began = last = clock()
+
+    def report(stage: str, fraction: float) -> None:
+        nonlocal last
+        now = clock()
+        if now - last >= _LINE_EVERY_S:
+            last = now
+            text = f"{fraction:4.0%} after {now - began:.0f} s: {printable(stage)}"
+            errors.print(text, soft_wrap=True)
+
+    return report
+
+
+def wall_clock_s() -> float:
+    """Seconds since this process was started, the start of Python and imports among them."""
+    try:
+        with Path("/proc/self/stat").open(encoding="utf-8") as file:
+            # Fields follow the program's name, in parentheses; the 22nd of all is the start.
+            ticks = int(file.read().rpartition(")")[2].split()[19])
+        began = ticks / os.sysconf("SC_CLK_TCK")
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - began
+    except (OSError, ValueError, AttributeError):  # not Linux
+        return time.perf_counter() - _IMPORTED
+
+
+def print_end(folder: Path, first: str = "report.html") -> None:
+    """Print how long the command took, and where its results are."""
+    from virtual_sensor.reporting.words import time_in_words
+
+    console.print(
+        f"{time_in_words(wall_clock_s())} in all; results in {folder}, open {folder / first} first",
+        soft_wrap=True,
+    )
+
+
+def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+    """Refuse a file whose name asks for a format that is not written.
+
+    Raises
+    ------
+    InputError
+        Which names those that are.
+    """
+    if path.suffix.lower() not in suffixes:
+        *others, last = suffixes
+        wanted = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"-o {path}: {what} is written as {wanted}; name it so")
 
 
 def print_notes(notes: Iterable[str]) -> None:

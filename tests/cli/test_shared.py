@@ -1,0 +1,54 @@
+"""What all commands share: progress, times, and files named for what they are."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from virtual_sensor.cli import shared
+from virtual_sensor.errors import InputError
+
+
+def test_progress_is_a_line_every_ten_seconds_where_it_is_piped(capsys):
+    """Rationale: a log of a long sweep that stays empty looks like a hung one."""
+    now = [100.0]
+    with shared.reporting("loading", clock=lambda: now[0]) as report:
+        for second in range(0, 36, 3):
+            now[0] = 100.0 + second
+            report("rendering \x1b", second / 36)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines() == [
+        " 33% after 12 s: rendering \\x1b",
+        " 67% after 24 s: rendering \\x1b",
+    ]
+
+
+def test_the_time_that_is_said_counts_the_start(tmp_path):
+    """Rationale: 1.6 s, says a command that took 3 s from Enter to prompt."""
+    code = (
+        "import time; began = time.perf_counter()\n"
+        "from virtual_sensor.cli.shared import wall_clock_s\n"
+        "print(wall_clock_s() - (time.perf_counter() - began), time.clock_gettime(7))"
+    )
+    before = time.clock_gettime(time.CLOCK_BOOTTIME)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    start_up, now = map(float, ended.stdout.split())
+    assert -0.02 < start_up < now - before + 0.02  # the kernel counts hundredths
+
+
+def test_a_file_is_what_its_name_says():
+    """Rationale: a JPEG that is a PNG, or a CSV that is called .xlsx, opens nowhere."""
+    shared.check_suffix(Path("a.CSV"), (".csv",), "a table")
+    with pytest.raises(InputError, match=r"line\.xlsx: a table is written as \.csv; name it so"):
+        shared.check_suffix(Path("line.xlsx"), (".csv",), "a table")
+    with pytest.raises(InputError, match=r"written as \.png, \.svg or \.pdf"):
+        shared.check_suffix(Path("a.jpg"), (".png", ".svg", ".pdf"), "a picture")
+
+
+def test_the_end_names_the_page_to_open(capsys):
+    """Rationale: of twenty files in a folder, a newcomer opens the wrong one."""
+    shared.print_end(Path("my [results]"))
+    assert "results in my [results], open my [results]/report.html first" in capsys.readouterr().out
