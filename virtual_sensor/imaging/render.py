@@ -22,6 +22,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.sight import check_scene_given
+from virtual_sensor.records import Described
 
 Image = NDArray[np.float32]
 
@@ -278,12 +279,23 @@ def _checked(
     return scene.only(camera, source), samples, seed
 
 
-def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
-    """Write radiance and ground truth as float32 channels, with the scene's parameters as header.
+EXR_LAYERS = (
+    Described("Y", "W/(mm² sr)", "Radiance, averaged over the pixel."),
+    Described("point.X, point.Y, point.Z", "mm", "World point that the bent line of sight meets."),
+    Described("depth.Z", "mm", "Depth of that point along the camera's axis."),
+    Described("lit", "", "1 where the laser's irradiance is not nil, else 0."),
+    Described(
+        "SOURCE.a, SOURCE.b",
+        "mm, or 1 of a pinhole",
+        "Coordinates of the ray of the source of this name that lights the point: of a laser line"
+        " a across it and b along it; NaN where none does.",
+    ),
+)
+"""Layers of a frame's EXR file, float32; the truth is that at the pixel's centre."""
 
-    Channels: Y (radiance), point.X/Y/Z, depth.Z, lit, and by the sources' names, such as laser.a
-    and laser.b, the coordinates of their rays.
-    """
+
+def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
+    """Write radiance and ground truth as float32 layers (`EXR_LAYERS`), with a header."""
     channels = {
         "Y": frame.radiance,
         "point.X": frame.point_mm[:, :, 0],
