@@ -15,8 +15,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.studies.trial.images import line_shares
 
 COLUMNS, ROWS, WIDTH_PX, PEAK = 2048, 32, 2.0, 180.0
 ROUNDS = 5

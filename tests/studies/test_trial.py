@@ -12,14 +12,14 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
-from virtual_sensor.metrology.truth import TrueLine
+from virtual_sensor.metrology.drawn_lines import cramer_rao_px, line_shares
+from virtual_sensor.metrology.truth import TrueLine, rms
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.studies.trial.images import (
+    STATED,
     Condition,
-    bound_px,
     drawn_line,
     frame_line,
-    line_shares,
     shifted,
 )
 from virtual_sensor.studies.trial.scores import PHASES, phase_bias, score
@@ -31,9 +31,8 @@ CLEAN = Condition("clean", 2.0, 2000.0, 2.0)
 @pytest.mark.parametrize("width", [0.5, 1.0, 4.0])
 def test_the_bound_is_that_of_the_formula(width):
     """Beside the tests' own, written with SciPy's distributions."""
-    condition = Condition("clean", width, 2000.0, 3.0)
-    shares, slopes = line_shares(np.array([32.0, 32.3]), width)
-    bound = bound_px(2000.0 * shares, 2000.0 * slopes, condition)
+    shares, slopes = line_shares(np.array([32.0, 32.3]), width, 64)
+    bound = cramer_rao_px(2000.0 * shares, 2000.0 * slopes, 3.0)
     flux = np.sqrt(2.0 * np.pi) * width
     for offset, value in zip((0.0, 0.3), bound, strict=True):
         expected = cramer_rao(
@@ -44,13 +43,22 @@ def test_the_bound_is_that_of_the_formula(width):
 
 def test_the_derivative_by_the_spectrum_is_that_of_the_line():
     """For rendered frames, whose lines are broad enough to be sampled by their pixels."""
-    shares, slopes = line_shares(np.array([32.0, 32.3]), 2.0)
+    shares, slopes = line_shares(np.array([32.0, 32.3]), 2.0, 64)
     np.testing.assert_allclose(-shifted(shares), slopes, atol=1e-7)
+
+
+def test_the_stated_task_has_its_peak_and_its_bound():
+    """A line of sigma 1.5 px, 5000 e at its peak, read noise 2 e, beside the tests' own bound."""
+    image = drawn_line(STATED, 400, seed=3)
+    light = (image.grey - STATED.camera.black_level).sum(axis=0)
+    assert np.mean(light) == pytest.approx(5000.0 * np.sqrt(2.0 * np.pi) * 1.5, rel=1e-3)
+    expected = cramer_rao(1.5, lambda mu: (mu + (4.0 + 1 / 12) / 5000.0) / 5000.0)
+    assert rms(image.bound_px) == pytest.approx(expected, rel=0.01)
 
 
 def test_images_repeat_to_the_bit_by_their_seed():
     """Whoever has the seed has the images."""
-    for kind in ("clean", "saturated", "speckle", "background"):
+    for kind in ("clean", "saturated", "speckle", "ambient light"):
         condition = Condition(kind, 2.0, 6320.0, 2.0)
         one, same, other = (drawn_line(condition, 200, (seed, 0)) for seed in (1, 1, 2))
         assert one.grey.tobytes() == same.grey.tobytes()
@@ -82,7 +90,7 @@ def off_by_a_quarter(image):
 def test_what_a_users_detector_does_is_counted():
     """Bias, outliers and failures of one whose faults are known."""
     flat = drawn_line(CLEAN, 1000, (0, 2))
-    still = type(flat)(flat.grey, TrueLine.of_rows(np.full(1000, 32.0)), flat.bound, {})
+    still = type(flat)(flat.grey, TrueLine.of_rows(np.full(1000, 32.0)), flat.bound_px, {})
     told = score(f"{__name__}:off_by_a_quarter", CLEAN, still)
     assert told.bias_px == pytest.approx(0.25)
     assert told.std_px == pytest.approx(0.0, abs=1e-12)
@@ -128,7 +136,7 @@ def test_the_truth_of_a_frame_is_the_ray_searchs(hot):
 def test_a_recorded_frame_is_found_to_its_bound(hot):
     """The bound of a rendered column, by the spectrum of its own profile."""
     _, frame = hot
-    condition = Condition("hot frame", 1.6, 1000.0, 2.0)
+    condition = Condition.of_peak("hot frame", 1.6, 1000.0, 2.0)
     image = frame_line(condition, frame, truth_of(*hot), (0, 0))
     told = score("max_likelihood", condition, image)
     assert told.rms_px / told.bound_px == pytest.approx(1.0, abs=0.15)
@@ -148,7 +156,7 @@ def test_a_quick_trial_is_whole_and_the_same_for_any_number_of_processes(tmp_pat
         with (folder / "scores.csv").open(encoding="utf-8") as file:
             tables.append([{**row, "us_per_column": ""} for row in csv.DictReader(file)])
     assert tables[0] == tables[1]
-    assert {row["kind"] for row in tables[0]} == {"clean", "saturated", "speckle", "background"}
+    assert {row["kind"] for row in tables[0]} == {"clean", "saturated", "speckle", "ambient light"}
     page = (folder / "index.html").read_text(encoding="utf-8")
     for name in ("signal.png", "phase.png", "speed.png", "troubles.png"):
         assert name in page

@@ -64,7 +64,7 @@ def trial(
         report("done", 1.0)
     scores = chosen_for_front(result)
     condition = scores[0].condition
-    title = f"line of {condition.width_px:g} px, {condition.electrons:g} electrons a column"
+    title = f"line of {condition.width_px:g} px, {condition.column_electrons:g} electrons a column"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for number, name in enumerate(HEAD):
         table.add_column(name, no_wrap=number == 0)

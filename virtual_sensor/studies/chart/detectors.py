@@ -13,12 +13,12 @@ from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.studies.chart.rung import Report, Rung, timed
 from virtual_sensor.studies.measure import searched_line
-from virtual_sensor.studies.trial.images import line_shares
 
 Array = NDArray[np.float64]
 

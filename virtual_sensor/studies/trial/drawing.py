@@ -52,8 +52,9 @@ def chosen_for_front(trial: Trial) -> list[Score]:
     near = min(
         (each.condition for each in clean),
         key=lambda c: (
-            abs(np.log(c.width_px / _FRONT_WIDTH_PX)) + abs(np.log(c.electrons / _FRONT_ELECTRONS)),
-            c.dark_noise_e,
+            abs(np.log(c.width_px / _FRONT_WIDTH_PX))
+            + abs(np.log(c.column_electrons / _FRONT_ELECTRONS)),
+            c.read_noise_electrons,
         ),
     )
     return [each for each in clean if each.condition == near]
@@ -68,8 +69,8 @@ def _look(trial: Trial, detector: str) -> dict[str, object]:
 def _signal(trial: Trial) -> Figure:
     """Rms error over the electrons of a column, a panel for each width; the bound in black."""
     clean = trial.of("clean")
-    dark = min(each.condition.dark_noise_e for each in clean)
-    clean = [each for each in clean if each.condition.dark_noise_e == dark]
+    dark = min(each.condition.read_noise_electrons for each in clean)
+    clean = [each for each in clean if each.condition.read_noise_electrons == dark]
     widths = sorted({each.condition.width_px for each in clean})
     columns = min(4, len(widths))
     rows = -(-len(widths) // columns)
@@ -80,11 +81,11 @@ def _signal(trial: Trial) -> Figure:
         for name in trial.detectors:
             own = sorted(
                 (each for each in here if each.detector == name),
-                key=lambda s: s.condition.electrons,
+                key=lambda s: s.condition.column_electrons,
             )
-            signal = [each.condition.electrons for each in own]
+            signal = [each.condition.column_electrons for each in own]
             axes.loglog(signal, [e.rms_px for e in own], label=name, **_look(trial, name))
-        bound = {each.condition.electrons: each.bound_px for each in here}
+        bound = {each.condition.column_electrons: each.bound_px for each in here}
         axes.loglog(*zip(*sorted(bound.items()), strict=True), "k--", lw=2, label="bound")
         axes.set(title=f"line of {width:g} px", ylabel="rms error in px")
         axes.grid(alpha=0.3, which="both")
@@ -152,7 +153,8 @@ def _speed(trial: Trial) -> Figure:
         xlabel="time of a column on one core, µs",
         ylabel="rms error, px",
         title=f"Speed against accuracy: line of {condition.width_px:g} px,"
-        f" {condition.electrons:g} electrons a column, read noise {condition.dark_noise_e:g} e",
+        f" {condition.column_electrons:g} electrons a column,"
+        f" read noise {condition.read_noise_electrons:g} e",
     )
     axes.grid(alpha=0.3, which="both")
     _key(figure, axes)
@@ -184,7 +186,7 @@ def _troubles(trial: Trial) -> Figure | None:
         unit = "e at the brightest" if "frame" in condition.kind else "e a column"
         axes.set(yticks=place, yticklabels=trial.detectors, xlim=(0.0, 1.0))
         axes.set_title(
-            f"{condition.kind}: {condition.width_px:g} px, {condition.electrons:g} {unit}",
+            f"{condition.kind}: {condition.width_px:g} px, {condition.column_electrons:g} {unit}",
             fontsize=10,
         )
         axes.invert_yaxis() if not axes.yaxis_inverted() else None

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
 from virtual_sensor.imaging.speckle import Aperture, speckled
+from virtual_sensor.metrology.drawn_lines import cramer_rao_px, line_shares
 from virtual_sensor.metrology.truth import TrueLine
+from virtual_sensor.records import Record
 
 if TYPE_CHECKING:  # the processes that try detectors need no renderer
     from virtual_sensor.imaging.render import Frame
@@ -21,39 +22,56 @@ Array = NDArray[np.float64]
 HEIGHT_PX = 64
 SPECKLE = Aperture(5.6, pixel_um=5.5, polarisations=2)
 CLIPPED = 2.0  # times the full well: the peak of a saturated line
-BACKGROUND_E = 100.0  # ambient light, electrons a pixel
+AMBIENT_ELECTRONS = 100.0  # of a pixel
+_FULL_WELL_ELECTRONS = 60_000.0
 _SWING_PX, _WAVE_PX = 2.0, 600.0  # amplitude and length of a drawn line's waves
 
 
 @dataclass(frozen=True)
-class Condition:
+class Condition(Record):
     """What an image is like.
 
     Attributes
     ----------
     kind : str
-        "clean": a drawn line in shot and read noise; "saturated", "speckle", "background": with
-        that too; "cold frame", "hot frame": rendered.
+        "clean": a drawn line in shot and read noise; "saturated", "speckle", "ambient light": the
+        same with that too; "cold frame", "hot frame": rendered.
     width_px : float
-        Of the line, standard deviation; of a rendered frame the median, as measured.
-    electrons : float
-        That a column of the line makes; in a rendered frame, its brightest pixel.
-    dark_noise_e : float
-        Of the camera.
+        Standard deviation of the line's profile; of a rendered frame the median, as measured.
+    column_electrons : float
+        That a column of the line makes; of a rendered frame its brightest column.
+    read_noise_electrons : float
+        Of the camera, for each pixel.
     """
 
     kind: str
     width_px: float
-    electrons: float
-    dark_noise_e: float
+    column_electrons: float
+    read_noise_electrons: float
+
+    @classmethod
+    def of_peak(
+        cls, kind: str, width_px: float, peak_electrons: float, read_noise_electrons: float
+    ) -> Condition:
+        """The condition whose line makes so many electrons in a pixel at its peak."""
+        electrons = peak_electrons * np.sqrt(2.0 * np.pi) * width_px
+        return cls(kind, width_px, float(electrons), read_noise_electrons)
+
+    @property
+    def peak_electrons(self) -> float:
+        """Height of the profile, electrons/px: what a pixel at the peak collects."""
+        return float(self.column_electrons / (np.sqrt(2.0 * np.pi) * self.width_px))
 
     @property
     def camera(self) -> CameraNoise:
         """One grey value an electron and a well that no clean line fills: nothing but noise."""
-        well = 60_000.0
-        if self.kind == "saturated":
-            well = self.electrons / (np.sqrt(2.0 * np.pi) * self.width_px) / CLIPPED
-        return CameraNoise(1.0, 1.0, self.dark_noise_e, well, 16, 100.0, 0.0, 0.0)
+        clipped = self.kind == "saturated"
+        well = self.peak_electrons / CLIPPED if clipped else _FULL_WELL_ELECTRONS
+        return CameraNoise(1.0, 1.0, self.read_noise_electrons, well, 16, 100.0, 0.0, 0.0)
+
+
+STATED = Condition.of_peak("clean", 1.5, peak_electrons=5000.0, read_noise_electrons=2.0)
+"""The task in which detectors are compared where one has to stand for all: `drawn_line(STATED)`."""
 
 
 @dataclass(frozen=True)
@@ -64,47 +82,49 @@ class TrialImage:
     ----------
     grey : ndarray of uint16 of shape (H, W)
     truth : TrueLine
-    bound : ndarray of shape (W,)
-        Cramer-Rao bound of each column's standard deviation, px; NaN where noise is not all.
+    bound_px : ndarray of shape (W,)
+        Cramer-Rao bound of each column's centre; NaN where noise is not all.
     options : dict
-        What `line_centres` is told of the camera.
+        What `line_centres` is to know of the camera: noise, gain, saturation.
     """
 
     grey: NDArray[np.uint16]
     truth: TrueLine
-    bound: Array
+    bound_px: Array
     options: dict[str, Any]
 
 
-def drawn_line(condition: Condition, columns: int, seed: tuple[int, ...]) -> TrialImage:
+def drawn_line(
+    condition: Condition = STATED, columns: int = 2000, seed: int | tuple[int, ...] = 0
+) -> TrialImage:
     """A Gaussian line, integrated over each pixel, that wanders over all sub-pixel places.
 
     It does so slowly: detectors that look along the line too find it straight.
+
+    Parameters
+    ----------
+    condition : Condition
+        Of a kind that is drawn.
+    columns : int
+    seed : int or tuple of int
+        The same seed makes the same image, to the bit.
     """
     rng = np.random.default_rng(seed)
     wave = np.sin(2.0 * np.pi * (np.arange(columns) / _WAVE_PX + rng.random()))
     truth = HEIGHT_PX / 2.0 + _SWING_PX * wave
-    shares, slopes = line_shares(truth, condition.width_px)
-    mean = condition.electrons * shares
-    if condition.kind == "background":
-        mean = mean + BACKGROUND_E
-    bound = bound_px(mean, condition.electrons * slopes, condition)
+    shares, slopes = line_shares(truth, condition.width_px, HEIGHT_PX)
+    mean = condition.column_electrons * shares
+    if condition.kind == "ambient light":
+        mean = mean + AMBIENT_ELECTRONS
+    slope = condition.column_electrons * slopes
+    bound_px = cramer_rao_px(mean, slope, condition.read_noise_electrons)
     if condition.kind == "speckle":
         mean = speckled(mean, SPECKLE, rng)
     if condition.kind in ("speckle", "saturated"):
-        bound = np.full(columns, np.nan)
+        bound_px = np.full(columns, np.nan)
     grey = record(mean, condition.camera, rng)
     line = TrueLine.of_rows(truth)
-    return TrialImage(grey.astype(np.uint16), line, bound, _told(condition))
-
-
-def line_shares(
-    centre: Array, width_px: float | Array, height: int = HEIGHT_PX
-) -> tuple[Array, Array]:
-    """Shares (height, W) of a Gaussian line's light in each row's pixels, and d shares/d centre."""
-    edges = (np.arange(height + 1)[:, None] - 0.5 - centre) / width_px
-    density = np.exp(-0.5 * edges**2) / (np.sqrt(2.0 * np.pi) * width_px)
-    return np.diff(ndtr(edges), axis=0), -np.diff(density, axis=0)
+    return TrialImage(grey.astype(np.uint16), line, bound_px, _known(condition))
 
 
 def frame_line(
@@ -112,13 +132,13 @@ def frame_line(
 ) -> TrialImage:
     """A rendered frame as a camera records it."""
     camera = condition.camera
-    light = exposed(frame.radiance, condition.electrons, camera)
+    light = exposed(frame.radiance, condition.peak_electrons, camera)
     lit = np.flatnonzero(frame.lit.any(axis=1))
     rows = slice(max(lit[0] - HEIGHT_PX // 2, 0), lit[-1] + HEIGHT_PX // 2)
     light = light[rows]
     grey = record(light, camera, np.random.default_rng(seed))
-    bound = bound_px(light, shifted(light), condition)
-    return TrialImage(grey.astype(np.uint16), truth.moved(-rows.start), bound, _told(condition))
+    bound_px = cramer_rao_px(light, shifted(light), condition.read_noise_electrons)
+    return TrialImage(grey.astype(np.uint16), truth.moved(-rows.start), bound_px, _known(condition))
 
 
 def shifted(mean: Array) -> Array:
@@ -127,19 +147,10 @@ def shifted(mean: Array) -> Array:
     return np.fft.irfft(np.fft.rfft(mean, axis=0) * frequency, len(mean), axis=0)
 
 
-def bound_px(mean: Array, slope: Array, condition: Condition) -> Array:
-    """Cramer-Rao bound (W,) of the centre, px, of expected electrons and their derivative (H, W).
-
-    var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)).
-    """
-    variance = mean + condition.dark_noise_e**2 + 1.0 / 12.0
-    information = (slope**2 / variance).sum(axis=0)
-    return np.where(information > 0.0, information, np.nan) ** -0.5
-
-
-def _told(condition: Condition) -> dict[str, Any]:
+def _known(condition: Condition) -> dict[str, Any]:
+    """What a detector is to know of the camera."""
     camera = condition.camera
-    ambient = BACKGROUND_E if condition.kind == "background" else 0.0
+    ambient = AMBIENT_ELECTRONS if condition.kind == "ambient light" else 0.0
     return {
         "noise": float(np.hypot(camera.grey_noise, camera.gain * np.sqrt(ambient))),
         "gain": camera.gain,

@@ -64,7 +64,7 @@ def score_table(scores: list[Score]) -> dict[str, list[Any]]:
     """Columns of one row for each detector on each image."""
     of_score = ("bias_px", "std_px", "rms_px", "predicted_px", "bound_px", "outliers", "failures")
     table: dict[str, list[Any]] = {"detector": [each.detector for each in scores]}
-    for name in ("kind", "width_px", "electrons", "dark_noise_e"):
+    for name in ("kind", "width_px", "column_electrons", "read_noise_electrons"):
         table[name] = [getattr(each.condition, name) for each in scores]
     for name in (*of_score, "columns"):
         table[name] = [getattr(each, name) for each in scores]
@@ -112,8 +112,9 @@ def markdown(trial: Trial) -> str:
     lines += ["| " + " | ".join(row) + " |" for row in rows(scores)]
     lines += [
         "",
-        f"Line of {condition.width_px:g} px, {condition.electrons:g} electrons a column, read noise"
-        f" {condition.dark_noise_e:g} e; made by `virtual-sensor trial` in {trial.seconds:.0f} s.",
+        f"Line of {condition.width_px:g} px, {condition.column_electrons:g} electrons a column,"
+        f" read noise {condition.read_noise_electrons:g} e; made by `virtual-sensor trial` in"
+        f" {trial.seconds:.0f} s.",
     ]
     return "\n".join(lines) + "\n"
 
@@ -132,8 +133,9 @@ def page(trial: Trial, charts: dict[str, str]) -> str:
         told = rows(own)
         unit = "at the brightest pixel" if "frame" in condition.kind else "a column"
         parts += [
-            f"<h3>{escape(condition.kind)}: {condition.width_px:g} px, {condition.electrons:g}"
-            f" electrons {unit}, read noise {condition.dark_noise_e:g} e</h3>",
+            f"<h3>{escape(condition.kind)}: {condition.width_px:g} px,"
+            f" {condition.column_electrons:g} electrons {unit},"
+            f" read noise {condition.read_noise_electrons:g} e</h3>",
             html_table(HEAD, told, [row[0] in best for row in told]),
         ]
     facts = {"seed": str(trial.seed), "columns": str(trial.columns), **trial.machine}

@@ -8,14 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
-from virtual_sensor.studies.trial.images import (
-    Condition,
-    TrialImage,
-    drawn_line,
-    line_shares,
-)
+from virtual_sensor.studies.trial.images import Condition, TrialImage, drawn_line
 
 Array = NDArray[np.float64]
 
@@ -79,7 +75,7 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         line = line_centres(image.grey, detector, **image.options)
         took.append(time.perf_counter() - began)
     errors = compare_line(line, image.truth, end_px=_ENDS_PX)
-    bound = image.bound[np.rint(errors.column).astype(int)]
+    bound = image.bound_px[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
     wild = np.abs(errors.error_px) > least
     good, told = errors.error_px[~wild], errors.sigma[~wild]
@@ -91,7 +87,7 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         std_px=float(good.std()) if good.size else np.nan,
         rms_px=rms(good),
         predicted_px=rms(told) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
-        bound_px=rms(image.bound[image.truth.columns(_ENDS_PX)]),
+        bound_px=rms(image.bound_px[image.truth.columns(_ENDS_PX)]),
         outliers=float(wild.sum() / errors.expected),
         failures=errors.lost.size / errors.expected,
         columns=errors.expected,

@@ -78,7 +78,7 @@ def conditions(quick: bool) -> list[Condition]:
     noises = DARK_NOISES_E[:1] if quick else DARK_NOISES_E
     clean = [Condition("clean", w, n, d) for d in noises for w in widths for n in signals]
     troubled = TROUBLED_WIDTHS_PX[1:2] if quick else TROUBLED_WIDTHS_PX
-    kinds = ("saturated", "speckle", "background")
+    kinds = ("saturated", "speckle", "ambient light")
     return clean + [
         Condition(kind, width, TROUBLED_ELECTRONS, DARK_NOISES_E[0])
         for kind in kinds
@@ -167,7 +167,7 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
         truth = TrueLine.of_coordinates(frame.coordinates()[:, :, 0], state.sensor.laser.radius_mm)
         width = float(np.nanmedian(line_centres(frame.radiance).width))
         for peak in FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E:
-            condition = Condition(kind, round(width, 2), peak, DARK_NOISES_E[0])
+            condition = Condition.of_peak(kind, round(width, 2), peak, DARK_NOISES_E[0])
             yield condition, frame_line(condition, frame, truth, (seed, number, int(peak)))
 
 
