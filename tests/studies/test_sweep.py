@@ -3,18 +3,24 @@
 import csv
 import json
 import os
+import shlex
 import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from command_line import command
+from several import two_by_two
 
+from virtual_sensor import cli
+from virtual_sensor.cli.sweep import save_case
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies import cluster, kept, sweep_results
+from virtual_sensor.studies import cluster, finished_cases, sweep, sweep_results
 from virtual_sensor.studies.sweep import MARK, CaseStatus, cases, plan, run
 
 FILM = {"width": ["256"], "height": ["256"], "spp": ["1"], "line_radius": ["0.5"]}
@@ -125,6 +131,43 @@ def test_a_foreign_folder_is_refused(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 
+def test_a_repeated_value_is_taken_once():
+    """Rationale: 0:30:15,15.0 names a case twice, and a table must not."""
+    planned = plan("hot_cylinder", {"beta": ["0", "15", "15.0", "0", "30"], "dots": ["", ""]})
+    assert [case.values["beta"] for case in planned] == ["0", "15", "30"]
+
+
+def test_more_cases_than_anyone_waits_for_are_refused():
+    """Rationale: three ranges of a thousand values would fill the memory first."""
+    values = [str(i) for i in range(1000)]
+    with pytest.raises(InputError, match="1000000000 cases; give at most 100000"):
+        plan("hot_cylinder", dict.fromkeys(("beta", "along", "tilt"), values))
+
+
+def test_a_scene_with_several_cameras_is_refused_once(tmp_path):
+    """Rationale: not case by case, in a hundred rows."""
+    two_by_two(tmp_path)
+    scene, folder = tmp_path / "two_hot_cylinder.xml", tmp_path / "swept"
+    status, out, err = command("sweep", scene, "-D", "beta=0,15", "-o", folder)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "the scene has 2 cameras: near, far; say which" in err
+    status, out, err = command("sweep", scene, "--camera", "nope", "-D", "beta=0,15", "-o", folder)
+    assert (status, out, err.count("\n")) == (2, "", 1)
+    assert "nope" in err
+    assert not folder.exists()
+
+
+def test_a_case_names_the_command_that_measures_it_alone():
+    """Rationale: its page shows it, and what is shown can be typed."""
+    given = [{"dots": "0,-5", "beta": "15"}]
+    [case] = cases("hot_cylinder", given, y_mm=[-1.5, 2.0], camera="camera", source="laser")
+    words = shlex.split(case.command)[1:]
+    group: Any = typer.main.get_command(cli.app)
+    typed = group.commands["measure"].make_context("measure", words[1:]).params
+    assert typed["define"] == ["dots=0,-5", "beta=15"]
+    assert (typed["y"], typed["camera"], typed["source"]) == ([-1.5, 2.0], "camera", "laser")
+
+
 # In this process.
 
 
@@ -175,7 +218,7 @@ def test_an_extended_sweep_makes_only_what_is_new(swept):
     words = ["cold_cylinder", "-D", "alpha=50,55,60", "-D", "beta=0", *OPTIONS, "-o", folder]
     status, out, _ = command("sweep", *words)
     assert status == 0
-    assert "3 cases: 1 measured, 2 kept, 0 failed" in out
+    assert "3 cases: 1 measured, 2 already there, 0 failed" in out
     after = marks(folder)
     assert after.items() > before.items()
     again = table(folder)
@@ -186,7 +229,7 @@ def test_an_extended_sweep_makes_only_what_is_new(swept):
     ]
     table_before = (folder / "sweep.csv").read_bytes()
     status, out, _ = command("sweep", *words)
-    assert "3 cases: 0 measured, 3 kept, 0 failed" in out
+    assert "3 cases: 0 measured, 3 already there, 0 failed" in out
     assert (folder / "sweep.csv").read_bytes() == table_before
     assert marks(folder) == after
 
@@ -196,11 +239,11 @@ def test_results_of_another_program_are_told_and_make_room(tmp_path, monkeypatch
     words = ["cold_cylinder", *OPTIONS, "-o", tmp_path / "swept"]
     assert command("sweep", *words, "-D", "alpha=60,50")[0] == 0
     earlier = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
-    for module in (kept, sweep_results):
+    for module in (finished_cases, sweep, sweep_results):
         monkeypatch.setattr(module, "fingerprint", lambda: "0" * 8)
     status, out, _ = command("sweep", *words, "-D", "alpha=60")
     assert status == 0
-    assert "1 cases: 1 measured, 0 kept, 0 failed" in out
+    assert "1 cases: 1 measured, 0 already there, 0 failed" in out
     notes = json.loads((tmp_path / "swept/summary.json").read_text())["notes"]
     assert notes[0].startswith("1 cases were measured again, since this program or a package")
     assert notes[1].startswith("cases/ holds 1 results of another version of this program")
@@ -226,7 +269,7 @@ def test_probe_rays_that_are_given_are_those_of_every_case(tmp_path):
     given = {"line_radius": ["0.5"]} | FILM
     [own], [other] = plan("cold_cylinder", given), plan("cold_cylinder", given, [3.0, -2.0])
     assert own.key != other.key
-    [end] = run([other], tmp_path)
+    [end] = run([other], tmp_path, save_case)
     with (end.folder / "probe_rays.csv").open(encoding="utf-8") as file:
         assert [float(row["y_mm"]) for row in csv.DictReader(file)] == [3.0, -2.0]
 
@@ -235,7 +278,7 @@ def test_progress_never_goes_back_and_names_the_case(tmp_path):
     """Rationale: a bar that jumps back is worse than none."""
     told = []
     planned = plan("cold_cylinder", {"alpha": ["60", "50"]} | FILM)
-    run(planned, tmp_path, report=lambda stage, fraction: told.append((stage, fraction)))
+    run(planned, tmp_path, save_case, report=lambda stage, fraction: told.append((stage, fraction)))
     stages, fractions = zip(*told, strict=True)
     assert (np.diff(fractions) >= 0.0).all()
     assert (fractions[0], fractions[-1]) == (0.0, 1.0)
@@ -249,7 +292,7 @@ def test_files_that_changed_since_the_plan_are_told(tmp_path):
     scene.write_text('<scene version="3.0.0"><default name="beta" value="0"/></scene>')
     planned = plan(scene, {"beta": ["0"]})
     scene.write_text('<scene version="3.0.0"><default name="beta" value="0"/> </scene>')
-    [ended] = run(planned, tmp_path / "swept")
+    [ended] = run(planned, tmp_path / "swept", save_case)
     assert (ended.status, ended.folder) == (CaseStatus.FAILED, None)
     assert "not those that the sweep was planned with" in ended.message
 
@@ -296,7 +339,7 @@ def test_a_killed_sweep_goes_on(tmp_path, number):
     assert {file.parent.name.partition("-")[0] for file in before} >= {"alpha=60"}
     status, out, _ = command(*words[:-1], folder)
     assert status == 0
-    assert "3 cases: 2 measured, 1 kept, 0 failed" in out
+    assert "3 cases: 2 measured, 1 already there, 0 failed" in out
     after = marks(folder)
     assert after.items() > before.items()
     assert not list((folder / "cases").glob(".*"))
@@ -331,7 +374,7 @@ def test_a_missing_package_is_told(tmp_path, monkeypatch):
     """Rationale: Dask's cluster is an extra, and its name is what one needs to know."""
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"pip install 'virtual-sensor\[cluster\]'"):
-        run(plan("cold_cylinder", FILM), tmp_path, "tcp://127.0.0.1:8786")
+        run(plan("cold_cylinder", FILM), tmp_path, save_case, "tcp://127.0.0.1:8786")
 
 
 def workers(count):
@@ -350,7 +393,7 @@ def one_thread(monkeypatch):
 def test_a_cluster_without_workers_is_told(impatient, tmp_path):
     """Rationale: to wait for workers that nobody starts is to wait for ever."""
     with workers(0) as idle, pytest.raises(InputError, match="has no workers; start some with"):
-        run(plan("cold_cylinder", FILM), tmp_path, idle.scheduler_address)
+        run(plan("cold_cylinder", FILM), tmp_path, save_case, idle.scheduler_address)
 
 
 @pytest.mark.slow
@@ -391,7 +434,7 @@ def test_a_killed_worker_loses_no_finished_case(tmp_path, one_thread):
             os.kill(pair.workers[0].pid, signal.SIGKILL)
 
     with workers(2) as pair:
-        ended = run(planned, tmp_path, pair.scheduler_address, kill_one)
+        ended = run(planned, tmp_path, save_case, pair.scheduler_address, kill_one)
     assert [end.status for end in ended] == [CaseStatus.OK] * 5
     assert [end.case for end in ended] == planned
     assert any(file.name == "summary.json" for file in finished)

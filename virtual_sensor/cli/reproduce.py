@@ -15,6 +15,7 @@ from virtual_sensor.cli.shared import (
     print_notes,
     reporting,
 )
+from virtual_sensor.cli.sweep import save_case
 
 EPILOG = (
     "Examples:\n\n"
@@ -45,6 +46,7 @@ def reproduce(
     with reporting("reading what is kept", FINISHED_STAYS) as report:
         result = run(
             output,
+            save_case,
             definitions(define),
             scheduler,
             lambda stage, fraction: report(stage, 0.93 * fraction),

@@ -52,8 +52,15 @@ def sweep(
     makes only what is missing. Cases that can't be measured are listed in the end; exit status 1:
     there are some, or some have found nothing.
     """
-    from virtual_sensor.studies.sweep import CaseStatus, differing, plan, run
-    from virtual_sensor.studies.sweep_results import program_notes, save_sweep, sweep_notes
+    from virtual_sensor.studies.sweep import (
+        CaseStatus,
+        differing,
+        plan,
+        program_notes,
+        run,
+        sweep_notes,
+    )
+    from virtual_sensor.studies.sweep_results import save_sweep
 
     choices = {name: _values(text) for name, text in definitions(define).items()}
     if len(choices) < len(define or []):
@@ -61,7 +68,11 @@ def sweep(
     with reporting("planning the cases", FINISHED_STAYS) as report:
         cases = plan(scene, choices, y or None, camera, source)
         finished = run(
-            cases, output, scheduler, lambda stage, fraction: report(stage, 0.98 * fraction)
+            cases,
+            output,
+            save_case,
+            scheduler,
+            lambda stage, fraction: report(stage, 0.98 * fraction),
         )
         report("writing the table", 0.98)
         columns = save_sweep(finished, output)
@@ -75,10 +86,10 @@ def sweep(
     print_notes(notes[:_SHOWN])
     if len(notes) > _SHOWN:
         print_notes([f"{len(notes) - _SHOWN} cases more have notes: see summary.json"])
-    kept = sum(end.was_kept for end in finished)
+    there = sum(end.already_there for end in finished)
     console.print(
-        f"{len(finished)} cases: {len(finished) - kept - len(failed)} measured, {kept} kept,"
-        f" {len(failed)} failed; results in {output}, look at {output / 'sweep.csv'} and"
+        f"{len(finished)} cases: {len(finished) - there - len(failed)} measured, {there} already"
+        f" there, {len(failed)} failed; results in {output}, look at {output / 'sweep.csv'} and"
         f" {output / 'sweep.png'} first",
         soft_wrap=True,
     )
@@ -92,6 +103,14 @@ def _values(text: str) -> list[str]:
         return [value.strip() for value in text.split(",")]
     values = [value.strip() for value in text.split(";")]
     return values if values[-1] else values[:-1]
+
+
+def save_case(result: Any, folder: Path, command: str, overwrite: bool = False) -> None:
+    """Write the results of a sweep's case."""
+    from virtual_sensor.studies.measure import summary
+    from virtual_sensor.studies.results import save
+
+    save(result, summary(result), folder, overwrite)
 
 
 def _table(columns: dict[str, list[Any]], swept: Sequence[str]) -> Table:

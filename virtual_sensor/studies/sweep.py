@@ -4,8 +4,12 @@ Dask's scheduler reads the tasks too.  Nothing here starts the engine before a c
 made, so that the scheduler's machine needs none.
 """
 
+import importlib
 import itertools
+import json
+import math
 import re
+import shlex
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,31 +17,45 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.studies.cluster import completed
-from virtual_sensor.studies.kept import (
-    by_other_programs,
+from virtual_sensor.studies.finished_cases import (
     file_hash,
-    found,
-    kept,
+    find,
+    find_or_make,
+    fingerprint,
     key_of,
+    of_other_programs,
     own_folder,
 )
+from virtual_sensor.studies.notes import TRUTH, WRONG
 
 Report = Callable[[str, float], None]
-Told = tuple[str, str]
-"""How a case ended, and what there is to say of it."""
+Save = Callable[..., None]
+"""Called as ``save(measurement, folder, command, overwrite)``, it writes a case's results.
+
+A cluster's workers import it by its name.
+"""
 
 MARK = "SWEEP.txt"
 """A folder with this file is a sweep's own."""
 CASES = "cases"
+MOST_CASES = 100_000
+STATES = ("cold", "hot")
 
 _MARK_TEXT = """\
-The folder of a `virtual-sensor sweep`. Finished cases are kept in cases/ under a hash of all that
-went into them: the same command, or an extended one, makes only those that are missing.
+The folder of a `virtual-sensor sweep`. Finished cases lie in cases/ under a hash of all that went
+into them: the same command, or an extended one, makes only those that are missing.
 """
 _VALUE_LENGTH, _NAME_LENGTH = 40, 120
 _ONE_AT_A_TIME = threading.Lock()  # a case uses all cores, and what it holds is one process's
+_Ending = tuple[str, str]  # status and message
+_PROBE_RAYS = {
+    f"largest_{d}_um": f"largest |{d.replace('-', ' - ')}|" for d in ("B-A", "B-B_m", "B_m-A_m")
+}
 
 
 class CaseStatus(StrEnum):
@@ -56,7 +74,7 @@ class Case:
     Attributes
     ----------
     scene : str
-        Name of a scene that comes along, else the scene file's full path.
+        Name of a shipped scene, else the scene file's full path.
     parameters : dict
         What is given for the scene's ``$parameters``.
     values : dict
@@ -80,6 +98,16 @@ class Case:
     camera: str | None = None
     source: str | None = None
 
+    @property
+    def command(self) -> str:
+        """The command that measures this case alone."""
+        words = ["virtual-sensor", "measure", self.scene]
+        words += [f"-D{name}={value}" for name, value in self.parameters.items()]
+        words += [f"--camera={self.camera}"] if self.camera else []
+        words += [f"--source={self.source}"] if self.source else []
+        words += [f"-y{y:g}" for y in self.y_mm or ()]
+        return shlex.join(words)
+
 
 @dataclass(frozen=True)
 class Finished:
@@ -93,8 +121,8 @@ class Finished:
     status : CaseStatus
     message : str
         Why it failed; else what a user should know of the scene.
-    was_kept : bool
-        It was there before.
+    already_there : bool
+        It was finished before this run.
     made_again : bool
         Another version of the program had made it before; its results are removed.
     """
@@ -103,7 +131,7 @@ class Finished:
     folder: Path | None
     status: CaseStatus
     message: str
-    was_kept: bool
+    already_there: bool
     made_again: bool = False
 
 
@@ -116,20 +144,36 @@ def plan(
 ) -> list[Case]:
     """All combinations of parameters' values, the last parameter's changing fastest.
 
-    `y_mm` are the positions of the probe rays; by default each case has its scene's own.  `camera`
-    and `source` are names of the scene's, where it has several.
+    A value that is given twice is taken once.  `y_mm` are the positions of the probe rays; by
+    default each case has its scene's own.  `camera` and `source` are names of the scene's, where it
+    has several.
 
     Raises
     ------
     InputError
-        If the scene can't be read, has no such parameter, or one has no value to take.
+        If the scene can't be read, has no such parameter, one has no value to take, or there are
+        over `MOST_CASES` combinations.
     """
-    empty = [name for name, values in choices.items() if not values]
-    if empty:
+    different = {name: _different(values) for name, values in choices.items()}
+    if empty := [name for name, values in different.items() if not values]:
         raise InputError(f"{empty[0]}: no value to take; give one or more")
-    combined = itertools.product(*choices.values())
-    given = [dict(zip(choices, values, strict=True)) for values in combined]
+    count = math.prod(map(len, different.values()))
+    if count > MOST_CASES:
+        raise InputError(f"{scene}: {count} cases; give at most {MOST_CASES} combinations")
+    combined = itertools.product(*different.values())
+    given = [dict(zip(different, values, strict=True)) for values in combined]
     return cases(scene, given, y_mm=y_mm, camera=camera, source=source)
+
+
+def _different(values: Sequence[str]) -> list[str]:
+    """Values without those that are the same text, or the same number, as one before."""
+    found: dict[float | str, str] = {}
+    for value in values:
+        try:
+            found.setdefault(float(value), value)
+        except ValueError:
+            found.setdefault(value, value)
+    return list(found.values())
 
 
 def cases(
@@ -145,7 +189,7 @@ def cases(
     Parameters
     ----------
     scene : str or Path
-        A scene file, or the name of one that comes along.
+        A scene file, or the name of a shipped one.
     parameters : sequence of Mapping
         For each case what differs from the scene's defaults.
     names : sequence of str, optional
@@ -170,19 +214,15 @@ def cases(
         case = Case(which, whole, {}, "", "", probes, camera, source)
         values, inputs = _inputs(case)
         planned.append(replace(case, values=values, key=key_of(inputs)))
-    told = names or [_name(path.stem, case, differing(planned)) for case in planned]
-    return [replace(case, name=_as_file(name)) for case, name in zip(planned, told, strict=True)]
+    chosen = names or [_name(path.stem, case, differing(planned)) for case in planned]
+    return [replace(case, name=_as_file(name)) for case, name in zip(planned, chosen, strict=True)]
 
 
 def differing(planned: Iterable[Case]) -> list[str]:
     """Names of the given parameters that are not the same in all cases."""
-    seen: dict[str, set[str]] = {}
-    for case in planned:
-        for name in case.parameters:
-            seen.setdefault(name, set())
-    for name, values in seen.items():
-        values |= {case.values.get(name, "") for case in planned}
-    return [name for name, values in seen.items() if len(values) > 1]
+    planned = list(planned)
+    given = dict.fromkeys(name for case in planned for name in case.parameters)
+    return [name for name in given if len({case.values.get(name, "") for case in planned}) > 1]
 
 
 def _name(scene: str, case: Case, swept: list[str]) -> str:
@@ -223,21 +263,24 @@ def _inputs(case: Case) -> tuple[dict[str, str], dict[str, Any]]:
 def run(
     cases: Sequence[Case],
     folder: Path,
+    save: Save,
     scheduler: str | None = None,
     report: Report = lambda stage, fraction: None,
 ) -> list[Finished]:
-    """Measure the cases that are not kept yet; each is kept as soon as it is finished.
+    """Measure the cases that are not finished yet; each is saved as soon as it is.
 
     Parameters
     ----------
     cases : sequence of Case
     folder : Path
         Results go to ``folder/cases/name-key/``.
+    save : callable
+        Writes a case's results (see `Save`).  For a cluster, a module's function.
     scheduler : str, optional
         Address of a Dask cluster's, such as ``tcp://10.0.0.1:8786``; its workers must reach
         `folder` under the same name.  By default the cases run in this process, one by one.
     report : callable
-        Told what is being done, and which fraction of the whole is.
+        Called with what is being done, and the fraction of the whole that is done.
 
     Returns
     -------
@@ -247,23 +290,24 @@ def run(
     Raises
     ------
     InputError
-        If the folder holds something else or can't be written; if there is no such scheduler, it
-        has no workers or is lost, or the workers write elsewhere.
+        If the folder holds something else or can't be written; if the scene has several cameras or
+        sources and none is named; if there is no such scheduler, it has no workers or is lost, or
+        the workers write elsewhere.
     """
-    own_folder(folder, MARK, _MARK_TEXT)
     place = folder.absolute() / CASES
-    there = {case.key: found(place, case.key) for case in cases}
+    there = {case.key: find(place, case.key) for case in cases}
     missing = list({case.key: case for case in cases if not there[case.key]}.values())
-    outdated = {case.key for case in missing if by_other_programs(place, case.key)}
-    ended: dict[str, Told] = {}
+    _check_names(missing)
+    own_folder(folder, MARK, _MARK_TEXT)
+    outdated = {case.key for case in missing if of_other_programs(place, case.key)}
+    ended: dict[str, _Ending] = {}
     if missing:
-        report(f"{len(cases) - len(missing)} of {len(cases)} cases are kept", 0.0)
+        report(f"{len(cases) - len(missing)} of {len(cases)} cases are there", 0.0)
         if scheduler:
-            on_cluster = _on_cluster(missing, place, scheduler, report)
-            ended = {case.key: told for case, told in on_cluster}
+            ending = _on_cluster(missing, place, save, scheduler, report)
         else:
-            here = _here(missing, place, report)
-            ended = {case.key: told for case, told in here}
+            ending = _here(missing, place, save, report)
+        ended = {case.key: how for case, how in ending}
     report("done", 1.0)
     return [
         _finished(case, place, there[case.key], ended.get(case.key), case.key in outdated)
@@ -271,29 +315,46 @@ def run(
     ]
 
 
+def _check_names(missing: list[Case]) -> None:
+    """Refuse cameras and sources that the scene lacks, or that must be named, before any work."""
+    from virtual_sensor.imaging.scene import load_scene
+
+    for case in missing:
+        try:
+            scene = load_scene(case.scene, **case.parameters)
+        except InputError:  # this case fails; another one may not
+            continue
+        named = scene.only(case.camera, case.source)
+        _ = named.camera_name, named.source_name
+        return
+
+
 def _finished(
-    case: Case, place: Path, earlier: Path | None, told: Told | None, outdated: bool
+    case: Case, place: Path, earlier: Path | None, ending: _Ending | None, outdated: bool
 ) -> Finished:
-    status, message = told or (CaseStatus.OK, "")
-    made = earlier or found(place, case.key)
+    status, message = ending or (CaseStatus.OK, "")
+    made = earlier or find(place, case.key)
     again = outdated and made is not None
     return Finished(case, made, CaseStatus(status), message, earlier is not None, again)
 
 
-def _make(case: Case, place: str, report: Report | None) -> Told:
-    """Measure a case and keep it: the task that Dask runs, in whatever process and thread."""
-    from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.studies.measure import measure, summary
-    from virtual_sensor.studies.results import save
+def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _Ending:
+    """Measure a case and save it: the task that Dask runs, in whatever process and thread.
 
-    told = report or (lambda stage, fraction: None)
+    `save` may be a function's name, as ``module:name``.
+    """
+    from virtual_sensor.imaging.scene import load_scene
+    from virtual_sensor.studies.measure import measure
+
+    progress = report or (lambda stage, fraction: None)
 
     def fill(folder: Path) -> None:
-        told("loading the scene", 0.0)
+        progress("loading the scene", 0.0)
         scene = load_scene(case.scene, **case.parameters).only(case.camera, case.source)
-        result = measure(scene, lambda stage, part: told(stage, 0.85 * part), case.y_mm)
-        told("writing the results", 0.85)
-        save(result, summary(result), folder, overwrite=True)
+        result = measure(scene, lambda stage, part: progress(stage, 0.85 * part), case.y_mm)
+        progress("writing the results", 0.85)
+        write = _imported(save) if isinstance(save, str) else save
+        write(result, folder, case.command, overwrite=True)
 
     with _ONE_AT_A_TIME:
         try:
@@ -303,45 +364,144 @@ def _make(case: Case, place: str, report: Report | None) -> Told:
                     f"{case.scene}: its files or the program are not those that the sweep was"
                     " planned with; let all workers have the same version of both, and run it again"
                 )
-            kept(Path(place), case.name, inputs, fill)
+            find_or_make(Path(place), case.name, inputs, fill)
         except InputError as error:
             return CaseStatus.FAILED.value, f"{error}"
     return CaseStatus.OK.value, ""
 
 
-def _task(case: Case, place: Path, report: Report | None) -> Any:
-    from dask import delayed
+def _imported(name: str) -> Save:
+    module, _, function = name.partition(":")
+    save: Save = getattr(importlib.import_module(module), function)
+    return save
 
-    task = delayed(_make, pure=False, traverse=False)
-    return task(case, str(place), report, dask_key_name=f"{case.name}-{case.key}")
 
-
-def _here(missing: list[Case], place: Path, report: Report) -> Iterator[tuple[Case, Told]]:
+def _here(
+    missing: list[Case], place: Path, save: Save, report: Report
+) -> Iterator[tuple[Case, _Ending]]:
     for number, case in enumerate(missing):
         words = f"case {number + 1} of {len(missing)} ({case.name})"
 
-        def told(stage: str, part: float, words: str = words, number: int = number) -> None:
+        def progress(stage: str, part: float, words: str = words, number: int = number) -> None:
             report(f"{words}: {stage}", (number + part) / len(missing))
 
-        # Dr.Jit uses all cores itself; one after the other they come in the order of the list.
-        yield case, _task(case, place, told).compute(scheduler="synchronous")
+        yield case, _make(case, str(place), save, progress)
 
 
 def _on_cluster(
-    missing: list[Case], place: Path, scheduler: str, report: Report
-) -> Iterator[tuple[Case, Told]]:
-    tasks = [_task(case, place, None) for case in missing]
-    of = {task.key: case for task, case in zip(tasks, missing, strict=True)}
+    missing: list[Case], place: Path, save: Save, scheduler: str, report: Report
+) -> Iterator[tuple[Case, _Ending]]:
+    from dask import delayed
+
+    task = delayed(_make, pure=False, traverse=False)
+    by_name = f"{save.__module__}:{save.__qualname__}"  # the scheduler's machine can't import it
+    keys = {f"{case.name}-{case.key}": case for case in missing}
+    tasks = [task(c, str(place), by_name, None, dask_key_name=key) for key, c in keys.items()]
     report(f"waiting for workers at {scheduler}", 0.0)
-    for number, (task, told) in enumerate(completed(scheduler, tasks)):
-        case = of[task]
-        if told is None:
+    for number, (key, ending) in enumerate(completed(scheduler, tasks)):
+        case = keys[key]
+        if ending is None:
             message = "each worker that tried it was lost; look at the workers' own messages"
-            told = (CaseStatus.FAILED.value, message)
-        elif told[0] == CaseStatus.OK and not found(place, case.key):
+            ending = (CaseStatus.FAILED.value, message)
+        elif ending[0] == CaseStatus.OK and not find(place, case.key):
             raise InputError(
                 f"{place}: a worker has written a case there, but it is not there; client and"
                 " workers must share that disk under the same name: choose such a place with -o"
             )
         report(f"{number + 1} of {len(missing)} cases: {case.name}", (number + 1) / len(missing))
-        yield case, told
+        yield case, ending
+
+
+def program_notes(finished: Sequence[Finished], folder: Path) -> list[str]:
+    """What has become of results of another version of the program, or of a package under it."""
+    again = sum(end.made_again for end in finished)
+    others = len(of_other_programs(folder / CASES))
+    replaced = (
+        f"{again} cases were measured again, since this program or a package under it has changed;"
+        " their earlier results are removed"
+    )
+    unused = (
+        f"{CASES}/ holds {others} results of another version of this program, or of a package under"
+        f" it, that were not used; delete what does not end with -{fingerprint()}"
+    )
+    return [note for count, note in ((again, replaced), (others, unused)) if count]
+
+
+def sweep_notes(finished: Sequence[Finished], columns: dict[str, list[Any]]) -> list[str]:
+    """The notes of all cases that were measured, each after the case's name."""
+    return [
+        f"{end.case.name}: {message}"
+        for end, message in zip(finished, columns["message"], strict=True)
+        if message and end.status != CaseStatus.FAILED
+    ]
+
+
+def table(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any]]:
+    """Columns of the tidy table, one row for each case.
+
+    The given parameters as they were used; status; of each state the number of centres, those that
+    were compared and those that are ok and wrong, and rms and largest distance of rendered from
+    searched in px, across the line, or of a laser that makes dots along u and v; how many of the
+    probe rays are lit, and their largest differences in um; the case's folder, relative to
+    `folder`, and its message.  What a case does not have is NaN.
+
+    Raises
+    ------
+    InputError
+        If a case's summary can't be read.
+    """
+    given = list(dict.fromkeys(name for end in finished for name in end.case.parameters))
+    rows = [_row(end, folder) for end in finished]
+    columns: dict[str, list[Any]] = {
+        name: [end.case.values.get(name, "") for end in finished] for name in given
+    }
+    columns["status"] = [_status(end, row).value for end, row in zip(finished, rows, strict=True)]
+    for name in _figures({}):
+        columns[name] = [row[name] for row in rows]
+    columns["folder"] = [_relative(end.folder, folder) for end in finished]
+    columns["message"] = [row["message"] for row in rows]
+    return columns
+
+
+def _status(end: Finished, row: dict[str, Any]) -> CaseStatus:
+    nothing = not any(row[f"{name}_centres"] > 0.0 for name in STATES)
+    return CaseStatus.NOTHING_FOUND if nothing and end.status == CaseStatus.OK else end.status
+
+
+def _row(end: Finished, folder: Path) -> dict[str, Any]:
+    if end.folder is None:
+        return {**_figures({}), "message": end.message}
+    path = end.folder / RESULTS_SIGN
+    try:
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        return {**_figures(summary), "message": "; ".join(summary["notes"])}
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"{path}: can't be read ({error!r}); delete the case's folder, and it is measured again"
+        ) from None
+
+
+def _figures(summary: dict[str, Any]) -> dict[str, float]:
+    """The figures of one case's summary; NaN where it has none."""
+    figures: dict[str, float | None] = {}
+    for name in STATES:
+        state = summary.get("states", {}).get(name, {})
+        dots = state.get("rendered dots minus search, px") or {}
+        line = {} if dots else state.get("rendered line minus search, px", {})
+        figures |= {
+            f"{name}_centres": dots.get("found", state.get("line", {}).get("ok")),
+            f"{name}_compared": dots.get("found", line.get("columns compared")),
+            f"{name}_wrong": state.get(TRUTH, {}).get(WRONG) if line else None,
+            f"{name}_line_rms_px": line.get("rms"),
+            f"{name}_line_largest_px": line.get("largest"),
+            f"{name}_dots_largest_u_px": dots.get("largest in u"),
+            f"{name}_dots_largest_v_px": dots.get("largest in v"),
+        }
+    moved = summary.get("probe_rays_um", {})
+    figures["rays_lit"] = summary.get("rays lit")
+    figures |= {name: moved.get(key) for name, key in _PROBE_RAYS.items()}
+    return {name: np.nan if value is None else value for name, value in figures.items()}
+
+
+def _relative(path: Path | None, folder: Path) -> str:
+    return str(path.relative_to(folder.absolute())) if path else ""

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from virtual_sensor.studies.kept import kept
+from virtual_sensor.studies.finished_cases import find_or_make
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.beta_map import LINE_MM, BetaMap, beta_map
 from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, Fit, fit_broadening
@@ -44,7 +44,9 @@ class Shelf:
     ) -> T:
         """A dataclass of arrays: made, and kept as a file of NumPy's; or taken from there."""
         whole = {"piece": name, "scene": self.scenes.inputs(), **inputs}
-        place = kept(self.folder, name, whole, lambda new: _write(new / f"{name}.npz", make()))
+        place = find_or_make(
+            self.folder, name, whole, lambda new: _write(new / f"{name}.npz", make())
+        )
         return _read(place / f"{name}.npz", kind)
 
 

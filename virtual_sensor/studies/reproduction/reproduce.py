@@ -13,7 +13,7 @@ import numpy as np
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.optics.surfaces import Cylinder
-from virtual_sensor.studies.kept import own_folder
+from virtual_sensor.studies.finished_cases import own_folder
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.beta_map import BetaMap
 from virtual_sensor.studies.reproduction.broadening_fit import Fit
@@ -45,8 +45,7 @@ from virtual_sensor.studies.reproduction.settings import (
     settings,
 )
 from virtual_sensor.studies.reproduction.statements import Verdict, judge
-from virtual_sensor.studies.sweep import CaseStatus, Finished, cases, run
-from virtual_sensor.studies.sweep_results import table
+from virtual_sensor.studies.sweep import CaseStatus, Finished, Save, cases, run, table
 
 MARK = "REPRODUCTION.txt"
 _MARK_TEXT = """\
@@ -99,6 +98,7 @@ class Reproduction:
 
 def reproduce(
     folder: Path,
+    save: Save,
     given: Mapping[str, str] | None = None,
     scheduler: str | None = None,
     report: Report = lambda stage, fraction: None,
@@ -109,6 +109,8 @@ def reproduce(
     ----------
     folder : Path
         New, empty, or an earlier reproduction's.
+    save : callable
+        Writes a rendered case's results (see `sweep.Save`).
     given : mapping, optional
         Parameters of the scene for all cases; those in `OPEN`.
     scheduler : str, optional
@@ -139,7 +141,7 @@ def reproduce(
 
     found = fits(shelf, part(0.0, 0.1))
     airs = {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in found.items()}
-    finished = _measure(folder / "measurements", given, airs, scheduler, part(0.1, 0.88))
+    finished = _measure(folder / "measurements", save, given, airs, scheduler, part(0.1, 0.88))
     nine = rays(shelf, airs, False, part(0.88, 0.92))
     whole = rays(shelf, airs, True, part(0.92, 0.95))
     all_poses = maps(shelf, airs, part(0.95, 0.97))
@@ -154,7 +156,7 @@ def reproduce(
         _sections(finished, shelf.scenes),
         table(list(finished.values()), folder / "measurements"),
         judge(curves, list(airs)),
-        sum(not end.was_kept for end in finished.values()),
+        sum(not end.already_there for end in finished.values()),
         time.perf_counter() - started,
     )
 
@@ -178,6 +180,7 @@ def rendered_cases() -> list[tuple[Setting, str]]:
 
 def _measure(
     folder: Path,
+    save: Save,
     given: Mapping[str, str],
     airs: Mapping[str, Broadening],
     scheduler: str | None,
@@ -190,7 +193,7 @@ def _measure(
         [_name(setting, way) for setting, way in wanted],
         NINE_RAYS_MM.tolist(),
     )
-    finished = run(planned, folder, scheduler, report)
+    finished = run(planned, folder, save, scheduler, report)
     if failed := [end for end in finished if end.status is not CaseStatus.OK]:
         raise InputError(f"{failed[0].case.name}: {failed[0].message}")
     return dict(zip(wanted, finished, strict=True))

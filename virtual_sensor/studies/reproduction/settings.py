@@ -18,7 +18,7 @@ from virtual_sensor.imaging.scene import (
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import March
-from virtual_sensor.studies.kept import file_hash
+from virtual_sensor.studies.finished_cases import file_hash
 from virtual_sensor.studies.reproduction.curves import Setting
 
 SCENE = "hot_cylinder"

@@ -1,7 +1,7 @@
-"""Finished work is kept in folders that are named by hashes of all that went into it.
+"""The cache of finished cases: folders that are named by hashes of all that went into them.
 
-``name-INPUTS-PROGRAM``: a hash of the inputs and one of the program. Work that another program has
-made of the same inputs is not used; it is removed when this one has made it again.
+``name-INPUTS-PROGRAM``: a hash of the inputs and one of the program. A case that another program
+has made of the same inputs is not used; it is removed when this one has made it again.
 """
 
 import hashlib
@@ -82,7 +82,7 @@ def requirements() -> list[str]:
     except metadata.PackageNotFoundError:
         raise InputError(
             f"{_DISTRIBUTION} is not installed, so that nobody knows with which packages finished"
-            " work was made; install it: pip install ."
+            " cases were made; install it: pip install ."
         ) from None
     names = [
         re.split(r"[^\w.-]", text, maxsplit=1)[0] for text in required if "extra ==" not in text
@@ -127,7 +127,7 @@ def _plain(value: object) -> object:
         return value.tolist()
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} {value!r} has no place among the inputs of kept work")
+    raise TypeError(f"{type(value).__name__} {value!r} has no place among the inputs of a case")
 
 
 @cache
@@ -151,29 +151,31 @@ def file_hash(path: Path) -> str:
         raise InputError(f"{path}: can't be read ({error.strerror or error})") from None
 
 
-def found(folder: Path, key: str) -> Path | None:
-    """The finished work of this key, under whatever name it was kept; None if there is none."""
+def find(folder: Path, key: str) -> Path | None:
+    """The finished case of this key, under whatever name; None if there is none."""
     return min(folder.glob(f"[!.]*-{key}"), default=None)
 
 
-def by_other_programs(folder: Path, key: str | None = None) -> list[Path]:
-    """Finished work that another program has made: of a key's inputs, or by default of any."""
+def of_other_programs(folder: Path, key: str | None = None) -> list[Path]:
+    """Cases that another program has finished: of a key's inputs, or by default of any."""
     pattern = f"[!.]*-{key.partition('-')[0]}-*" if key else "[!.]*"
-    return [work for work in folder.glob(pattern) if not work.name.endswith(f"-{fingerprint()}")]
+    return [case for case in folder.glob(pattern) if not case.name.endswith(f"-{fingerprint()}")]
 
 
-def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]) -> Path:
-    """The finished work of these inputs, made now if it is not there.
+def find_or_make(
+    folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Path], None]
+) -> Path:
+    """The finished case of these inputs, made now if it is not there.
 
     Parameters
     ----------
     folder : Path
-        Where finished work is kept.
+        Where finished cases lie.
     name : str
-        For people who look there: it becomes ``folder/name-key``.  Work that is there under
-        another name is the same work.
+        For people who look there: it becomes ``folder/name-key``.  A case that is there under
+        another name is the same case.
     inputs : Mapping
-        All that the work depends on but the program (see `key_of`).
+        All that the case depends on but the program (see `key_of`).
     make : callable
         Fills the folder that it is given.  It is moved to its place only when this went well.
 
@@ -189,8 +191,8 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
         As `make` does, or if the folder can't be written.
     """
     key = key_of(inputs)
-    settle(folder)  # also the same work's under another name
-    place = found(folder, key)
+    settle(folder)  # also the same case's under another name
+    place = find(folder, key)
     if place is None:
         place = folder / f"{name}-{key}"
         try:
@@ -199,7 +201,7 @@ def kept(folder: Path, name: str, inputs: Mapping[str, Any], make: Callable[[Pat
         except InputError:
             if not place.is_dir():  # else another process was faster
                 raise
-        for old in by_other_programs(folder, key):
+        for old in of_other_programs(folder, key):
             discard(old)
     return place
 
@@ -218,7 +220,7 @@ def own_folder(folder: Path, mark: str, words: str) -> None:
         return
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is not a folder; name another with -o")
-    # What a run that begins at this moment has hidden is its own, too.
+    # The hidden files of a run that begins at this moment are its own, too.
     if folder.is_dir() and any(not file.match(f".{mark}.*") for file in folder.iterdir()):
         raise InputError(f"{folder}: holds other files (there is no {mark}); name another with -o")
     with written_whole(sign) as temporary:

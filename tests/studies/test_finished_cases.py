@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies import kept as module
-from virtual_sensor.studies.kept import (
-    by_other_programs,
+from virtual_sensor.studies import finished_cases as module
+from virtual_sensor.studies.finished_cases import (
     file_hash,
+    find,
+    find_or_make,
     fingerprint,
-    found,
-    kept,
     key_of,
+    of_other_programs,
     own_folder,
     program,
     requirements,
@@ -46,16 +46,16 @@ def never(folder):
 
 def test_work_is_made_once(tmp_path):
     """Rationale: that is what it is kept for."""
-    first = kept(tmp_path, "nine", INPUTS, write("done"))
+    first = find_or_make(tmp_path, "nine", INPUTS, write("done"))
     assert first.name == f"nine-{key_of(INPUTS)}"
-    assert kept(tmp_path, "nine", INPUTS, never) == first == found(tmp_path, key_of(INPUTS))
+    assert find_or_make(tmp_path, "nine", INPUTS, never) == first == find(tmp_path, key_of(INPUTS))
     assert (first / "work.txt").read_text() == "done"
 
 
 def test_the_same_work_under_another_name_is_the_same_work(tmp_path):
     """Rationale: a sweep that is extended by a parameter names its cases anew."""
-    first = kept(tmp_path, "beta=15", INPUTS, write("done"))
-    assert kept(tmp_path, "beta=15_temperature=1250", INPUTS, never) == first
+    first = find_or_make(tmp_path, "beta=15", INPUTS, write("done"))
+    assert find_or_make(tmp_path, "beta=15_temperature=1250", INPUTS, never) == first
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_inputs_without_a_lasting_text_are_refused():
 def test_keys_are_the_same_in_another_process():
     """Rationale: a killed run goes on in a new one; sets and hashes differ there, keys must not."""
     program = (
-        "from pathlib import Path; from virtual_sensor.studies.kept import key_of\n"
+        "from pathlib import Path; from virtual_sensor.studies.finished_cases import key_of\n"
         f"print(key_of({INPUTS!r}))".replace("PosixPath", "Path")
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -221,19 +221,21 @@ WORK = {"a": INPUTS, "b": {}}
 
 def test_work_of_another_program_is_replaced_by_the_same_inputs_work(tmp_path, monkeypatch):
     """Rationale: a disk must not fill with what nobody reads, nor lose what is not made again."""
-    first, other = (kept(tmp_path, name, inputs, write("old")) for name, inputs in WORK.items())
-    assert by_other_programs(tmp_path) == []
+    first, other = (
+        find_or_make(tmp_path, name, inputs, write("old")) for name, inputs in WORK.items()
+    )
+    assert of_other_programs(tmp_path) == []
     monkeypatch.setattr(module, "fingerprint", lambda: "f" * 8)
-    assert sorted(by_other_programs(tmp_path)) == [first, other]
-    assert by_other_programs(tmp_path, key_of(INPUTS)) == [first]
+    assert sorted(of_other_programs(tmp_path)) == [first, other]
+    assert of_other_programs(tmp_path, key_of(INPUTS)) == [first]
     with pytest.raises(InputError):
-        kept(tmp_path, "c", INPUTS, fails)
+        find_or_make(tmp_path, "c", INPUTS, fails)
     assert sorted(tmp_path.iterdir()) == [first, other]
-    again = kept(tmp_path, "c", INPUTS, write("new"))
+    again = find_or_make(tmp_path, "c", INPUTS, write("new"))
     assert sorted(tmp_path.iterdir()) == [other, again]
     assert (again / "work.txt").read_text() == "new"
     (tmp_path / "c-0123456789abcdef").mkdir()  # a key as version 0.5 had them
-    assert sorted(by_other_programs(tmp_path)) == [other, tmp_path / "c-0123456789abcdef"]
+    assert sorted(of_other_programs(tmp_path)) == [other, tmp_path / "c-0123456789abcdef"]
 
 
 def test_a_file_that_changes_has_another_hash(tmp_path):
@@ -258,7 +260,7 @@ def fails(folder):
 def test_work_that_fails_leaves_nothing(tmp_path):
     """Rationale: half of it would be taken for the whole."""
     with pytest.raises(InputError, match="no light"):
-        kept(tmp_path, "nine", INPUTS, fails)
+        find_or_make(tmp_path, "nine", INPUTS, fails)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -272,7 +274,7 @@ def test_two_that_make_the_same_at_once_both_end_well(tmp_path):
         both.wait(timeout=60)  # now each has found nothing, and made its own
 
     def one():
-        ended.append(kept(tmp_path, "nine", INPUTS, make))
+        ended.append(find_or_make(tmp_path, "nine", INPUTS, make))
 
     threads = [threading.Thread(target=one) for _ in range(2)]
     for thread in threads:
@@ -287,13 +289,13 @@ def test_two_that_make_the_same_at_once_both_end_well(tmp_path):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from virtual_sensor.studies.kept import kept
+from virtual_sensor.studies.finished_cases import find_or_make
 
 def make(folder):
     (folder / "work.txt").write_text("half")
     os.kill(os.getpid(), signal.SIGKILL)
 
-kept(Path(sys.argv[1]), "nine", {"beta": 15}, make)
+find_or_make(Path(sys.argv[1]), "nine", {"beta": 15}, make)
 """
 
 
@@ -302,8 +304,8 @@ def test_a_killed_process_leaves_no_work_and_its_rubbish_goes_with_the_next(tmp_
     ended = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path)], timeout=120)
     assert ended.returncode == -signal.SIGKILL
     assert [p.suffix for p in tmp_path.iterdir()] == [".unfinished"]
-    assert found(tmp_path, key_of({"beta": 15})) is None
-    place = kept(tmp_path, "nine", {"beta": 15}, write("done"))
+    assert find(tmp_path, key_of({"beta": 15})) is None
+    place = find_or_make(tmp_path, "nine", {"beta": 15}, write("done"))
     assert list(tmp_path.iterdir()) == [place]
     assert (place / "work.txt").read_text() == "done"
 
