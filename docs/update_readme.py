@@ -26,14 +26,14 @@ def main(
         replace("<!-- table: measure -->\n", measured / "table.md")
         shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
     if fineness:
-        replace("<!-- table: field fineness -->\n", fineness / "fineness.md")
+        replace("<!-- table: field fineness -->\n", fineness / "fineness.md", HERE / "fields.md")
         shutil.copy(fineness / "fineness.png", HERE / "fineness.png")
     if reproduced:
         report = reproduced / "report"
-        replace("<!-- table: statements -->\n", report / "statements.md")
+        replace("<!-- table: statements -->\n", report / "statements.md", HERE / "reproduction.md")
         shutil.copy(report / "figure_7_widened.png", HERE / "figure_7.png")
     if charted:
-        replace("<!-- table: chart -->\n", charted / "front.md")
+        replace("<!-- table: chart -->\n", charted / "front.md", HERE / "speed_accuracy.md")
         shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
     if peers:
         replace("<!-- table: peers -->\n", peers / "peers.md", HERE / "speed_accuracy.md")
