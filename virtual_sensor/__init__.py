@@ -7,7 +7,7 @@
 >>> points_mm = vs.triangulate(scene, line.pixel)
 
 Names are loaded when first used: those that compute with Dr.Jit start the engine then. Whoever
-imports drjit or mitsuba after it gets an LLVM library that is proven to work.
+imports drjit or mitsuba afterwards gets an LLVM library that is proven to work.
 """
 
 import contextlib
@@ -86,7 +86,7 @@ class _LlvmFirst:
         if name == "drjit":
             from virtual_sensor import engine
 
-            with contextlib.suppress(engine.EngineError):  # reported when the engine starts
+            with contextlib.suppress(engine.EngineError):  # told when the engine starts
                 engine.choose_llvm()
 
 

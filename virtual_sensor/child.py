@@ -85,7 +85,7 @@ def run_in_child(
     try:
         if seconds is not None:
             timer.start()
-        kind, answer = server.ask((target, content), report or (lambda *content: None))
+        kind, answer = server.ask((target, content), report or (lambda *told: None))
     finally:
         timer.cancel()
         if kind in ("result", "error") and not expired.is_set():
@@ -203,7 +203,7 @@ def main(parent: int) -> None:
             target, content = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        with contextlib.suppress(Exception):  # the child reports it
+        with contextlib.suppress(Exception):  # the child tells of it
             importlib.import_module(target.partition(":")[0])
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         server, child = os.getpid(), os.fork()
@@ -246,8 +246,8 @@ def _answer(server: int, target: str, content: bytes) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, most))
         module, _, name = target.partition(":")
         function = getattr(importlib.import_module(module), name)
-        options = {"report": lambda *content: send("report", content)} if reports else {}
-        send("result", function(*arguments, **options))
+        told = {"report": lambda *content: send("report", content)} if reports else {}
+        send("result", function(*arguments, **told))
     except Exception as error:
         if not isinstance(error, (InputError, MemoryError)):
             error.add_note(f"In the child process:\n{traceback.format_exc()}")

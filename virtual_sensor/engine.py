@@ -11,8 +11,8 @@ or mitsuba after virtual_sensor gets a proven library too.
 ====================== ===========================================================
 environment variable   meaning
 ====================== ===========================================================
-VIRTUAL_SENSOR_VARIANT Mitsuba variant, ``llvm_ad_mono`` by default
-VIRTUAL_SENSOR_THREADS number of CPU threads, Dr.Jit's choice by default
+VIRTUAL_SENSOR_VARIANT Mitsuba variant, ``llvm_ad_mono`` unless told otherwise
+VIRTUAL_SENSOR_THREADS number of CPU threads, Dr.Jit's choice unless told otherwise
 DRJIT_LIBLLVM_PATH     the LLVM library to try first; set to the one that is used
 XDG_CACHE_HOME         where ``virtual_sensor/`` keeps the proofs, else ``~/.cache``
 ====================== ===========================================================
@@ -98,7 +98,7 @@ class Llvm:
     Attributes
     ----------
     path : Path or None
-        None where the system does not say which file Dr.Jit has loaded.
+        None where the system does not tell which file Dr.Jit has loaded.
     version : str
         As Dr.Jit reads it, such as ``19.1.7``.
     origin : str

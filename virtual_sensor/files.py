@@ -23,7 +23,7 @@ from virtual_sensor import interrupts
 from virtual_sensor.errors import InputError
 
 RESULTS_SIGN = "summary.json"
-"""A folder with this file holds results and may be replaced; one without it may be anything."""
+"""A folder with this file holds results and may be replaced; what else it is, nobody knows."""
 
 _LOCK = ".lock"
 _NAMED = re.compile(r"\.(.+)\.[a-z0-9_]{8}\.unfinished", re.DOTALL)
@@ -81,7 +81,7 @@ def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
         If it exists and `overwrite` is not set, `overwrite` would destroy something else than
         earlier results, or its place can't be written.
     """
-    with _explained(path):
+    with _told(path):
         final = path.resolve()
         settle(final.parent, final.name)
         if path.exists():
@@ -153,7 +153,7 @@ def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Give a temporary folder, which is removed in the end, by a signal too."""
+    """Give a folder for files that nobody needs afterwards; a signal removes it too."""
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
 
         def close() -> None:
@@ -206,7 +206,7 @@ def discard(folder: Path) -> None:
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """Give a hidden folder on the same disk, which is removed in the end with all it holds."""
-    with _explained(path):
+    with _told(path):
         final = path.resolve()
         _make_parents(final)
         with _workshop(final) as folder:
@@ -239,7 +239,7 @@ def _workshop(final: Path) -> Iterator[Path]:
         folder = Path(tempfile.mkdtemp(".unfinished", f".{final.name}.", final.parent))
         try:
             lock = _lock(folder)
-        except OSError:  # a disk without locks, where nothing is ever settled
+        except OSError:  # a disk without locks, where nobody can settle anything
             lock = os.open(os.devnull, os.O_RDONLY)
 
     def close() -> None:
@@ -313,12 +313,12 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Say what the system refuses in a user's terms."""
+def _told(path: Path) -> Iterator[None]:
+    """Tell what the system refuses in a user's terms."""
     try:
         yield
     except OSError as error:
         raise InputError(
-            f"{path}: can't be written ({error.strerror or error}); nothing was written. Make room,"
-            " or choose a place where you may write"
+            f"{path}: can't be written ({error.strerror or error}); nothing was kept. Make room, or"
+            " choose a place where you may write"
         ) from error

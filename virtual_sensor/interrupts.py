@@ -65,7 +65,7 @@ def on_stop(action: _Action) -> Iterator[None]:
 def raising() -> Iterator[None]:
     """Within this context a first signal raises KeyboardInterrupt or SystemExit.
 
-    For pure Python that ends in good order without it.
+    For pure Python that ends in good order by itself.
     """
     global _raising
     _raising += 1
@@ -125,12 +125,12 @@ def _end() -> None:
     status = 128 + _received[0]
     with suppress(BaseException):
         _kill_children()
-    said = []
+    told = []
     for action in _actions[::-1]:  # a copy: threads that end take theirs away meanwhile
         with suppress(BaseException):
-            said.append(action() or "")
+            told.append(action() or "")
     with suppress(OSError):
-        text = line(status, "; ".join(filter(None, said)))
+        text = line(status, "; ".join(filter(None, told)))
         os.write(2, f"{text}\n".encode(sys.getfilesystemencoding(), "replace"))
     os._exit(status)
 
@@ -151,4 +151,4 @@ def _kill_children() -> None:
                         if child != tracker and os.getsid(child) != child:
                             os.kill(child, signal.SIGKILL)
     if tracker is not None:
-        sys.modules["multiprocessing.util"]._run_finalizers(0)  # which the tracker hears of
+        sys.modules["multiprocessing.util"]._run_finalizers(0)  # which the tracker is told

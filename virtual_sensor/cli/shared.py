@@ -42,7 +42,7 @@ Scheduler = Annotated[
         "--scheduler",
         metavar="ADDRESS",
         help="Of a Dask cluster that is there, such as tcp://10.0.0.1:8786: `dask scheduler` "
-        "prints it. Its workers (`dask worker ADDRESS --nthreads 1`) must have virtual-sensor "
+        "tells it. Its workers (`dask worker ADDRESS --nthreads 1`) must have virtual-sensor "
         "installed and share the disk of the results. By default this process does the work.",
     ),
 ]
@@ -173,9 +173,9 @@ def print_notes(notes: Iterable[str]) -> None:
 
 
 def closing(output: Path) -> None:
-    """Print where a field is, and how to see it."""
+    """Tell where a field is, and how to look at it."""
     console.print(
-        f"{output.stat().st_size / 1e6:.3g} MB in {output}; see it with"
+        f"{output.stat().st_size / 1e6:.3g} MB in {output}; look at it with"
         f" `virtual-sensor field info {output} -o picture.png`",
         soft_wrap=True,
     )

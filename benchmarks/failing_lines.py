@@ -1,0 +1,122 @@
+"""Where line detectors fail: thin, clipped, broken, doubled and cut lines, and the border.
+
+A centre is wrong, though its column is called OK, where it is farther from the truth than three of
+its own standard errors and 0.05 px.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import norm
+from worsening import Case, Outcome, judged
+
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.line_peaks import line_centres
+
+Array = NDArray[np.float64]
+Draw = Callable[[float, Array], Array]
+
+SIGMA_PX = 2.0
+NOISE = 0.005
+"""Of the line's height: what can't be told from noise is no failure of the statuses."""
+
+HEIGHT_PX = 64
+_COLUMNS = 400
+_rows = np.arange(HEIGHT_PX)[:, None]
+
+_DOUBLED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
+TROUBLES: list[tuple[str, Sequence[float], str, Draw]] = [
+    (
+        "line thinner than a pixel",
+        (0.6, 0.5, 0.4, 0.3, 0.2),
+        "px sigma",
+        lambda sigma, v: thin(sigma, v),
+    ),
+    (
+        "line saturated",
+        (0.0, 0.02, 0.1, 0.3, 0.6),
+        "of its height clipped",
+        lambda share, v: lines(v, amplitude=0.95 if share == 0.0 else 1.0 / (1.0 - share)),
+    ),
+    (
+        "line broken",
+        (0, 1, 3, 10),
+        "columns dark of 20",
+        lambda dark, v: lines(v, amplitude=np.arange(v.size) % 20 >= dark),
+    ),
+    *(
+        (
+            f"line doubled, the second of {ratio:g} times the height",
+            _DOUBLED,
+            "sigma apart",
+            lambda apart, v, ratio=ratio: lines(v) + ratio * lines(v + apart * SIGMA_PX),
+        )
+        for ratio in (1.0, 0.9, 0.5, 0.2)
+    ),
+    (
+        "line cut by an edge",
+        (4.0, 3.0, 2.0, 1.0, 0.0, -1.0),
+        "sigma beyond it",
+        lambda beyond, v: np.where(_rows <= np.rint(30.0 + beyond * SIGMA_PX), lines(v), 0.0),
+    ),
+    (
+        "line on an edge of the background",
+        (6.0, 4.0, 3.0, 2.0, 1.0, 0.0),
+        "sigma from it",
+        lambda away, v: lines(v) + 0.5 * (_rows > np.rint(30.0 + away * SIGMA_PX)),
+    ),
+    (
+        "line at the border",
+        (5.0, 3.0, 2.0, 1.0, 0.0, -1.0),
+        "sigma inside",
+        lambda inside, v: lines(v + inside * SIGMA_PX - 30.0),
+    ),
+]
+
+
+def cases() -> Iterator[Case]:
+    """All of them."""
+    for trouble, amounts, unit, draw in TROUBLES:
+        for method in COLUMNWISE:
+            yield Case(
+                trouble,
+                method,
+                amounts,
+                unit,
+                lambda amount, trouble=trouble, draw=draw, method=method: _detected(
+                    trouble, amount, draw, method
+                ),
+                f"{_COLUMNS} columns, sigma {SIGMA_PX:g} px, noise {NOISE:.1%}",
+                share=0.02,  # more than three standard errors happen by chance
+            )
+
+
+def lines(row: Array, sigma: float = SIGMA_PX, amplitude: ArrayLike = 1.0) -> Array:
+    """Image (64, W) of Gaussian lines at rows (W,), integrated over each pixel."""
+    share = norm.cdf(_rows + 0.5, row, sigma) - norm.cdf(_rows - 0.5, row, sigma)
+    return np.asarray(amplitude) * np.sqrt(2.0 * np.pi) * sigma * share
+
+
+def thin(sigma: float, row: Array) -> Array:
+    """Lines so thin, of the usual height."""
+    image = lines(row, sigma)
+    return image / image.max()
+
+
+def _detected(trouble: str, amount: float, draw: Draw, method: str) -> Outcome:
+    rng = np.random.default_rng(8)
+    row = rng.uniform(29.5, 30.5, _COLUMNS)
+    image = draw(amount, row)
+    image = image + rng.normal(0.0, NOISE, image.shape)
+    saturation = 1.0 if trouble == "line saturated" else None
+    line = line_centres(np.minimum(image, saturation or np.inf), method, saturation=saturation)
+    if trouble == "line at the border":
+        row = row + amount * SIGMA_PX - 30.0
+    error = np.abs(line.row - row)
+    found = judged(line.status, [Status.OK], error)
+    wrong = ~found.reported & (error > 0.05) & ~(error <= 3.0 * line.sigma)
+    return Outcome(found.reported, wrong, found.reports, found.largest_px)
