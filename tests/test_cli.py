@@ -17,7 +17,7 @@ import OpenEXR
 import pytest
 from command_line import command
 
-from virtual_sensor.studies import results
+from virtual_sensor.reporting import measure as results
 
 HOT_FILM = ["-D", "width=512", "-D", "height=512", "-D", "spp=4"]
 COLD_FILM = ["-D", "width=256", "-D", "height=256", "-D", "spp=1", "-D", "line_radius=0.5"]
@@ -195,7 +195,7 @@ def test_a_measurement_writes_all_its_files(measured):
     folder, out = measured
     assert {path.name for path in folder.iterdir()} == FILES
     assert {path.name for path in folder.parent.iterdir()} == {"measured"}
-    assert f"results in {folder}, look at {folder}/report.png first\n" in out
+    assert f"results in {folder}, open {folder}/report.png first\n" in out
     for picture in ("report.png", "cold.png"):
         assert cv2.imread(str(folder / picture), cv2.IMREAD_UNCHANGED) is not None
 
@@ -239,9 +239,9 @@ def test_line_points_and_summary_agree(measured, summary, state):
     """Rationale: one result in three files."""
     line = table(measured[0] / f"line_{state}.csv")
     found = line["status"] == "ok"
-    assert found.sum() == summary["states"][state]["line"]["ok"] > 200
-    np.testing.assert_array_equal(line["column"], np.arange(512))
-    assert np.isnan(line["row"][~found]).all()
+    assert found.sum() == summary["states"][state]["line_status"]["ok"] > 200
+    np.testing.assert_array_equal(line["column_px"], np.arange(512))
+    assert np.isnan(line["row_px"][~found]).all()
     header, _, body = (measured[0] / f"points_{state}.ply").read_bytes().partition(b"end_header\n")
     assert f"element vertex {found.sum()}\n".encode() in header
     cloud = np.frombuffer(body, "<f4").reshape(-1, 4)
@@ -254,13 +254,18 @@ def test_searched_rays_are_written_for_both_states(measured):
     """Rationale: A is cold, B is hot, as in the paper; at beta = 15 all rays are seen."""
     probes, dense = (table(measured[0] / f"{name}.csv") for name in ("probe_rays", "dense_search"))
     assert (len(probes["y_mm"]), len(dense["y_mm"])) == (9, 401)
-    for letter in "AB":
-        assert set(probes[f"status_{letter}"]) == set(probes[f"status_{letter}_paper"]) == {"found"}
-        assert set(dense[f"status_{letter}"]) == {"found"}
-    A, B = (np.stack([probes[f"{letter}_mm_{axis}"] for axis in "xyz"], axis=1) for letter in "AB")
+    for state in ("cold", "hot"):
+        for status in ("status", "paper_status"):
+            assert set(probes[f"{status}_{state}"]) == {"found"}
+        assert set(dense[f"status_{state}"]) == {"found"}
+    A, B = (
+        np.stack([probes[f"incidence_{state}_mm_{axis}"] for axis in "xyz"], axis=1)
+        for state in ("cold", "hot")
+    )
     apart = 1e3 * (B - A)
-    np.testing.assert_allclose(apart[:, 1], probes["B-A_um_y"], atol=1e-3)
-    np.testing.assert_allclose(np.linalg.norm(apart, axis=1), probes["B-A_um_norm"], atol=1e-3)
+    np.testing.assert_allclose(apart[:, 1], probes["incidence_shift_um_y"], atol=1e-3)
+    lengths = np.linalg.norm(apart, axis=1)
+    np.testing.assert_allclose(lengths, probes["incidence_shift_um_norm"], atol=1e-3)
 
 
 def test_the_summary_has_the_figures(measured, summary):
@@ -269,15 +274,15 @@ def test_the_summary_has_the_figures(measured, summary):
     assert summary["parameters"]["beta"] == "15"
     assert summary["notes"] == []
     for state in summary["states"].values():
-        agreement = state["rendered line minus search, px"]
-        assert 0.0 < agreement["rms"] < agreement["largest"] < 0.01
-        assert agreement["columns compared"] == agreement["columns on the searched line"]
-        assert state["paper's search, probe rays"]["found"] == 9
-    assert summary["probe_rays_um"]["largest |A - A_m|, cold"] < 1e-6
+        agreement = state["line_minus_search"]
+        assert 0.0 < agreement["rms_px"] < agreement["largest_px"] < 0.01
+        assert agreement["compared"] == agreement["expected"]
+        assert state["paper_search"]["found"] == 9
+    assert summary["probe_rays"]["largest_cold_error_um"] < 1e-6
     said = measured[1]
     for name, state in summary["states"].items():
-        rms = state["rendered line minus search, px"]["rms"]
-        assert re.search(rf"{name} +│ {rms:.4f}", said)
+        assert re.search(rf"{name} +│ +{state['section']['rms_um']:.3g} ", said)
+        assert re.search(rf"{name} +│ +{state['line_minus_search']['rms_px']:.4f} ", said)
 
 
 def test_overwriting_leaves_nothing_of_the_measurement_before(here):
@@ -295,7 +300,7 @@ def test_overwriting_leaves_nothing_of_the_measurement_before(here):
 def test_a_line_that_no_column_resolves_is_told_with_the_reason(here):
     """Rationale: a table of nan alone leaves a user puzzled; the line is narrower than a pixel."""
     status, out, _ = command("measure", *COLD, "-D", "line_radius=0.1", "-o", "coarse")
-    assert status == 1
+    assert status == 3
     assert not re.search(r"\bnan\b", out + Path("coarse/table.md").read_text())
     assert re.search(r"Note: cold: no line centres, the columns are no_peak, .*too_narrow", out)
 
@@ -329,11 +334,11 @@ def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here
 MEASURE_AND_WAIT = """
 import sys, time
 from virtual_sensor import cli
-from virtual_sensor.studies import results
+from virtual_sensor.reporting import measure
 def wait(*_):
     print("writing", flush=True)
     time.sleep(60)
-results.draw_report = wait
+measure.draw_report = wait
 cli.main()
 """
 

@@ -308,7 +308,8 @@ def test_the_wheel_is_found_where_its_record_says(tmp_path, monkeypatch):
 
 
 DOCTOR = """
-from virtual_sensor.studies.doctor import diagnose, report
+from virtual_sensor.reporting.doctor import report
+from virtual_sensor.studies.doctor import diagnose
 diagnosis = diagnose()
 print(report(diagnosis))
 print(diagnosis.ok)

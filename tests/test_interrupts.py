@@ -81,7 +81,7 @@ IMPORTS = ["numpy:<module>", "mitsuba:<module>", "cv2:<module>"]
 WORK = [
     LOADING,
     MARCHING,
-    "virtual_sensor.studies.tables:write_csv",
+    "virtual_sensor.records:write_csv",
     "matplotlib.figure:savefig",
 ]
 
@@ -127,7 +127,7 @@ def test_every_command_ends_in_one_line(stopped, inputs):
         ("virtual_sensor.studies.detect_results:save_detected", f"detect {line}"),
         ("virtual_sensor.medium.imports.import_field:import_field", f"field import {air}"),
         ("virtual_sensor.studies.field_info:field_info", "field info none.nc"),
-        ("virtual_sensor.studies.doctor:report", "doctor"),
+        ("virtual_sensor.reporting.doctor:report", "doctor"),
     ]
     assert stopped(signal.SIGINT, cases) == [[]] * len(cases)
 

@@ -12,15 +12,11 @@ from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.studies.measure import (
-    measure,
-    probe_deviations,
-    summary,
-)
+from virtual_sensor.reporting.measure import save
+from virtual_sensor.studies.measure import measure, probe_deviations, summary
 from virtual_sensor.studies.notes import coarse_grid
 from virtual_sensor.studies.probes import PROBES, probe_rays
 from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM
-from virtual_sensor.studies.results import save
 from virtual_sensor.studies.search import search
 
 FIELD_OF_VIEW_MM = 45.056
@@ -111,7 +107,7 @@ def test_rounded_pixels_move_the_point_by_half_a_step_along_each_axis_of_the_sen
     along = np.abs(cold_um @ camera.pose.rotation) / perspective[:, None]
     assert (along[:, :2] <= 1.001 * half_step_um).all()
     np.testing.assert_allclose(along[:, 2], along[:, 1] * np.tan(np.radians(30.0)), rtol=2e-3)
-    in_space = summary(result)["probe_rays_um"]["largest |A - A_m|, cold, pixels rounded to 0.25"]
+    in_space = summary(result).probe_rays.largest_cold_error_rounded_um
     assert half_step_um < in_space < half_step_um * np.sqrt(1.0 + 1.0 / np.cos(np.radians(30)) ** 2)
 
 
@@ -140,9 +136,10 @@ def test_a_part_that_is_only_cold_has_no_hot_figures():
     deviation = probe_deviations(result)
     assert np.isnan([deviation.hot_um, deviation.incidence_um, deviation.measured_um]).all()
     assert np.abs(deviation.cold_um).max() < 1e-6
-    figures = json.loads(json.dumps(summary(result)))
-    assert figures["probe_rays_um"]["largest |B - A|"] is None
+    figures = json.loads(json.dumps(summary(result).to_dict()))
+    assert figures["probe_rays"]["largest_incidence_shift_um"] is None
     assert list(figures["states"]) == ["cold"]
+    assert figures["states"]["cold"]["paths"] is None
 
 
 LASERS = {"line_length": 6}, {"line_length": 500}, {"dots": "0 -5"}, {"dots": "-12"}, {"beta": 30}
@@ -171,11 +168,13 @@ def test_probe_rays_that_are_given_are_those_of_all_tables(tmp_path):
     film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5}
     given = [1.0, -7.25, 3.5]
     result = measure(load_scene("hot_cylinder", **film), y_mm=given)
-    save(result, summary(result), tmp_path / "out")
+    save(result, tmp_path / "out", "virtual-sensor measure")
     with (tmp_path / "out/probe_rays.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [float(row["y_mm"]) for row in rows] == given
-    np.testing.assert_allclose([float(row["A_mm_y"]) for row in rows], given, atol=1e-9)
+    np.testing.assert_allclose(
+        [float(row["incidence_cold_mm_y"]) for row in rows], given, atol=1e-9
+    )
     with pytest.raises(InputError, match=r"the rays' y are \[nan\]; give finite numbers in mm"):
         measure(load_scene("hot_cylinder"), y_mm=[np.nan])
 
@@ -189,21 +188,21 @@ def test_rays_without_light_have_no_figure_anywhere(tmp_path, laser, lit):
     """Rationale: a line of 6 mm was said to have nine found rays, the farthest 333 um off."""
     film = {"width": 512, "height": 512, "spp": 4}
     result = measure(load_scene("hot_cylinder", **film, **laser), y_mm=NINE_RAYS_MM)
-    figures = summary(result)
-    save(result, figures, tmp_path / "out")
+    figures = save(result, tmp_path / "out", "virtual-sensor measure")
     with (tmp_path / "out/probe_rays.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    dark = [row for row in rows if row["status_A"] != "found"]
+    dark = [row for row in rows if row["status_cold"] != "found"]
     assert len(dark) == 9 - lit
     assert any(f"{9 - lit} of 9 probe rays are not lit" in note for note in result.notes)
     for row in dark:
-        assert {row.pop(name) for name in list(row) if name.startswith("status")} == {"unlit"}
+        assert {row.pop(name) for name in list(row) if "status" in name} == {"unlit"}
         assert not any(row[name] for name in row if name != "y_mm")
-    assert figures["rays lit"] == lit
-    for state in figures["states"].values():
-        for method in ("paper's search, probe rays", "Newton's search, probe rays"):
-            assert state[method]["found"] == lit
-    assert all((value is None) == (lit == 0) for value in figures["probe_rays_um"].values())
+    rays = figures.probe_rays
+    assert rays.lit == lit
+    for state in figures.states.values():
+        assert state.paper_search.found == state.newton_search.found == lit
+    largest = [value for name, value in vars(rays).items() if name.startswith("largest")]
+    assert all(np.isnan(value) == (lit == 0) for value in largest)
 
 
 def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
@@ -246,16 +245,16 @@ def test_a_line_that_stands_upright_is_noted(tmp_path):
 def test_the_summary_says_what_was_really_used():
     """Rationale: of 7 samples asked for 9 were taken, and the summary kept the 7."""
     film = {"width": 128, "height": 128, "line_radius": 1, "spp": 9, "step": 4}
-    made = summary(measure(load_scene("hot_cylinder", **film)))["made_with"]
-    assert (made["samples per pixel"], made["step, mm"]) == (9, 4.0)
+    made = summary(measure(load_scene("hot_cylinder", **film))).made_with
+    assert (made.samples_per_pixel, made.step_mm) == (9, 4.0)
 
 
 def test_a_search_of_no_ray_is_empty():
     """Rationale: a script's empty list is an answer of its kind, not a fault of the engine."""
     result = search(load_scene("hot_cylinder"), "newton", [])
     assert result.found == 0
-    assert {len(values) for values in result.columns.values()} == {0}
-    assert result.columns["status"].dtype.kind == "U"
+    assert len(result.rays) == 0
+    assert result.rays.status.dtype.kind == "U"
 
 
 def test_a_line_much_longer_than_the_part_is_compared_as_well_as_one_that_fits():

@@ -89,15 +89,15 @@ def test_a_measurement_by_name_is_that_pairs(scene, tmp_path):
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
         assert (summary["camera"], summary["source"]) == ("far", "blue")
         for state in summary["states"].values():
-            agreement = state["rendered line minus search, px"]
-            assert agreement["columns compared"] > 50
-            assert agreement["rms"] < 0.02
+            agreement = state["line_minus_search"]
+            assert agreement["compared"] > 50
+            assert agreement["rms_px"] < 0.02
 
 
 def test_a_sweep_by_name_is_kept_by_its_names(scene, tmp_path):
     """Rationale: another camera's results must not be taken for those of the one asked for."""
     words = ["sweep", scene, *FILM, "-o", tmp_path / "swept"]
     run(*words, "--camera", "near", "--source", "red")
-    assert re.search("1 kept", run(*words, "--camera", "near", "--source", "red"))
+    assert re.search("1 already there", run(*words, "--camera", "near", "--source", "red"))
     said = run(*words, "--camera", "far", "--source", "red")
-    assert re.search("1 measured, 0 kept", said)
+    assert re.search("1 measured, 0 already there", said)

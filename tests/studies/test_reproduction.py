@@ -309,7 +309,9 @@ def test_rendered_curves_are_read_from_a_measurements_files(sensors, tmp_path):
         row = 1000.0 + 1e-4 * (column - 800.0) ** 2 + (0.5 if name == "hot" else 0.0)
         status = np.where(column == 700, "no_peak", "ok")
         row = np.where(column == 700, np.nan, row)
-        write_csv(tmp_path / f"line_{name}.csv", {"column": column, "row": row, "status": status})
+        write_csv(
+            tmp_path / f"line_{name}.csv", {"column_px": column, "row_px": row, "status": status}
+        )
     seen = from_dots(curve, tmp_path)
     assert seen.way == DOTS
     np.testing.assert_allclose(seen.exact.pixel_px, np.tile([0.75, -2.25], (9, 1)), atol=1e-8)

@@ -203,10 +203,10 @@ def test_the_table_says_what_the_measurements_say(swept):
         summary = json.loads((folder / row["folder"] / "summary.json").read_text())
         assert summary["parameters"]["alpha"] == row["alpha"]
         state = summary["states"]["cold"]
-        line = state["rendered line minus search, px"]
-        assert float(row["cold_line_rms_px"]) == pytest.approx(line["rms"], rel=1e-12)
-        assert float(row["cold_line_largest_px"]) == pytest.approx(line["largest"], rel=1e-12)
-        assert int(row["cold_centres"]) == state["line"]["ok"] > 0
+        line = state["line_minus_search"]
+        assert float(row["cold_line_rms_px"]) == pytest.approx(line["rms_px"], rel=1e-12)
+        assert float(row["cold_line_largest_px"]) == pytest.approx(line["largest_px"], rel=1e-12)
+        assert int(row["cold_centres"]) == state["line_status"]["ok"] > 0
         assert row["hot_centres"] == row["largest_B-A_um"] == ""  # never measured hot
 
 
@@ -300,7 +300,7 @@ def test_files_that_changed_since_the_plan_are_told(tmp_path):
 STUCK = """
 import time
 from virtual_sensor import cli
-from virtual_sensor.studies import results
+from virtual_sensor.reporting import measure as results
 save, saved = results.save, []
 
 def stuck(*arguments, **options):

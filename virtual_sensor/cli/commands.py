@@ -8,7 +8,17 @@ import typer
 from rich.table import Table
 
 from virtual_sensor import engine, interrupts
-from virtual_sensor.cli import chart, detect, reproduce, simulation, sweep, trial
+from virtual_sensor.cli import (
+    chart,
+    detect,
+    doctor,
+    measure,
+    reproduce,
+    search,
+    simulation,
+    sweep,
+    trial,
+)
 from virtual_sensor.cli.console import errors, one_line, streams
 from virtual_sensor.cli.shared import (
     Camera,
@@ -62,135 +72,8 @@ def before_the_command(
         engine.activate(variant)
 
 
-@app.command(
-    epilog="Examples:\n\n"
-    "    virtual-sensor measure hot_cylinder\n\n"
-    "    virtual-sensor measure hot_cylinder -D beta=15 -D line_radius=0.1 -o turned\n\n"
-    "    virtual-sensor measure stepped_shaft -o shaft\n\n"
-    "    virtual-sensor measure hot_cylinder --tolerance 0.01"
-)
-def measure(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Error of the line centres, px, that is allowed: the cheapest way of making the"
-            " frames that keeps it is chosen, and told."
-        ),
-    ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "measured"
-    ),
-    overwrite: Overwrite = False,
-) -> None:
-    """Measure a part cold and hot: frames, line centres, points, ray search and a picture page.
-
-    Exit status 1: there are results, but no frame has a line centre; a note says why.
-    """
-    from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.studies.measure import measure as run
-    from virtual_sensor.studies.measure import summary
-    from virtual_sensor.studies.results import save
-    from virtual_sensor.studies.tables import in_words
-    from virtual_sensor.studies.tolerance import choose, with_rung
-
-    check_output(output, overwrite, folder=True)
-    with reporting("loading the scene") as report:
-        loaded = load_scene(scene, **definitions(define)).only(camera, source)
-        if tolerance is not None:
-            report("choosing how to make the frames", 0.0)
-            rung = choose(loaded, tolerance)
-            loaded = with_rung(loaded, rung)
-            console.print(f"{tolerance:g} px: {rung}", soft_wrap=True)
-            console.print(f"  because {'; '.join(rung.why)}", soft_wrap=True)
-        result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)
-        report("writing the results", 0.92)
-        figures = summary(result)
-        save(result, figures, output, overwrite)
-        report("done", 1.0)
-    heads = ("", "rms, px", "at most, px", "compared", "centres", "rendered in")
-    table = Table(*heads, title="rendered minus ray search", title_justify="left")
-    for name, state in result.states.items():
-        table.add_row(
-            name,
-            in_words(state.compared.rms_px),
-            in_words(state.compared.largest_px),
-            str(state.compared.count),
-            str(state.centres),
-            f"{state.seconds['render']:.1f} s",
-        )
-    console.print(table)
-    for name, value in figures["probe_rays_um"].items():
-        if value is not None:
-            console.print(f"  probe rays, {name}: {value:.3g} µm")
-    print_notes(result.notes)
-    console.print(
-        f"{result.seconds:.1f} s; results in {output}, look at {output / 'report.png'} first",
-        soft_wrap=True,
-    )
-    if not any(state.centres for state in result.states.values()):
-        raise typer.Exit(1)
-
-
-@app.command(
-    epilog="Examples:\n\n"
-    "    virtual-sensor search hot_cylinder\n\n"
-    "    virtual-sensor search hot_cylinder --method newton -y 0 -y -5 -D beta=30\n\n"
-    "    virtual-sensor search hot_cylinder --rays 401 -o line.csv"
-)
-def search(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    method: Annotated[
-        str, typer.Option(help="paper, newton or tabulated (by ray maps).")
-    ] = "paper",
-    y: ProbeRays = None,
-    rays: Annotated[
-        int | None, typer.Option(min=2, help="So many rays along the whole line, in place of -y.")
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="CSV file for the result.")
-    ] = None,
-    overwrite: Overwrite = False,
-) -> None:
-    """Search, ray by ray, for the pixels that see the laser: no image is made.
-
-    Exit status 1: none is found.
-    """
-    from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.studies.search import search as run
-    from virtual_sensor.studies.tables import in_words, write_csv
-
-    if method not in ("paper", "newton", "tabulated"):
-        raise InputError(f"--method {method}: choose paper, newton or tabulated")
-    if y and rays:
-        raise InputError("-y and --rays: choose one of them")
-    if output:
-        check_output(output, overwrite)
-    loaded = load_scene(scene, **definitions(define)).only(camera, source)
-    result = run(loaded, method, y or None, rays)
-    columns, number = result.columns, len(result.columns["y_mm"])
-    if output:
-        write_csv(output, columns)
-        console.print(f"{number} rays in {output}, {result.found} found", soft_wrap=True)
-    else:
-        shown = Table("y, mm", "u, px", "v, px", "distance, µm", "marches", "status")
-        names = ("y_mm", "pixel_u", "pixel_v", "distance_um", "marches", "status")
-        for row in zip(*(columns[name] for name in names), strict=True):
-            shown.add_row(*(in_words(v) if isinstance(v, float) else str(v) for v in row))
-        console.print(shown)
-    print_notes(result.notes)
-    if number and not result.found:
-        if output:
-            statuses = ", ".join(sorted(set(columns["status"])))
-            print_notes([f"no ray was found: {statuses}"])
-        raise typer.Exit(1)
+app.command(epilog=measure.EPILOG)(measure.measure)
+app.command(epilog=search.EPILOG)(search.search)
 
 
 @app.command(
@@ -268,20 +151,7 @@ app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 app.command(epilog=chart.EPILOG)(chart.chart)
 app.command(epilog=detect.EPILOG)(detect.detect)
 app.command(epilog=trial.EPILOG)(trial.trial)
-
-
-@app.command(
-    epilog="Examples:\n\n"
-    "    virtual-sensor doctor\n\n"
-    "    virtual-sensor --variant cuda_ad_mono doctor"
-)
-def doctor() -> None:
-    """Tell in plain words what this machine computes with, and what to install if it can't."""
-    from virtual_sensor.studies.doctor import diagnose, report
-
-    diagnosis = diagnose()
-    console.print(report(diagnosis), soft_wrap=True)
-    raise typer.Exit(0 if diagnosis.ok else 1)
+app.command(epilog=doctor.EPILOG)(doctor.doctor)
 
 
 def run() -> int:

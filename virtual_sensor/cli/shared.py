@@ -67,6 +67,8 @@ Source = Annotated[
         metavar="NAME", help="Of the scene's lasers, where it has several: its id in the file."
     ),
 ]
+NOTHING_FOUND = 3
+"""Exit status of a command that has results, but found nothing in them."""
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 

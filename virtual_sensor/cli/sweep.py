@@ -107,10 +107,9 @@ def _values(text: str) -> list[str]:
 
 def save_case(result: Any, folder: Path, command: str, overwrite: bool = False) -> None:
     """Write the results of a sweep's case."""
-    from virtual_sensor.studies.measure import summary
-    from virtual_sensor.studies.results import save
+    from virtual_sensor.reporting.measure import save
 
-    save(result, summary(result), folder, overwrite)
+    save(result, folder, command, overwrite)
 
 
 def _table(columns: dict[str, list[Any]], swept: Sequence[str]) -> Table:

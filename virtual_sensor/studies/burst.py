@@ -21,9 +21,10 @@ from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.measure import Report, made_with
+from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.probes import probe_rays
+from virtual_sensor.studies.provenance import made_with
 from virtual_sensor.studies.tables import status_names
 
 MIN_FRAMES = 3

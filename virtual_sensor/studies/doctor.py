@@ -1,4 +1,4 @@
-"""Says in plain words what computes on this machine, what was turned down, and what to install."""
+"""Finds out what computes on this machine, and what is missing."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ from virtual_sensor import engine
 from virtual_sensor.engine import Engine
 from virtual_sensor.errors import EngineError
 
-ADVICE = f"""\
-Another LLVM   {engine.INSTALL_LLVM}
-               or name a file: export DRJIT_LIBLLVM_PATH=/path/to/libLLVM.so.19.1
-               (LLVM {engine.OLDEST_LLVM} or newer: older ones refuse to start or abort the process)
-An NVIDIA GPU  --variant cuda_ad_mono, or export VIRTUAL_SENSOR_VARIANT=cuda_ad_mono
-Fewer threads  export VIRTUAL_SENSOR_THREADS=4"""
-
 
 @dataclass(frozen=True)
 class Package:
-    """A package that the program stands on: its version, or what is wrong with it."""
+    """A package that the program needs.
+
+    Attributes
+    ----------
+    name : str
+    version : str or None
+        None if it can't be used.
+    fault : str or None
+        Why it can't, and the remedy.
+    """
 
     name: str
     version: str | None
@@ -56,7 +58,7 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Activate the engine and import what the program stands on; report failures, raise none."""
+    """Activate the engine and import what the program needs; report failures, raise none."""
     running, fault, cuda_device = None, None, None
     try:
         running = engine.activate()
@@ -71,35 +73,6 @@ def diagnose() -> Diagnosis:
         *(_imported(name) for name in ("numpy", "scipy", "cv2", "OpenEXR")),
     )
     return Diagnosis(running, fault, cuda_device, packages)
-
-
-def report(diagnosis: Diagnosis) -> str:
-    """Write the diagnosis as text for a terminal, one finding a line."""
-    verdict = "This machine can run virtual-sensor." if diagnosis.ok else "Something is missing."
-    findings = _engine_lines(diagnosis) + [_package_line(p) for p in diagnosis.packages]
-    return "\n".join([verdict, "", *findings, "", ADVICE])
-
-
-def _engine_lines(diagnosis: Diagnosis) -> list[str]:
-    running = diagnosis.engine
-    if running is None:
-        return [_line("Engine", f"none. {diagnosis.fault}")]
-    lines = [_line("Engine", f"{running.backend}, {running.threads} CPU threads")]
-    lines.append(_line("Variant", running.variant))
-    if running.llvm:
-        lines.append(_line("LLVM", f"{running.llvm.version}, from {running.llvm.origin}"))
-        lines.append(_line("", str(running.llvm.path)))
-        lines += [_line("  rejected", str(library)) for library in running.llvm.rejected]
-    lines.append(_line("NVIDIA GPU", "found" if diagnosis.cuda_device else "none found"))
-    return lines
-
-
-def _package_line(package: Package) -> str:
-    return _line(package.name, package.version or f"not usable. {package.fault}")
-
-
-def _line(subject: str, words: str) -> str:
-    return f"{subject:15}" + words.replace("\n", "\n" + 15 * " ")
 
 
 def _installed(name: str) -> Package:

@@ -1,16 +1,14 @@
 """The main job: measure a part cold and hot by rendered frames, beside the ray-by-ray search."""
 
-import platform
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import metadata
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
@@ -18,7 +16,13 @@ from virtual_sensor.imaging.render import Account, Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
-from virtual_sensor.metrology.deviation import Deviation, deviations, euclidean, round_pixel
+from virtual_sensor.metrology.deviation import (
+    Deviation,
+    deviations,
+    euclidean,
+    round_pixel,
+    separate_paths,
+)
 from virtual_sensor.metrology.dot_peaks import dot_centres
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
@@ -28,22 +32,23 @@ from virtual_sensor.metrology.truth import (
     TrueLine,
     compare_dots,
     compare_line,
+    largest,
+    rms,
 )
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.studies.notes import (
-    TRUTH,
-    WRONG,
-    coarse_grid,
-    counts_of,
-    frame_notes,
-    unlit_rays,
-    upright_line,
-)
+from virtual_sensor.records import Record, Table, counts_of, status_names
+from virtual_sensor.studies.notes import coarse_grid, frame_notes, unlit_rays, upright_line
 from virtual_sensor.studies.probes import dense_rays, probe_rays
+from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.section import Section, SectionErrors, section_errors, true_section
 
 Array = NDArray[np.float64]
+Texts = NDArray[np.str_]
 Report = Callable[[str, float], None]
-"""Told what is being done, and which fraction of the whole is."""
+"""Called with what is being done, and the fraction of the whole that is done."""
+
+ROUNDED_PX = 0.25
+"""Step of the paper's sub-pixel detection (section 4.2)."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +68,9 @@ class State:
         The line centres beside the frame's own truth, those that an edge cuts among them.
     compared : LineErrors or DotErrors
         Rendered line minus dense search; or of a laser that makes dots, their centroids minus it.
-    seconds : dict
-        Of rendering and of searching.
+    section : Section
+        The true one.
+    search_time_s, render_time_s : float
     """
 
     scene: Scene
@@ -75,7 +81,9 @@ class State:
     dense: FoundPixels
     by_frame: LineErrors
     compared: LineErrors | DotErrors
-    seconds: dict[str, float]
+    section: Section
+    search_time_s: float
+    render_time_s: float
 
     @property
     def dots(self) -> DotErrors | None:
@@ -97,18 +105,51 @@ class State:
         """How many of them were found."""
         return int(np.isfinite(self.centres_px[:, 1]).sum())
 
-    @property
+    @cached_property
     def points_mm(self) -> Array:
         """Triangulated from them, world, mm; (N, 3)."""
         return triangulate(self.scene.sensor, self.centres_px)
+
+    @cached_property
+    def section_error_um(self) -> Array:
+        """Their distances (N,) from the true section: positive outside the part."""
+        return self.section.distance_um(self.points_mm)
+
+    @cached_property
+    def searched_mm(self) -> Array:
+        """Triangulated from the pixels of the dense search, (M, 3)."""
+        return triangulate(self.scene.sensor, self.dense.pixel)
+
+    @cached_property
+    def searched_error_um(self) -> Array:
+        """Their distances (M,) from the true section."""
+        return self.section.distance_um(self.searched_mm)
+
+    @cached_property
+    def laser_path_um(self) -> Array:
+        """What they would be (M,) if the laser's light alone were bent, and the camera's straight.
+
+        The rest is the camera's part.
+        """
+        straight = self.scene.sensor.camera.project(self.dense.laser_point_mm)
+        straight[np.isnan(self.dense.pixel)] = np.nan
+        return self.section.distance_um(triangulate(self.scene.sensor, straight))
 
 
 @dataclass(frozen=True)
 class Measurement:
     """The part measured cold and, if the scene has a field, hot.
 
-    `probe_y_mm` and `dense_y_mm` are the rays' positions along the line, mm; `notes` hold what the
-    user should know of the scene; `seconds` is the time of the whole.
+    Attributes
+    ----------
+    cold : State
+    hot : State or None
+    probe_y_mm, dense_y_mm : ndarray
+        The rays' positions along the line.
+    notes : tuple of str
+        What the user should know of the scene.
+    time_s : float
+        Of the whole.
     """
 
     cold: State
@@ -116,7 +157,12 @@ class Measurement:
     probe_y_mm: Array
     dense_y_mm: Array
     notes: tuple[str, ...]
-    seconds: float
+    time_s: float
+
+    @property
+    def scene(self) -> Scene:
+        """The scene that was given."""
+        return (self.hot or self.cold).scene
 
     @property
     def rays(self) -> int:
@@ -127,6 +173,11 @@ class Measurement:
     def states(self) -> dict[str, State]:
         """The states by name."""
         return {"cold": self.cold} | ({"hot": self.hot} if self.hot else {})
+
+    @property
+    def centres(self) -> int:
+        """Line centres, or dots, that were found in all."""
+        return sum(state.centres for state in self.states.values())
 
 
 def measure(
@@ -140,7 +191,7 @@ def measure(
     ----------
     scene : Scene
     report : callable
-        Told what is being done, and which fraction of the whole is.
+        Called with what is being done, and the fraction of the whole that is done.
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
 
@@ -157,42 +208,43 @@ def measure(
     probe_y = probe_rays(scene, y_mm)
     notes += [*unlit_rays(laser, probe_y), *coarse_grid(scene)]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
+    section = true_section(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
-    cold = _measure_state(
-        scene.cold(),
-        probe_y,
-        dense_y,
-        lambda stage, part: report(f"cold part: {stage}", share * part),
-    )
-    hot = None
-    if scene.field:
-        hot = _measure_state(
+
+    def state(name: str, scene: Scene, low: float, high: float) -> State:
+        return _measure_state(
             scene,
             probe_y,
             dense_y,
-            lambda stage, part: report(f"hot part: {stage}", share + (1.0 - share) * part),
+            section,
+            lambda stage, part: report(f"{name} part: {stage}", low + (high - low) * part),
         )
-    states = {"cold": cold} | ({"hot": hot} if hot else {})
-    for name, state in states.items():
-        words = [] if state.dots else upright_line(state.dense, state.scene.camera_element)
-        words += frame_notes(state.frame.account, state.line, state.compared, state.by_frame)
-        notes += [f"{name}: {each}" for each in words]
+
+    cold = state("cold", scene.cold(), 0.0, share)
+    hot = state("hot", scene, share, 1.0) if scene.field else None
+    for name, each in (("cold", cold), ("hot", hot)):
+        if each:
+            words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
+            words += frame_notes(each.frame.account, each.line, each.compared, each.by_frame)
+            notes += [f"{name}: {word}" for word in words]
     seconds = time.perf_counter() - started
     return Measurement(cold, hot, probe_y, dense_y, tuple(notes), seconds)
 
 
-def _measure_state(scene: Scene, probe_y: Array, dense_y: Array, report: Report) -> State:
+def _measure_state(
+    scene: Scene, probe_y: Array, dense_y: Array, section: Section, report: Report
+) -> State:
     clock = time.perf_counter
     report("searching, ray by ray", 0.0)
-    at = clock()
+    began = clock()
     paper = ray_search(scene, probe_y, "paper")
     newton = ray_search(scene, probe_y, "newton")
     dense = ray_search(scene, dense_y, "newton")
-    seconds = {"search": clock() - at}
-    report("looking for the lit pixels", 0.2)
-    at = clock()
+    search_time_s = clock() - began
+    report("finding the lit pixels", 0.2)
+    began = clock()
     frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
-    seconds["render"] = clock() - at
+    render_time_s = clock() - began
     if not np.any(frame.radiance > 0.0):
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
@@ -204,7 +256,19 @@ def _measure_state(scene: Scene, probe_y: Array, dense_y: Array, report: Report)
     else:
         searched = searched_line(scene, dense).seen_in(across_mm, laser.radius_mm)
         compared = compare_line(line, searched)
-    return State(scene, frame, line, paper, newton, dense, by_frame, compared, seconds)
+    return State(
+        scene,
+        frame,
+        line,
+        paper,
+        newton,
+        dense,
+        by_frame,
+        compared,
+        section,
+        search_time_s,
+        render_time_s,
+    )
 
 
 def searched_line(scene: Scene, found: FoundPixels) -> TrueLine:
@@ -234,131 +298,692 @@ def probe_deviations(result: Measurement, step_px: float | None = None) -> Devia
     )
 
 
-def summary(result: Measurement) -> dict[str, Any]:
-    """The figures that tell whether the measurement is sound, for `summary.json`."""
-    scene = (result.hot or result.cold).scene
-    exact, rounded = probe_deviations(result), probe_deviations(result, 0.25)
-    sensor_axes = scene.sensor.camera.pose.rotation[:, :2]
-    return {
-        "scene": str(scene.path),
-        "camera": scene.camera_name,
-        "source": scene.source_name,
-        "parameters": dict(scene.parameters),
-        "field": _field_summary(scene.field) if scene.field else None,
-        "notes": result.notes,
-        "states": {name: _state_summary(state) for name, state in result.states.items()},
-        "rays lit": int(np.sum(scene.sensor.laser.reaches(0.0, result.probe_y_mm))),
-        "probe_rays_um": {
-            "largest |A - A_m|, cold": _largest(exact.cold_um),
-            "largest |A - A_m|, cold, pixels rounded to 0.25": _largest(rounded.cold_um),
-            "the same along a sensor axis": _largest(
-                (rounded.cold_um @ sensor_axes).reshape(-1, 1)
-            ),
-            "largest |B - A|": _largest(exact.incidence_um),
-            "largest |B - B_m|": _largest(exact.hot_um),
-            "largest |B_m - A_m|": _largest(exact.measured_um),
-        },
-        "seconds": round(result.seconds, 2),
-        "made_with": made_with(scene),
-    }
+# The summary.
 
 
-def made_with(scene: Scene) -> dict[str, Any]:
-    """The engine, the march and the versions that results come from."""
-    running = engine.activate()
-    return {
-        "variant": running.variant,
-        "llvm": str(running.llvm.path) if running.llvm else None,
-        "threads": running.threads,
-        "python": platform.python_version(),
-        "transport": scene.transport.name,
-        "samples per pixel": int(scene.mitsuba_camera.sampler().sample_count()),
-        "step, mm": scene.transport.march.step_mm,
-        "march": str(scene.transport.march),
-        **{name: metadata.version(name) for name in ("virtual-sensor", "mitsuba", "drjit")},
-    }
+@dataclass(frozen=True)
+class LineAgreement(Record):
+    """The rendered line's centres minus the ray search, across the columns.
+
+    Attributes
+    ----------
+    rms_px, largest_px : float
+        Of the centres that were compared.
+    compared : int
+        Centres that were compared.
+    centres : int
+        Columns that have a centre.
+    expected : int
+        Columns on the searched line from edge to edge, that see its whole profile.
+    cut : int
+        Columns that would be expected if no edge of the part hid some of the profile.
+    cut_centres : int
+        Centres that were left out for that.
+    stray_centres : int
+        Centres that were left out as the search knows no row in their column.
+    """
+
+    rms_px: float
+    largest_px: float
+    compared: int
+    centres: int
+    expected: int
+    cut: int
+    cut_centres: int
+    stray_centres: int
 
 
-def _field_summary(field: IndexField) -> dict[str, Any]:
+@dataclass(frozen=True)
+class DotAgreement(Record):
+    """The rendered dots' centroids minus the ray search.
+
+    Attributes
+    ----------
+    rms_px : float
+        Of the distances.
+    largest_u_px, largest_v_px : float
+        Largest magnitude along and across the line.
+    found : int
+        Dots that were found.
+    dots : int
+        Dots that the laser makes.
+    """
+
+    rms_px: float
+    largest_u_px: float
+    largest_v_px: float
+    found: int
+    dots: int
+
+
+@dataclass(frozen=True)
+class TruthAgreement(Record):
+    """The line's centres beside the frame's own truth.
+
+    Attributes
+    ----------
+    compared : int
+        Centres that are ok, and whose truth is known.
+    wrong : int
+        Those of them that are off by over 0.1 px; or by over 10 of their sigmas and 0.02 px.
+    largest_px : float
+        Largest magnitude of the error.
+    """
+
+    compared: int
+    wrong: int
+    largest_px: float
+
+
+@dataclass(frozen=True)
+class SearchFacts(Record):
+    """A search of the probe rays.
+
+    Attributes
+    ----------
+    found : int
+        Rays that were found.
+    largest_distance_um : float
+        From the point that the pixel sees to the one that is lit, parallel to the sensor.
+    iterations : int
+        Marches of a camera's ray, at most.
+    """
+
+    found: int
+    largest_distance_um: float
+    iterations: int
+
+
+@dataclass(frozen=True)
+class PathErrors(Record):
+    """What each bent light path has to do with the section's error; of the searched rays.
+
+    Attributes
+    ----------
+    laser_rms_um, laser_largest_um : float
+        The section's error if only the laser's light were bent.
+    camera_rms_um, camera_largest_um : float
+        What the bent lines of sight add to it.
+    """
+
+    laser_rms_um: float
+    laser_largest_um: float
+    camera_rms_um: float
+    camera_largest_um: float
+
+
+@dataclass(frozen=True)
+class FrameFacts(Record):
+    """How a frame was made.
+
+    Attributes
+    ----------
+    transport : str
+        How light was carried through the air.
+    reason : str or None
+        Why not as asked.
+    map_nodes : dict
+        Nodes of the ray maps, three numbers each, by "camera" and the sources' names.
+    map_error_px : float
+        Their own estimate of their error.
+    samples : int
+        Samples that sought the source's light.
+    marched_samples : int
+        Those of them for which the maps had no answer.
+    folded_pixels : int
+        Pixels of folded light, which are black.
+    """
+
+    transport: str
+    reason: str | None
+    map_nodes: dict[str, tuple[int, ...]]
+    map_error_px: float
+    samples: int
+    marched_samples: int
+    folded_pixels: int
+
+
+@dataclass(frozen=True)
+class StateSummary(Record):
+    """The figures of the part measured cold, or hot.
+
+    Attributes
+    ----------
+    section : SectionErrors
+        The measured section beside the true one.
+    paths : PathErrors or None
+        Which light path is to blame; None where light runs straight.
+    line_minus_search : LineAgreement or None
+        The check of renderer and detector by the ray search; None of dots.
+    dots_minus_search : DotAgreement or None
+        The same of dots.
+    line_minus_truth : TruthAgreement
+        The line's centres beside the frame's truth.
+    line_status : dict
+        How many of the frame's columns have each status.
+    search_status : dict
+        How many of the searched rays have each status.
+    paper_search, newton_search : SearchFacts
+        The probe rays, by both methods.
+    frame : FrameFacts
+        How the frame was made.
+    render_time_s, search_time_s : float
+        Time that rendering and searching took.
+    """
+
+    section: SectionErrors
+    paths: PathErrors | None
+    line_minus_search: LineAgreement | None
+    dots_minus_search: DotAgreement | None
+    line_minus_truth: TruthAgreement
+    line_status: dict[str, int]
+    search_status: dict[str, int]
+    paper_search: SearchFacts
+    newton_search: SearchFacts
+    frame: FrameFacts
+    render_time_s: float
+    search_time_s: float
+
+
+@dataclass(frozen=True)
+class ProbeRays(Record):
+    """The largest differences of the probe rays' points; null where the part has no hot ones.
+
+    A and B are where a ray meets the cold and the hot part, A_m and B_m what is measured there.
+
+    Attributes
+    ----------
+    rays, lit : int
+        Probe rays, and those of them that the laser lights.
+    largest_incidence_shift_um : float
+        |B - A|: hot air moves the point that is lit.
+    largest_hot_error_um : float
+        |B - B_m|: the measured point beside the lit one, in hot air.
+    largest_measured_shift_um : float
+        |B_m - A_m|: hot air moves the measured point.
+    largest_cold_error_um : float
+        |A - A_m|: the measured point beside the lit one, in cold air.
+    largest_cold_error_rounded_um : float
+        The same with pixels rounded to 0.25 px.
+    largest_cold_error_rounded_axis_um : float
+        The same along an axis of the sensor.
+    """
+
+    rays: int
+    lit: int
+    largest_incidence_shift_um: float
+    largest_hot_error_um: float
+    largest_measured_shift_um: float
+    largest_cold_error_um: float
+    largest_cold_error_rounded_um: float
+    largest_cold_error_rounded_axis_um: float
+
+
+@dataclass(frozen=True)
+class FieldPlace(Record):
+    """Where a field was moved to.
+
+    Attributes
+    ----------
+    rotation : list
+        Its axes, as columns of a matrix.
+    shift_mm : list
+        Where its origin went.
+    """
+
+    rotation: Array
+    shift_mm: Array
+
+
+@dataclass(frozen=True)
+class FieldFacts(Record):
+    """The air that bends the light.
+
+    Attributes
+    ----------
+    source : str
+        Where it comes from.
+    ambient_refractivity : float
+        n - 1 of the air around.
+    box_mm : list
+        Lowest and highest corner.
+    moved : FieldPlace or None
+        Where the field was moved to.
+    largest_border_jump : dict
+        Of n - 1, by the face.
+    """
+
+    source: str
+    ambient_refractivity: float
+    box_mm: Array
+    moved: FieldPlace | None
+    largest_border_jump: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """What tells whether a measurement is sound, and how good it is.
+
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    camera, source : str
+        Their names in the scene.
+    parameters : dict
+        The scene's parameters as they were used.
+    field : FieldFacts or None
+        The air; None of a cold scene.
+    notes : tuple of str
+        What the user should know.
+    states : dict of StateSummary
+        By "cold" and "hot".
+    probe_rays : ProbeRays
+        How far hot air moves points.
+    time_s : float
+        Of the whole measurement, without the writing of results.
+    made_with : MadeWith
+        Engine and versions.
+    """
+
+    scene: str
+    camera: str
+    source: str
+    parameters: dict[str, str]
+    field: FieldFacts | None
+    notes: tuple[str, ...]
+    states: dict[str, StateSummary]
+    probe_rays: ProbeRays
+    time_s: float
+    made_with: MadeWith
+
+
+def summary(result: Measurement) -> Summary:
+    """The figures that tell whether the measurement is sound, for ``summary.json``."""
+    scene = result.scene
+    return Summary(
+        scene=str(scene.path),
+        camera=scene.camera_name,
+        source=scene.source_name,
+        parameters=dict(scene.parameters),
+        field=_field_facts(scene.field) if scene.field else None,
+        notes=result.notes,
+        states={name: _state_summary(state) for name, state in result.states.items()},
+        probe_rays=_probe_rays(result),
+        time_s=round(result.time_s, 2),
+        made_with=made_with(scene),
+    )
+
+
+def _probe_rays(result: Measurement) -> ProbeRays:
+    exact, rounded = probe_deviations(result), probe_deviations(result, ROUNDED_PX)
+    sensor = result.cold.scene.sensor
+    along_axes = rounded.cold_um @ sensor.camera.pose.rotation[:, :2]
+    return ProbeRays(
+        rays=len(result.probe_y_mm),
+        lit=int(np.sum(sensor.laser.reaches(0.0, result.probe_y_mm))),
+        largest_incidence_shift_um=largest(euclidean(exact.incidence_um)),
+        largest_hot_error_um=largest(euclidean(exact.hot_um)),
+        largest_measured_shift_um=largest(euclidean(exact.measured_um)),
+        largest_cold_error_um=largest(euclidean(exact.cold_um)),
+        largest_cold_error_rounded_um=largest(euclidean(rounded.cold_um)),
+        largest_cold_error_rounded_axis_um=largest(along_axes),
+    )
+
+
+def _field_facts(field: IndexField) -> FieldFacts:
     jumps = zip(("x-", "x+", "y-", "y+", "z-", "z+"), field.border_jump(), strict=True)
-    return {
-        "source": field.source,
-        "ambient n - 1": field.ambient,
-        "box, mm": field.box.tolist(),
-        "moved by": {
-            "rotation": field.axes().tolist(),
-            "shift, mm": field.to_world(np.zeros(3)).tolist(),
-        }
-        if field.pose
+    return FieldFacts(
+        source=field.source,
+        ambient_refractivity=field.ambient,
+        box_mm=field.box,
+        moved=FieldPlace(field.axes(), field.to_world(np.zeros(3))) if field.pose else None,
+        largest_border_jump={face: float(jump) for face, jump in jumps},
+    )
+
+
+def _state_summary(state: State) -> StateSummary:
+    return StateSummary(
+        section=section_errors(state.section_error_um, state.section.along_mm(state.points_mm)),
+        paths=_path_errors(state) if state.scene.field else None,
+        line_minus_search=_line_agreement(state.by_search, state.centres)
+        if state.by_search
         else None,
-        "largest jump of n - 1 at the border": {face: float(jump) for face, jump in jumps},
-    }
+        dots_minus_search=_dot_agreement(state.dots) if state.dots else None,
+        line_minus_truth=TruthAgreement(
+            state.by_frame.count, int(state.by_frame.wrong().sum()), state.by_frame.largest_px
+        ),
+        line_status=counts_of(state.line.status, Status),
+        search_status=counts_of(state.dense.status, SearchStatus),
+        paper_search=_search_facts(state.paper),
+        newton_search=_search_facts(state.newton),
+        frame=frame_facts(state.frame.account),
+        render_time_s=round(state.render_time_s, 3),
+        search_time_s=round(state.search_time_s, 3),
+    )
 
 
-def _state_summary(state: State) -> dict[str, Any]:
-    searched, dots = state.by_search, state.dots
-    return {
-        "line": counts_of(state.line.status, Status),
-        "search": counts_of(state.dense.status, SearchStatus),
-        "rendered line minus search, px": {
-            "rms": searched.rms_px,
-            "largest": searched.largest_px,
-            "columns compared": searched.count,
-            "columns on the searched line": searched.expected,
-            "columns where an edge cuts the line": searched.cut,
-            "centres": state.centres,
-            "centres cut by an edge": searched.cut_centres,
-            "centres off the searched line": searched.stray_centres,
+def _path_errors(state: State) -> PathErrors:
+    laser = state.laser_path_um
+    camera = state.searched_error_um - laser
+    return PathErrors(rms(laser), largest(laser), rms(camera), largest(camera))
+
+
+def _line_agreement(compared: LineErrors, centres: int) -> LineAgreement:
+    return LineAgreement(
+        rms_px=compared.rms_px,
+        largest_px=compared.largest_px,
+        compared=compared.count,
+        centres=centres,
+        expected=compared.expected,
+        cut=compared.cut,
+        cut_centres=compared.cut_centres,
+        stray_centres=compared.stray_centres,
+    )
+
+
+def _dot_agreement(dots: DotErrors) -> DotAgreement:
+    return DotAgreement(
+        rms_px=dots.rms_px,
+        largest_u_px=largest(dots.error_px[:, 0]),
+        largest_v_px=largest(dots.error_px[:, 1]),
+        found=dots.count,
+        dots=len(dots.pixel),
+    )
+
+
+def _search_facts(found: FoundPixels) -> SearchFacts:
+    return SearchFacts(
+        found=int(np.sum(found.status == SearchStatus.FOUND)),
+        largest_distance_um=largest(found.distance_um),
+        iterations=int(found.iterations.max(initial=0)),
+    )
+
+
+def frame_facts(account: Account) -> FrameFacts:
+    """How a frame was made."""
+    return FrameFacts(
+        transport=account.transport,
+        reason=account.reason or None,
+        map_nodes=dict(account.nodes),
+        map_error_px=account.error_px,
+        samples=account.samples,
+        marched_samples=account.marched,
+        folded_pixels=account.folded,
+    )
+
+
+# The tables.
+
+
+@dataclass(frozen=True)
+class LineTable(Table):
+    """The line's centres, a row for each of the image's columns.
+
+    Attributes
+    ----------
+    column_px, row_px : ndarray of shape (N,)
+        (u, v) of the centre, integers at pixel centres; empty where there is none.
+    sigma_px : ndarray of shape (N,)
+        Predicted standard deviation of the row.
+    width_px : ndarray of shape (N,)
+        Standard deviation of the line's profile.
+    amplitude : ndarray of shape (N,)
+        Height of the profile, W/(mm² sr).
+    status : ndarray of str of shape (N,)
+        Why there is a centre, or none.
+    point_mm : ndarray of shape (N, 3)
+        The point measured there, world.
+    section_error_um : ndarray of shape (N,)
+        Its distance from the true section: positive outside the part.
+    """
+
+    column_px: Array
+    row_px: Array
+    sigma_px: Array
+    width_px: Array
+    amplitude: Array
+    status: Texts
+    point_mm: Array
+    section_error_um: Array
+
+
+def line_table(state: State) -> LineTable:
+    """A state's line."""
+    line, sensor = state.line, state.scene.sensor
+    points = triangulate(sensor, line.pixel) if state.dots else state.points_mm
+    return LineTable(
+        line.column,
+        line.row,
+        line.sigma,
+        line.width,
+        line.amplitude,
+        status_names(line.status, Status),
+        points,
+        state.section.distance_um(points) if state.dots else state.section_error_um,
+    )
+
+
+@dataclass(frozen=True)
+class DotTable(Table):
+    """The laser's dots, a row for each.
+
+    Attributes
+    ----------
+    y_mm : ndarray of shape (N,)
+        The dot's position along the line.
+    pixel : ndarray of shape (N, 2)
+        Its centroid, px; empty where it was not found.
+    flux : ndarray of shape (N,)
+        Sum of its pixels.
+    searched_pixel : ndarray of shape (N, 2)
+        Where the ray search finds it, px.
+    point_mm : ndarray of shape (N, 3)
+        The point measured there, world.
+    section_error_um : ndarray of shape (N,)
+        Its distance from the true section: positive outside the part.
+    status : ndarray of str of shape (N,)
+        Whether it was found.
+    search_status : ndarray of str of shape (N,)
+        How the ray's search ended.
+    """
+
+    y_mm: Array
+    pixel: Array
+    flux: Array
+    searched_pixel: Array
+    point_mm: Array
+    section_error_um: Array
+    status: Texts
+    search_status: Texts
+
+
+def dot_table(state: State) -> DotTable:
+    """A state's dots."""
+    dots = state.dots
+    assert dots is not None
+    return DotTable(
+        state.scene.sensor.laser.dots_mm,
+        dots.pixel,
+        dots.flux,
+        dots.true_pixel,
+        state.points_mm,
+        state.section_error_um,
+        np.where(dots.found, "ok", "not_found"),
+        status_names(state.dense.status, SearchStatus),
+    )
+
+
+@dataclass(frozen=True)
+class ProbeTable(Table):
+    """The probe rays, a row for each; the hot columns are missing from a part measured only cold.
+
+    In the paper's letters the incidence points are A (cold) and B (hot), the measured ones A_m and
+    B_m. Columns with "rounded" have them from pixels rounded to 0.25 px.
+
+    Attributes
+    ----------
+    y_mm : ndarray of shape (N,)
+        The ray's position along the line.
+    incidence_cold_mm, incidence_hot_mm : ndarray of shape (N, 3)
+        A and B: where the ray meets the part, world.
+    pixel_cold, pixel_hot : ndarray of shape (N, 2)
+        Pixels that see these points, by Newton's search, px.
+    status_cold, status_hot : ndarray of str of shape (N,)
+        How that search ended.
+    paper_pixel_cold, paper_pixel_hot : ndarray of shape (N, 2)
+        The same by the paper's search, px.
+    paper_distance_cold_um, paper_distance_hot_um : ndarray of shape (N,)
+        How near that search came, parallel to the sensor.
+    paper_status_cold, paper_status_hot : ndarray of str of shape (N,)
+        How it ended.
+    incidence_shift_um, incidence_shift_rounded_um : ndarray of shape (N, 3)
+        B - A: hot air moves the point that is lit.
+    incidence_shift_um_norm, incidence_shift_rounded_um_norm : ndarray of shape (N,)
+        Its length.
+    hot_error_um, hot_error_rounded_um : ndarray of shape (N, 3)
+        B - B_m: lit minus measured point in hot air.
+    hot_error_um_norm, hot_error_rounded_um_norm : ndarray of shape (N,)
+        Its length.
+    measured_shift_um, measured_shift_rounded_um : ndarray of shape (N, 3)
+        B_m - A_m: hot air moves the measured point.
+    measured_shift_um_norm, measured_shift_rounded_um_norm : ndarray of shape (N,)
+        Its length.
+    cold_error_um, cold_error_rounded_um : ndarray of shape (N, 3)
+        A - A_m: lit minus measured point in cold air.
+    cold_error_um_norm, cold_error_rounded_um_norm : ndarray of shape (N,)
+        Its length.
+    pixel_shift_px, pixel_shift_rounded_px : ndarray of shape (N, 2)
+        Hot minus cold pixel.
+    pixel_shift_px_norm, pixel_shift_rounded_px_norm : ndarray of shape (N,)
+        Its length.
+    laser_path_px : ndarray of shape (N, 2)
+        The part of the pixel's shift that the laser's bent path makes: B and A, both seen straight.
+    camera_path_px : ndarray of shape (N, 2)
+        The part that the camera's bent line of sight makes.
+    """
+
+    y_mm: Array
+    incidence_cold_mm: Array
+    pixel_cold: Array
+    status_cold: Texts
+    paper_pixel_cold: Array
+    paper_distance_cold_um: Array
+    paper_status_cold: Texts
+    cold_error_um: Array
+    cold_error_um_norm: Array
+    cold_error_rounded_um: Array
+    cold_error_rounded_um_norm: Array
+    incidence_hot_mm: Array | None = None
+    pixel_hot: Array | None = None
+    status_hot: Texts | None = None
+    paper_pixel_hot: Array | None = None
+    paper_distance_hot_um: Array | None = None
+    paper_status_hot: Texts | None = None
+    incidence_shift_um: Array | None = None
+    incidence_shift_um_norm: Array | None = None
+    incidence_shift_rounded_um: Array | None = None
+    incidence_shift_rounded_um_norm: Array | None = None
+    hot_error_um: Array | None = None
+    hot_error_um_norm: Array | None = None
+    hot_error_rounded_um: Array | None = None
+    hot_error_rounded_um_norm: Array | None = None
+    measured_shift_um: Array | None = None
+    measured_shift_um_norm: Array | None = None
+    measured_shift_rounded_um: Array | None = None
+    measured_shift_rounded_um_norm: Array | None = None
+    pixel_shift_px: Array | None = None
+    pixel_shift_px_norm: Array | None = None
+    pixel_shift_rounded_px: Array | None = None
+    pixel_shift_rounded_px_norm: Array | None = None
+    laser_path_px: Array | None = None
+    camera_path_px: Array | None = None
+
+
+def probe_table(result: Measurement) -> ProbeTable:
+    """The probe rays of a measurement."""
+    columns: dict[str, Any] = {}
+    for name, state in result.states.items():
+        columns |= {
+            f"incidence_{name}_mm": state.newton.laser_point_mm,
+            f"pixel_{name}": state.newton.pixel,
+            f"status_{name}": status_names(state.newton.status, SearchStatus),
+            f"paper_pixel_{name}": state.paper.pixel,
+            f"paper_distance_{name}_um": state.paper.distance_um,
+            f"paper_status_{name}": status_names(state.paper.status, SearchStatus),
         }
-        if searched
-        else None,
-        TRUTH: {
-            "ok, truth known": state.by_frame.count,
-            WRONG: int(state.by_frame.wrong().sum()),
-            "largest, px": state.by_frame.largest_px,
-        },
-        "rendered dots minus search, px": {
-            "rms": dots.rms_px,
-            "found": state.centres,
-            "of": len(dots.pixel),
-            "largest in u": _largest(dots.error_px[:, :1]),
-            "largest in v": _largest(dots.error_px[:, 1:]),
+    for suffix, step_px in (("", None), ("_rounded", ROUNDED_PX)):
+        d = probe_deviations(result, step_px)
+        differences = {f"cold_error{suffix}_um": d.cold_um}
+        if result.hot:
+            differences |= {
+                f"incidence_shift{suffix}_um": d.incidence_um,
+                f"hot_error{suffix}_um": d.hot_um,
+                f"measured_shift{suffix}_um": d.measured_um,
+                f"pixel_shift{suffix}_px": d.pixel_px,
+            }
+        for name, values in differences.items():
+            columns |= {name: values, f"{name}_norm": euclidean(values)}
+    if result.hot:
+        A, B = result.cold.newton, result.hot.newton
+        camera = result.hot.scene.sensor.camera
+        paths = separate_paths(camera, A.laser_point_mm, B.laser_point_mm, A.pixel, B.pixel)
+        columns["laser_path_px"] = paths.laser_to_object_px
+        columns["camera_path_px"] = paths.object_to_camera_px
+    return ProbeTable(result.probe_y_mm, **columns)
+
+
+@dataclass(frozen=True)
+class DenseTable(Table):
+    """The rays that were searched along the line, or at the dots, a row for each.
+
+    Attributes
+    ----------
+    y_mm : ndarray of shape (N,)
+        The ray's position along the line.
+    incidence_cold_mm, incidence_hot_mm : ndarray of shape (N, 3)
+        Where the ray meets the part, world: A and B.
+    pixel_cold, pixel_hot : ndarray of shape (N, 2)
+        Pixels that see these points, px.
+    measured_cold_mm, measured_hot_mm : ndarray of shape (N, 3)
+        The points measured from them, world: A_m and B_m.
+    section_error_cold_um, section_error_hot_um : ndarray of shape (N,)
+        Their distances from the true section: positive outside the part.
+    status_cold, status_hot : ndarray of str of shape (N,)
+        How the search ended.
+    laser_path_um : ndarray of shape (N,)
+        What the hot distance would be if only the laser's light were bent.
+    camera_path_um : ndarray of shape (N,)
+        What the bent line of sight adds to it.
+    """
+
+    y_mm: Array
+    incidence_cold_mm: Array
+    pixel_cold: Array
+    measured_cold_mm: Array
+    section_error_cold_um: Array
+    status_cold: Texts
+    incidence_hot_mm: Array | None = None
+    pixel_hot: Array | None = None
+    measured_hot_mm: Array | None = None
+    section_error_hot_um: Array | None = None
+    status_hot: Texts | None = None
+    laser_path_um: Array | None = None
+    camera_path_um: Array | None = None
+
+
+def dense_table(result: Measurement) -> DenseTable:
+    """The searched rays of a measurement."""
+    columns: dict[str, Any] = {}
+    for name, state in result.states.items():
+        columns |= {
+            f"incidence_{name}_mm": state.dense.laser_point_mm,
+            f"pixel_{name}": state.dense.pixel,
+            f"measured_{name}_mm": state.searched_mm,
+            f"section_error_{name}_um": state.searched_error_um,
+            f"status_{name}": status_names(state.dense.status, SearchStatus),
         }
-        if dots
-        else None,
-        "paper's search, probe rays": {
-            "largest distance, um": _largest(state.paper.distance_um[:, None]),
-            "steps": int(state.paper.iterations.max(initial=0)),
-            "found": int(np.sum(state.paper.status == SearchStatus.FOUND)),
-        },
-        "Newton's search, probe rays": {
-            "largest distance, um": _largest(state.newton.distance_um[:, None]),
-            "marches": int(state.newton.iterations.max(initial=0)),
-            "found": int(np.sum(state.newton.status == SearchStatus.FOUND)),
-        },
-        "frame": frame_account(state.frame.account),
-        "seconds": {name: round(value, 2) for name, value in state.seconds.items()},
-    }
-
-
-def frame_account(account: Account) -> dict[str, Any]:
-    """How a frame was made, in words."""
-    return {
-        "transport": account.transport,
-        "why not as asked": account.reason or None,
-        "tables": {
-            **{f"nodes of the {name}'s": nodes for name, nodes in account.nodes.items()},
-            "estimated error, px": account.error_px,
-        }
-        if account.nodes
-        else None,
-        "samples": account.samples,
-        "of them marched, where the tables could not tell": account.marched,
-        "pixels of folded light, black": account.folded,
-    }
-
-
-def _largest(differences: Array) -> float | None:
-    """Largest norm of the rows that have one."""
-    norms = euclidean(differences)
-    return float(np.nanmax(norms)) if np.isfinite(norms).any() else None
+    if hot := result.hot:
+        columns["laser_path_um"] = hot.laser_path_um
+        columns["camera_path_um"] = hot.searched_error_um - hot.laser_path_um
+    return DenseTable(result.dense_y_mm, **columns)

@@ -1,7 +1,5 @@
 """What a reader of a study's figures should know: parts left out, and what is too coarse."""
 
-from enum import IntEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,7 @@ from virtual_sensor.metrology.truth import (
     LineErrors,
 )
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
+from virtual_sensor.records import counts_of
 from virtual_sensor.studies.field_grid import pixel_loss
 from virtual_sensor.studies.probes import probe_rays
 
@@ -25,8 +24,6 @@ Array = NDArray[np.float64]
 
 WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
 """What makes a centre that is ok a wrong one (see `truth.LineErrors.wrong`)."""
-TRUTH = "line centres beside the frame's truth"
-"""Under this a summary counts them."""
 
 
 def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
@@ -125,8 +122,3 @@ def frame_notes(
             f" {WRONG}, at most by {by_frame.largest_px:.2g} px"
         )
     return notes
-
-
-def counts_of(status: NDArray[np.integer], kind: type[IntEnum]) -> dict[str, int]:
-    """How many have each status, by its name in lower case."""
-    return {member.name.lower(): int(np.sum(status == member)) for member in kind}

@@ -1,17 +1,50 @@
 """The ray search alone, without any image."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics.ray_search import METHODS as METHODS
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.records import Table, status_names
 from virtual_sensor.studies.probes import probe_rays
-from virtual_sensor.studies.tables import status_names, vectors
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SearchTable(Table):
+    """Laser rays and the pixels that see their light, a row for each ray.
+
+    Attributes
+    ----------
+    y_mm : ndarray of shape (N,)
+        The ray's position along the line.
+    laser_point_mm : ndarray of shape (N, 3)
+        Where it meets the part, world.
+    pixel : ndarray of shape (N, 2)
+        The pixel that sees this point, px.
+    measured_point_mm : ndarray of shape (N, 3)
+        Measured from that pixel by triangulation, world.
+    distance_um : ndarray of shape (N,)
+        From the point that the pixel sees to the one that is lit, parallel to the sensor.
+    marches : ndarray of shape (N,)
+        Marches of the camera's ray that were spent.
+    status : ndarray of str of shape (N,)
+        How the search ended.
+    """
+
+    y_mm: Array
+    laser_point_mm: Array
+    pixel: Array
+    measured_point_mm: Array
+    distance_um: Array
+    marches: NDArray[np.int64]
+    status: NDArray[np.str_]
 
 
 @dataclass(frozen=True)
@@ -20,19 +53,18 @@ class Search:
 
     Attributes
     ----------
-    columns : dict
-        Of a table, one row per ray.
+    rays : SearchTable
     notes : tuple of str
         What the user should know of the scene.
     """
 
-    columns: dict[str, Any]
+    rays: SearchTable
     notes: tuple[str, ...]
 
     @property
     def found(self) -> int:
         """How many rays have a pixel that is good."""
-        return int(np.sum(self.columns["status"] == "found"))
+        return int(np.sum(self.rays.status == "found"))
 
 
 def search(
@@ -51,13 +83,13 @@ def search(
     notes = (*scene.notes, *check_scene(scene))
     y = probe_rays(scene, y_mm)
     found = ray_search(scene, y, method)
-    columns = {
-        "y_mm": y,
-        **vectors("laser_point_mm", found.laser_point_mm, "xyz"),
-        **vectors("pixel", found.pixel, "uv"),
-        **vectors("measured_point_mm", triangulate(sensor, found.pixel), "xyz"),
-        "distance_um": found.distance_um,
-        "marches": found.iterations,
-        "status": status_names(found.status, SearchStatus),
-    }
-    return Search(columns, notes)
+    table = SearchTable(
+        y_mm=y,
+        laser_point_mm=found.laser_point_mm,
+        pixel=found.pixel,
+        measured_point_mm=triangulate(sensor, found.pixel),
+        distance_um=found.distance_um,
+        marches=found.iterations,
+        status=status_names(found.status, SearchStatus),
+    )
+    return Search(table, notes)

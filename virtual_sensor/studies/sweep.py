@@ -31,7 +31,6 @@ from virtual_sensor.studies.finished_cases import (
     of_other_programs,
     own_folder,
 )
-from virtual_sensor.studies.notes import TRUTH, WRONG
 
 Report = Callable[[str, float], None]
 Save = Callable[..., None]
@@ -54,7 +53,9 @@ _VALUE_LENGTH, _NAME_LENGTH = 40, 120
 _ONE_AT_A_TIME = threading.Lock()  # a case uses all cores, and what it holds is one process's
 _Ending = tuple[str, str]  # status and message
 _PROBE_RAYS = {
-    f"largest_{d}_um": f"largest |{d.replace('-', ' - ')}|" for d in ("B-A", "B-B_m", "B_m-A_m")
+    "largest_B-A_um": "largest_incidence_shift_um",
+    "largest_B-B_m_um": "largest_hot_error_um",
+    "largest_B_m-A_m_um": "largest_measured_shift_um",
 }
 
 
@@ -486,19 +487,19 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
     figures: dict[str, float | None] = {}
     for name in STATES:
         state = summary.get("states", {}).get(name, {})
-        dots = state.get("rendered dots minus search, px") or {}
-        line = {} if dots else state.get("rendered line minus search, px", {})
+        dots = state.get("dots_minus_search") or {}
+        line = state.get("line_minus_search") or {}
         figures |= {
-            f"{name}_centres": dots.get("found", state.get("line", {}).get("ok")),
-            f"{name}_compared": dots.get("found", line.get("columns compared")),
-            f"{name}_wrong": state.get(TRUTH, {}).get(WRONG) if line else None,
-            f"{name}_line_rms_px": line.get("rms"),
-            f"{name}_line_largest_px": line.get("largest"),
-            f"{name}_dots_largest_u_px": dots.get("largest in u"),
-            f"{name}_dots_largest_v_px": dots.get("largest in v"),
+            f"{name}_centres": dots.get("found", line.get("centres")),
+            f"{name}_compared": dots.get("found", line.get("compared")),
+            f"{name}_wrong": state["line_minus_truth"]["wrong"] if line else None,
+            f"{name}_line_rms_px": line.get("rms_px"),
+            f"{name}_line_largest_px": line.get("largest_px"),
+            f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
+            f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
         }
-    moved = summary.get("probe_rays_um", {})
-    figures["rays_lit"] = summary.get("rays lit")
+    moved = summary.get("probe_rays", {})
+    figures["rays_lit"] = moved.get("lit")
     figures |= {name: moved.get(key) for name, key in _PROBE_RAYS.items()}
     return {name: np.nan if value is None else value for name, value in figures.items()}
 

@@ -151,7 +151,7 @@ def from_line(curve: Curve, folder: Path) -> Curve:
     for name, pixel in (("cold", curve.pixel_A), ("hot", curve.pixel_B)):
         line = read_columns(folder / f"line_{name}.csv")
         good = line["status"] == "ok"
-        column, row = line["column"][good].astype(float), line["row"][good].astype(float)
+        column, row = line["column_px"][good].astype(float), line["row_px"][good].astype(float)
         inside = (pixel[:, 0] >= column[0]) & (pixel[:, 0] <= column[-1])
         v = np.where(inside, CubicSpline(column, row)(pixel[:, 0]), np.nan)
         pixels.append(np.stack([pixel[:, 0], v], axis=1))

@@ -3,7 +3,6 @@
 import textwrap
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +14,7 @@ from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.optics.ray_search import incidence_points
-from virtual_sensor.studies.measure import (
-    Measurement,
-    probe_deviations,
-)
+from virtual_sensor.studies.measure import Measurement, Summary, probe_deviations
 
 Array = NDArray[np.float64]
 
@@ -27,7 +23,7 @@ _MARGIN_PX = 12
 _TEXT_LETTERS, _TEXT_LINES = 68, 24
 
 
-def draw_report(result: Measurement, figures: dict[str, Any], path: Path) -> None:
+def draw_report(result: Measurement, figures: Summary, path: Path) -> None:
     """Draw the page as a PNG; `figures` is the measurement's summary."""
     # Fixed margins: a layout engine would draw all of it twice, to see how large the labels are.
     figure = Figure(figsize=(13.5, 9.5), dpi=110)
@@ -174,16 +170,13 @@ def _residual(axes: Axes, result: Measurement) -> None:
     axes.legend(fontsize=8)
 
 
-def _text(axes: Axes, result: Measurement, figures: dict[str, Any]) -> None:
+def _text(axes: Axes, result: Measurement, figures: Summary) -> None:
     """The figures that a reader asks for first."""
-    moved = figures["probe_rays_um"]
-    lines = [f"{len(result.probe_y_mm)} probe rays, {figures['rays lit']} of them lit:"]
-    lines += [f"  {name}: {um:.3g} µm" for name, um in moved.items() if um is not None]
+    rays = figures.probe_rays
+    lines = [f"{rays.rays} probe rays, {rays.lit} of them lit:"]
     for name, state in result.states.items():
-        lines.append(
-            f"{name}: {state.centres} centres, rendered in {state.seconds['render']:.1f} s"
-        )
-    lines.append(f"whole measurement: {result.seconds:.1f} s")
+        lines.append(f"{name}: {state.centres} centres, rendered in {state.render_time_s:.1f} s")
+    lines.append(f"whole measurement: {result.time_s:.1f} s")
     lines += [line for note in result.notes for line in textwrap.wrap(note, _TEXT_LETTERS)]
     if len(lines) > _TEXT_LINES:
         lines = [*lines[: _TEXT_LINES - 1], "... and more in summary.json"]
