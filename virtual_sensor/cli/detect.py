@@ -1,21 +1,22 @@
 """The command `virtual-sensor detect`."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from virtual_sensor.cli.shared import (
+    NOTHING_FOUND,
     Overwrite,
+    check_folder,
     command_line,
     console,
+    print_end,
     print_notes,
     reporting,
     see_own_modules,
 )
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole
 
 EPILOG = (
     "Examples:\n\n"
@@ -48,7 +49,7 @@ def detect(
         str, typer.Option(help="columns, where the line lies flat, or rows, where it stands.")
     ] = "columns",
     peaks: Annotated[
-        int, typer.Option(min=1, help="So many peaks of each column, the highest first.")
+        int, typer.Option(min=1, help="Peaks that are sought in each column, the highest first.")
     ] = 1,
     bits: Annotated[
         int | None,
@@ -77,7 +78,7 @@ def detect(
         Path | None,
         typer.Option(
             help="OpenCV's or ROS's YAML, XML or JSON, of fisheye lenses too: camera_matrix,"
-            " distortion_coefficients, rotation, translation, laser_plane. Then there are points"
+            " distortion_coefficients, rotation, translation, laser_plane. Points are written then"
             " too, as PLY."
         ),
     ] = None,
@@ -86,43 +87,36 @@ def detect(
     ),
     overwrite: Overwrite = False,
 ) -> None:
-    """Find laser lines in images: their centres as CSV, a picture of each, and points as PLY."""
+    """Find laser lines in images: centres as CSV, points as PLY, a picture of each, and a page.
+
+    Exit status 3: there are results, but no image has a line centre; the statuses say why.
+    """
     from virtual_sensor.imaging.image_files import find_images
     from virtual_sensor.metrology.calibration import read_calibration
-    from virtual_sensor.studies.detect import Detected
+    from virtual_sensor.reporting.detect import lead, save, table
+    from virtual_sensor.studies.detect import Settings
     from virtual_sensor.studies.detect import detect as run
-    from virtual_sensor.studies.detect_results import names_of, save_detected
-    from virtual_sensor.studies.tables import write_json
 
     see_own_modules()
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
-    options: dict[str, Any] = {"along": along, "peaks": peaks, "min_amplitude": min_amplitude}
-    options |= {"saturation": saturation, "max_sigma": max_width, "noise": noise, "gain": gain}
+    settings = Settings(
+        *(detector, along, peaks, channel, bits, saturation, noise, gain),
+        min_amplitude=min_amplitude,
+        max_width_px=max_width,
+    )
+    check_folder(output, overwrite)
     calibrated = read_calibration(calibration) if calibration else None
-    check_output(output, overwrite, folder=True)
     paths, notes = find_images(images)
     notes += calibrated.notes if calibrated else ()
-    names = names_of(paths)
-    summary: dict[str, Any] = {}
-    table = Table("image", "centres", "other statuses", "detector's time")
-    with reporting("reading") as report, folder_written_whole(output, overwrite) as place:
-
-        def each(found: Detected, number: int) -> None:
-            report(found.path.name, number / len(paths))
-            save_detected(found, names[number], place)
-            counts = dict(found.counts)
-            ok = counts.pop("ok", 0)
-            others = ", ".join(f"{name} {n}" for name, n in counts.items())
-            table.add_row(names[number], str(ok), others, f"{found.seconds * 1e3:.0f} ms")
-            summary[names[number]] = {"file": str(found.path), "ok": ok, **counts}
-
-        notes += run(paths, detector, options, channel, calibrated, each, bits)
-        report("done", 1.0)
-        told = {"command": command_line(), "notes": notes, "images": summary}
-        write_json(place / RESULTS_SIGN, told)
-    console.print(table)
-    print_notes(notes)
-    first = output / f"{names[0]}.png"
-    read = "1 image" if len(paths) == 1 else f"{len(paths)} images"
-    console.print(f"{read}; results in {output}, look at {first} first", soft_wrap=True)
+    with reporting("reading") as report:
+        found = run(paths, settings, calibrated)
+        summary = save(
+            *(found, paths, settings, output, command_line(), overwrite, calibration, notes, report)
+        )
+    console.print(table(summary).rich())
+    print_notes(summary.notes)
+    console.print(lead(summary), soft_wrap=True)
+    print_end(output)
+    if not summary.centres:
+        raise typer.Exit(NOTHING_FOUND)

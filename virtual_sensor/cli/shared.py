@@ -15,9 +15,13 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from virtual_sensor import interrupts
 from virtual_sensor.cli.console import console, errors
 from virtual_sensor.errors import InputError, printable
+from virtual_sensor.files import check_output
 
 _IMPORTED = time.perf_counter()
 _LINE_EVERY_S = 10.0
+_FILES = {*(".csv", ".xlsx", ".json", ".ply", ".html", ".md", ".pdf"), *(".png", ".jpg", ".jpeg")}
+_FILES |= {".tif", ".tiff", ".bmp", ".svg", ".exr", ".nc", ".txt", ".zip"}
+"""Suffixes of files: no folder of results is meant by such a name."""
 NOTHING_FOUND = 3
 """Status that a command ends with if there are results, but no line, dot or ray in them."""
 
@@ -166,6 +170,22 @@ def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
         *others, last = suffixes
         wanted = f"{', '.join(others)} or {last}" if others else last
         raise InputError(f"-o {path}: {what} is written as {wanted}; name it so")
+
+
+def check_folder(path: Path, overwrite: bool) -> None:
+    """Refuse a folder of results that can't be written, or whose name is a file's.
+
+    Raises
+    ------
+    InputError
+        Which names the remedy.
+    """
+    if path.suffix.lower() in _FILES and not path.is_dir():
+        raise InputError(
+            f"-o {path}: the results are a folder of tables, pictures and a page; name a folder,"
+            f" such as -o {path.with_suffix('')}"
+        )
+    check_output(path, overwrite, folder=True)
 
 
 def print_notes(notes: Iterable[str]) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import textwrap
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import ceil
@@ -189,7 +190,9 @@ def _figure(size_px: tuple[int, int], layout: Literal["constrained"] | None) -> 
 
 def _pixels(figure: Figure) -> Image8:
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # letters of a name that the font lacks
+        canvas.draw()
     return np.array(canvas.buffer_rgba())[..., :3]
 
 

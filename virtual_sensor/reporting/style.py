@@ -52,9 +52,20 @@ COLOURS = {
     "gaussian": BLUE,
     "max_likelihood": VERMILION,
     "steger": GREEN,
-    # what became of a column
+    # what became of a column or a point
     "ok": GREEN,
     "failed": VERMILION,
+    "no_peak": "#B5B5B5",
+    "saturated": VERMILION,
+    "too_narrow": SKY,
+    "at_border": GREY,
+    "line_end": "#4D4D4D",
+    "poor_fit": ORANGE,
+    "bad_pixels": BLACK,
+    "skewed": PURPLE,
+    "doubled": BLUE,
+    "cut": YELLOW,
+    "overlapping": "#8C564B",
 }
 
 _RC = {

@@ -1,8 +1,10 @@
 """Line centres in images that users bring, and points where they bring a calibration too."""
 
+from __future__ import annotations
+
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +18,154 @@ from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import STEGER
 from virtual_sensor.metrology.line_peaks import ALONG, line_centres
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.records import Record, Table, counts_of, status_names
 
 Array = NDArray[np.float64]
 
 _FEW, _SOME = 0.5, 0.1  # of the columns or rows
+
+
+@dataclass(frozen=True)
+class Settings(Record):
+    """How the line is sought: see `line_centres` and `read_image`.
+
+    Attributes
+    ----------
+    detector : str
+    along : str
+        "columns", which the line crosses where it lies flat, or "rows".
+    peaks : int
+        Sought in each column or row, the highest first.
+    channel : str or None
+        Of a colour image.
+    bits : int or None
+        Of the camera, where the file has more.
+    saturation : float or None
+        Grey value from which on pixels are clipped; None: as the file says.
+    noise : float or None
+        Standard deviation of dark grey values; None: as the image shows.
+    gain : float
+        Grey values per electron, for the shot noise; 0: none.
+    min_amplitude : float
+        Smallest height of a line, relative to the highest of the image.
+    max_width_px : float
+        Broadest line, standard deviation.
+    """
+
+    detector: str = "gaussian"
+    along: str = "columns"
+    peaks: int = 1
+    channel: str | None = None
+    bits: int | None = None
+    saturation: float | None = None
+    noise: float | None = None
+    gain: float = 0.0
+    min_amplitude: float = 0.01
+    max_width_px: float = 32.0
+
+    def centres(self, image: NDArray) -> LineCentres:
+        """Find the line in an image (H, W).
+
+        Raises
+        ------
+        InputError
+            If a setting is out of its range.
+        """
+        return line_centres(
+            image,
+            self.detector,
+            along=self.along,
+            peaks=self.peaks,
+            saturation=self.saturation,
+            noise=self.noise,
+            gain=self.gain,
+            min_amplitude=self.min_amplitude,
+            max_sigma=self.max_width_px,
+        )
+
+
+@dataclass(frozen=True)
+class CentreTable(Table):
+    """Line centres, one in a row; with several peaks, peak by peak.
+
+    Attributes
+    ----------
+    peak : ndarray of int or None
+        0 is the highest; None where only one is sought.
+    column_px, row_px : ndarray
+        (u, v), integers at pixel centres; nothing where there is no centre.
+    sigma_px : ndarray
+        Standard deviation of the centre that the detector predicts.
+    width_px : ndarray
+        Standard deviation of the line's profile.
+    amplitude, background : ndarray
+        Height of the profile above its background, and that, in grey values.
+    normal_deg : ndarray
+        Direction in which the centre was sought, from +u towards +v.
+    status : ndarray of str
+        Why there is a centre, "ok", or none.
+    point_mm : ndarray of shape (N, 3) or None
+        Triangulated, world; None without a calibration.
+    """
+
+    peak: NDArray[np.intp] | None
+    column_px: Array
+    row_px: Array
+    sigma_px: Array
+    width_px: Array
+    amplitude: Array
+    background: Array
+    normal_deg: Array
+    status: NDArray[np.str_]
+    point_mm: Array | None
+
+    @classmethod
+    def of(cls, line: LineCentres, points_mm: Array | None = None) -> CentreTable:
+        """The table of a line, and of its points (..., 3)."""
+        peaks = line.status.shape[0] if line.status.ndim > 1 else None
+        return cls(
+            peak=None if peaks is None else np.repeat(np.arange(peaks), line.status.shape[1]),
+            column_px=np.ravel(line.column),
+            row_px=np.ravel(line.row),
+            sigma_px=np.ravel(line.sigma),
+            width_px=np.ravel(line.width),
+            amplitude=np.ravel(line.amplitude),
+            background=np.ravel(line.background),
+            normal_deg=np.ravel(line.normal_deg),
+            status=status_names(line.status, Status),
+            point_mm=None if points_mm is None else points_mm.reshape(-1, 3),
+        )
+
+
+@dataclass(frozen=True)
+class ImageSummary(Record):
+    """What was found in an image.
+
+    Attributes
+    ----------
+    file : Path
+    columns, rows : int
+        Of the image.
+    centres : int
+        That were found.
+    median_sigma_px : float
+        Of the standard deviations that the detector predicts for them.
+    median_width_px : float
+        Of the line's profile, standard deviation.
+    time_s : float
+        That the detector took.
+    statuses : dict of str to int
+        How many columns, rows or points have each status; only those that occur.
+    """
+
+    file: Path
+    columns: int
+    rows: int
+    centres: int
+    median_sigma_px: float
+    median_width_px: float
+    time_s: float
+    statuses: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -33,63 +179,61 @@ class Detected:
     line : LineCentres
     points_mm : ndarray of shape (..., 3) or None
         World, NaN where there is no centre; None without a calibration.
-    seconds : float
+    time_s : float
         That the detector took.
+    remarks : tuple of str
+        What was converted, assumed or left out, without the image's name.
     """
 
     path: Path
     image: NDArray
     line: LineCentres
     points_mm: Array | None
-    seconds: float
+    time_s: float
+    remarks: tuple[str, ...] = ()
 
     @property
-    def counts(self) -> dict[str, int]:
-        """How many centres have each status."""
-        status = self.line.status
-        return {s.name.lower(): int(np.sum(status == s)) for s in Status if np.any(status == s)}
+    def centres(self) -> CentreTable:
+        """The centres as a table."""
+        return CentreTable.of(self.line, self.points_mm)
+
+    @property
+    def summary(self) -> ImageSummary:
+        """Counts, medians and the time."""
+        counts = {name: n for name, n in counts_of(self.line.status, Status).items() if n}
+        return ImageSummary(
+            file=self.path,
+            columns=self.image.shape[1],
+            rows=self.image.shape[0],
+            centres=counts.get("ok", 0),
+            median_sigma_px=_median(self.line.sigma),
+            median_width_px=_median(self.line.width),
+            time_s=self.time_s,
+            statuses=counts,
+        )
 
 
 def detect(
-    paths: Sequence[Path],
-    method: str,
-    options: dict[str, Any],
-    channel: str | None,
-    calibration: Calibration | None,
-    each: Callable[[Detected, int], None],
-    bits: int | None = None,
-) -> tuple[str, ...]:
-    """Find the line in each image, and hand over what was found, and its number.
+    paths: Sequence[Path], settings: Settings, calibration: Calibration | None = None
+) -> Iterator[Detected]:
+    """Find the line in each image, one after the other.
 
     Parameters
     ----------
     paths : sequence of Path
         Images: see `find_images`.
-    method : str
-        The detector.
-    options : dict
-        For `line_centres`.  `saturation` is no more than the image's file allows.
-    channel : str or None
-        See `read_image`.
-    calibration : Calibration or None
-    each : callable
-        Takes each result; none is kept.
-    bits : int, optional
-        See `read_image`.
-
-    Returns
-    -------
-    notes : tuple of str
-        What was converted, assumed or left out; each is given once for all images that it is of.
+    settings : Settings
+        `saturation` is taken as no more than an image's file allows.
+    calibration : Calibration, optional
+        With it there are points.
 
     Raises
     ------
     InputError
         Naming the image that can't be read, or is not of the calibration's size.
     """
-    said: dict[str, list[Path]] = {}
-    for number, path in enumerate(paths):
-        read = read_image(path, channel, bits)
+    for path in paths:
+        read = read_image(path, settings.channel, settings.bits)
         image = read.pixels
         if calibration and image.shape != calibration.camera.size[::-1]:
             width, height = calibration.camera.size
@@ -97,36 +241,49 @@ def detect(
                 f"{path}: is {image.shape[1]} x {image.shape[0]} px, but the calibration is of"
                 f" {width} x {height} px; take the one that belongs to it"
             )
-        here = dict(options)
-        asked = here.get("saturation")
-        if read.largest is not None:
-            here["saturation"] = read.largest if asked is None else min(asked, read.largest)
-        began = time.perf_counter()
-        line = line_centres(image, method, **here)
-        seconds = time.perf_counter() - began
-        points = triangulate(calibration, line.pixel) if calibration else None
-        each(Detected(path, image, line, points, seconds), number)
         remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
-        if asked is not None and here["saturation"] < asked:
-            remarks.append(f"can't reach a saturation of {asked:g}: taken as {read.largest:g}.")
-        other = next(way for way in ALONG if way != options.get("along", "columns"))
-        if method != STEGER and _lies_across(image, line, here | {"along": other}):
+        here = settings
+        if read.largest is not None:
+            asked = settings.saturation
+            least = read.largest if asked is None else min(asked, read.largest)
+            here = replace(settings, saturation=least)
+            if asked is not None and least < asked:
+                remarks.append(f"can't reach a saturation of {asked:g}: taken as {read.largest:g}.")
+        began = time.perf_counter()
+        line = here.centres(image)
+        time_s = time.perf_counter() - began
+        other = next(along for along in ALONG if along != here.along)
+        if here.detector != STEGER and _lies_across(image, line, replace(here, along=other)):
             remarks.append(f"shows its line along the {other}: give --along {other}.")
-        for remark in remarks:
-            said.setdefault(remark, []).append(path)
+        points = triangulate(calibration, line.pixel) if calibration else None
+        yield Detected(path, image, line, points, time_s, tuple(remarks))
+
+
+def joined_notes(remarks: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
+    """The remarks on all images, each once, with the names of the images that it is of."""
+    images: dict[str, list[Path]] = {}
+    for path, texts in remarks:
+        for text in texts:
+            images.setdefault(text, []).append(path)
     return tuple(
-        f"{first}{f' and {len(others)} more' if others else ''}: {remark}"
-        for remark, (first, *others) in said.items()
+        f"{first}{f' and {len(others)} more' if others else ''}: {text}"
+        for text, (first, *others) in images.items()
     )
 
 
-def _lies_across(image: NDArray, line: LineCentres, options: dict[str, Any]) -> bool:
-    """Whether few columns show a line, found or clipped, but with other options twice as many."""
+def _lies_across(image: NDArray, line: LineCentres, other: Settings) -> bool:
+    """Whether few columns show a line, found or clipped, but with other settings twice as many."""
     here = _share(line)
-    return here < _FEW and _share(line_centres(image, **options)) > max(2.0 * here, _SOME)
+    return here < _FEW and _share(other.centres(image)) > max(2.0 * here, _SOME)
 
 
 def _share(line: LineCentres) -> float:
     """Of the columns, or rows, those that show a line."""
     shows = (line.status == Status.OK) | (line.status == Status.SATURATED)
     return float(np.mean(shows)) if shows.size else 0.0
+
+
+def _median(values: NDArray[Any]) -> float:
+    """Of those that are known; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan

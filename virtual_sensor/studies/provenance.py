@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
+from typing import TYPE_CHECKING
 
-from virtual_sensor import engine
-from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import Record
+
+if TYPE_CHECKING:
+    from virtual_sensor.imaging.scene import Scene
 
 
 @dataclass(frozen=True)
-class MadeWith(Record):
+class Versions(Record):
+    """The versions that results come from which no engine made.
+
+    Attributes
+    ----------
+    python, virtual_sensor, numpy, opencv : str
+        Versions.
+    """
+
+    python: str
+    virtual_sensor: str
+    numpy: str
+    opencv: str
+
+
+@dataclass(frozen=True)
+class MadeWith(Versions):
     """The engine and the versions that results come from.
 
     Attributes
@@ -23,7 +41,7 @@ class MadeWith(Record):
         Library that compiles for the processor; None on a GPU.
     threads : int
         That compute.
-    python, virtual_sensor, mitsuba, drjit, numpy, opencv : str
+    mitsuba, drjit : str
         Versions.
     transport : str or None
         How light is carried through the air; None where no scene is rendered.
@@ -38,31 +56,36 @@ class MadeWith(Record):
     variant: str
     llvm: str | None
     threads: int
-    python: str
-    virtual_sensor: str
     mitsuba: str
     drjit: str
-    numpy: str
-    opencv: str
     transport: str | None = None
     samples_per_pixel: int | None = None
     march: str | None = None
     step_mm: float | None = None
 
 
+def versions() -> Versions:
+    """What runs here, without an engine being started."""
+    return Versions(
+        python=platform.python_version(),
+        virtual_sensor=metadata.version("virtual-sensor"),
+        numpy=metadata.version("numpy"),
+        opencv=metadata.version("opencv-contrib-python-headless"),
+    )
+
+
 def made_with(scene: Scene | None = None) -> MadeWith:
     """What runs here, and how a scene is rendered; `scene` has one camera."""
+    from virtual_sensor import engine
+
     running = engine.activate()
     found = MadeWith(
+        **asdict(versions()),
         variant=running.variant,
         llvm=str(running.llvm.path) if running.llvm else None,
         threads=running.threads,
-        python=platform.python_version(),
-        virtual_sensor=metadata.version("virtual-sensor"),
         mitsuba=metadata.version("mitsuba"),
         drjit=metadata.version("drjit"),
-        numpy=metadata.version("numpy"),
-        opencv=metadata.version("opencv-contrib-python-headless"),
     )
     if scene is None:
         return found

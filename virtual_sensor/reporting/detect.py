@@ -1,0 +1,457 @@
+"""What was found in images, as files: centres as CSV, points as PLY, pictures and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import printable
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.detectors import STEGER
+from virtual_sensor.records import Record, plain, write_csv, write_json, write_ply
+from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.page import PAGE, Content, Page, Section, write_page
+from virtual_sensor.reporting.pictures import CELL_IN, Panel, PanelPicture, Picture, draw_picture
+from virtual_sensor.reporting.style import BLACK, GREEN, ORANGE, PURPLE, SKY, YELLOW, colour
+from virtual_sensor.reporting.style import plain as plain_text
+from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.words import anchor, counted, heading, in_words, time_in_words
+from virtual_sensor.studies.detect import (
+    CentreTable,
+    Detected,
+    ImageSummary,
+    Settings,
+    joined_notes,
+)
+from virtual_sensor.studies.provenance import Versions, versions
+
+Window = tuple[int, int, int, int]
+"""The first column and that behind the last, and such rows."""
+MOST_WHOLE_PICTURES = 20
+"""Of more images than that, the page shows one panel each; the picture files have all."""
+
+_PEAKS = (GREEN, SKY, ORANGE, PURPLE, YELLOW)
+_JOINED = "\N{NO-BREAK SPACE}"
+_POINTS = 72.0  # of an inch
+_MARGIN_PX, _CLOSE_UP_PX = 12, (48, 30)
+_MOST_PX = 900  # shown of an image along a side: finer pixels are taken together
+_MOST_STRETCH, _LEAST_STRETCH = 50.0, 1.5
+_PANEL_SHAPE = 0.62  # height over width of a panel's axes
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """What a command found in all its images.
+
+    Attributes
+    ----------
+    command : str
+    made_with : Versions
+    settings : Settings
+    calibration : Path or None
+        File that the points come by.
+    images : dict of str to ImageSummary
+        By the name that their files have.
+    notes : tuple of str
+        What was converted, assumed or left out.
+    """
+
+    command: str
+    made_with: Versions
+    settings: Settings
+    calibration: Path | None
+    images: dict[str, ImageSummary]
+    notes: tuple[str, ...]
+
+    @property
+    def centres(self) -> int:
+        """Of all images."""
+        return sum(each.centres for each in self.images.values())
+
+
+FILES = (
+    FileOf(PAGE, "Page with the table of all images and their pictures."),
+    FileOf("*.png", "Picture of an image: centres, statuses, predicted errors."),
+    FileOf("*.csv", "Line centres of an image.", CentreTable),
+    FileOf("*.ply", "Points of an image, world, mm, with the line's height; with --calibration."),
+    FileOf(RESULTS_SIGN, "Settings, and what was found in each image.", Summary),
+)
+
+
+def names_of(paths: Sequence[Path]) -> list[str]:
+    """A name for each image's files, all different: its own, of letters that print."""
+    names: list[str] = []
+    for path in paths:
+        stem = "".join(c if c.isprintable() else "_" for c in path.stem)
+        name, number = stem, 2
+        while name in names:
+            name, number = f"{stem}_{number}", number + 1
+        names.append(name)
+    return names
+
+
+def save(
+    found: Iterable[Detected],
+    paths: Sequence[Path],
+    settings: Settings,
+    folder: Path,
+    command: str,
+    overwrite: bool = False,
+    calibration: Path | None = None,
+    notes: Sequence[str] = (),
+    report: Callable[[str, float], None] = lambda stage, fraction: None,
+) -> Summary:
+    """Write tables, pictures and page of the images while they are found; all of them or none.
+
+    Parameters
+    ----------
+    found : iterable of Detected
+        One for each path, in order; none is kept.
+    paths : sequence of Path
+    settings : Settings
+        With which it was found.
+    folder : Path
+    command : str
+    overwrite : bool
+        Whether earlier results are replaced.
+    calibration : Path, optional
+        That gave the points.
+    notes : sequence of str
+        Beside the images' own.
+    report : callable
+        Gets the image's name, and the fraction done.
+
+    Raises
+    ------
+    InputError
+        If an image can't be read, or the folder can't be written.
+    """
+    names = names_of(paths)
+    images: dict[str, ImageSummary] = {}
+    shown: dict[str, Picture | PanelPicture] = {}
+    remarks = []
+    with folder_written_whole(folder, overwrite) as place:
+        report(names[0], 0.0)
+        for number, (name, each) in enumerate(zip(names, found, strict=True), 1):
+            write_csv(place / f"{name}.csv", each.centres)
+            if each.points_mm is not None:
+                points = each.points_mm.reshape(-1, 3)
+                write_ply(place / f"{name}.ply", points, each.line.amplitude.ravel())
+            picture = draw(each, name, settings)
+            picture.write(place / f"{name}.png")
+            shown[name] = picture if len(paths) <= MOST_WHOLE_PICTURES else picture.panels[0]
+            images[name] = each.summary
+            remarks.append((each.path, each.remarks))
+            report(name, number / len(paths))
+        summary = Summary(
+            command, versions(), settings, calibration, images, (*notes, *joined_notes(remarks))
+        )
+        write_page(place / PAGE, page(summary, shown))
+        write_json(place / RESULTS_SIGN, summary)
+    return summary
+
+
+def table(summary: Summary, page: bool = False) -> TextTable:
+    """The images one by one: what was found, and what became of the other columns.
+
+    On a page it has links to the images' pictures, and more columns.
+    """
+    rows = []
+    for number, (name, image) in enumerate(summary.images.items(), 1):
+        others = {s: n for s, n in image.statuses.items() if s != "ok"}
+        rows.append(
+            plain(image)
+            | {
+                "name": Link(name, f"#{anchor(_title(number, name))}") if page else name,
+                "size": f"{image.columns} x {image.rows} px".replace(" ", _JOINED),
+                "others": _most(others, len(others) if page else 2),
+                "time": time_in_words(image.time_s).replace(" ", _JOINED),
+            }
+        )
+    columns = [
+        Column("name", "image"),
+        Column("centres", shape="{}"),
+        Column("median_sigma_px", "sigma in px", nothing="none"),
+        Column("others", "without a centre"),
+    ]
+    if page:
+        columns[1:1] = [Column("size")]
+        columns[4:4] = [Column("median_width_px", "width in px", "{:.2f}", nothing="none")]
+        columns.append(Column("time", "detector's time"))
+    return text_table(rows, columns, caption=f"{described(summary.settings)}; medians")
+
+
+def described(settings: Settings) -> str:
+    """The detector and its settings that are not the usual ones."""
+    usual = plain(Settings())
+    said = [
+        f"{heading(name)} {value}"
+        for name, value in plain(settings).items()
+        if name not in ("detector", "along") and value != usual[name]
+    ]
+    along = [] if settings.detector == STEGER else [f"along {settings.along}"]
+    return ", ".join([settings.detector, *along, *said])
+
+
+def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
+    """The page: the table of all images, then the picture of each."""
+    many = len(summary.images) > 1
+    name = next(iter(summary.images))
+    sections = [Section("Images" if many else "Result", table(summary, page=True))]
+    for number, (each, picture) in enumerate(shown.items(), 1):
+        content: list[Content] = [picture]
+        if isinstance(picture, PanelPicture):
+            content.append(Link(f"All panels: {each}.png", f"{quote(each)}.png"))
+        content.append(Link(f"Centres as a table: {each}.csv", f"{quote(each)}.csv"))
+        sections.append(Section(_title(number, each) if many else "Picture", *content))
+    settings = [{"setting": heading(k), "value": v} for k, v in plain(summary.settings).items()]
+    settings.append({"setting": "calibration", "value": plain(summary.calibration)})
+    columns = ("setting", Column("value", shape="{}", nothing="not given"))
+    sections.append(Section("Settings", text_table(settings, columns)))
+    return Page(
+        title=f"Line centres in {counted(len(summary.images), 'image') if many else name}",
+        lead=lead(summary),
+        sections=tuple(sections),
+        command=summary.command,
+        made_with=summary.made_with.to_dict(),
+        notes=summary.notes,
+    )
+
+
+def lead(summary: Summary) -> str:
+    """What a reader wants to know first: how many centres there are, how good, and why not more."""
+    images = summary.images.values()
+    lines = sum(sum(each.statuses.values()) for each in images)
+    reasons: dict[str, int] = {}
+    for each in images:
+        for status, number in each.statuses.items():
+            reasons[status] = reasons.get(status, 0) + number
+    reasons.pop("ok", None)
+    why = _most(reasons, 3)
+    if not summary.centres:
+        return f"No line centre was found{f': {why}' if why else ''}."
+    sigma = np.array([each.median_sigma_px for each in images])
+    known = sigma[np.isfinite(sigma)]
+    error = f", with a predicted error of {np.median(known):.2g} px (median)" if known.size else ""
+    of = "" if summary.settings.detector == STEGER else f" of {lines} {summary.settings.along}"
+    if summary.settings.peaks > 1:
+        of = f" of {lines} peaks at most"
+    missing = f" Without a centre: {why}." if why else ""
+    return f"{summary.centres} line centres{of}{error}.{missing}"
+
+
+def draw(found: Detected, name: str, settings: Settings) -> Picture:
+    """The picture of an image: its centres, close up too, their statuses and predicted errors."""
+    line, summary, view = found.line, found.summary, _View(found)
+    stretch, window = view.along()
+    square = "square pixels"
+    place, name_of_each = ("v in px", "row") if view.upright else ("u in px", "column")
+    if settings.detector == STEGER:
+        name_of_each = "point"
+    counted_ok = counted(summary.centres, "centre")
+    statuses = ", ".join(f"{n} {_words(s)}" for s, n in summary.statuses.items())
+    whole = Panel(
+        f"Whole image ({square})",
+        lambda axes: view.draw(axes, view.whole),
+        f"The whole image with {counted_ok} on it.",
+    )
+    status = Panel(
+        f"Status of each {name_of_each}{', peak by peak' if settings.peaks > 1 else ''}",
+        lambda axes: _draw_statuses(axes, view, place),
+        f"Which have a centre, and why others have none: {statuses}.",
+    )
+    panels = [whole, status]
+    if summary.centres:
+        panels = [
+            whole,
+            Panel(
+                f"Along the line ({square if stretch == 1.0 else _stretched(stretch)})",
+                lambda axes: view.draw(axes, window, stretch),
+                f"The part of the image that holds the line, with {counted_ok} on it.",
+            ),
+            Panel(
+                f"Close-up of the line's middle ({square})",
+                lambda axes: view.draw(axes, view.close_up(), close=True),
+                "Pixels about the middle of the line, with the centres and their predicted errors.",
+            ),
+            status,
+            Panel(
+                "Predicted error of the centres",
+                lambda axes: _draw_over(axes, view, line.sigma, place, "sigma in px"),
+                "Standard deviation that the detector predicts for each centre, median"
+                f" {in_words(summary.median_sigma_px, '{:.3g} px', 'not known')}.",
+                layout=None,
+            ),
+            Panel(
+                "Width of the line",
+                lambda axes: _draw_over(axes, view, line.width, place, "width (sigma) in px"),
+                "Standard deviation of the line's profile, median"
+                f" {in_words(summary.median_width_px, '{:.3g} px', 'not known')}.",
+                layout=None,
+            ),
+        ]
+    title = f"{plain_text(name)}: {counted_ok}; {plain_text(described(settings))}"
+    return draw_picture(title, panels, columns=2)
+
+
+class _View:
+    """An image with its centres, and the parts of it that are shown."""
+
+    def __init__(self, found: Detected) -> None:
+        line = found.line
+        self.image = found.image
+        from_u = np.abs((line.normal_deg + 90.0) % 180.0 - 90.0)
+        self.upright = from_u.size > 0 and float(np.median(from_u)) < 45.0
+        self.pixel = line.pixel if line.status.ndim > 1 else line.pixel[None]
+        self.sigma = line.sigma.reshape(self.pixel.shape[:2])
+        self.status = line.status.reshape(self.pixel.shape[:2])
+        along = line.row if self.upright else line.column
+        self.place = np.asarray(along, float).reshape(self.pixel.shape[:2])
+        height, width = found.image.shape
+        self.whole = (0, width, 0, height)
+        self.limits = (-0.5, (height if self.upright else width) - 0.5)
+
+    def along(self) -> tuple[float, Window]:
+        """By how much the image is stretched across the line to fill a panel, and which part."""
+        good = self.pixel[np.isfinite(self.pixel[..., 0])]
+        if not good.size:
+            return 1.0, self.whole
+        height, width = self.image.shape
+        low, high = np.floor(good.min(axis=0)) - _MARGIN_PX, np.ceil(good.max(axis=0)) + _MARGIN_PX
+        left, right = max(int(low[0]), 0), min(int(high[0]) + 1, width)
+        top, bottom = max(int(low[1]), 0), min(int(high[1]) + 1, height)
+        shape = (bottom - top) / (right - left)
+        stretch = float(np.clip(_PANEL_SHAPE / shape, 1.0 / _MOST_STRETCH, _MOST_STRETCH))
+        if 1.0 / _LEAST_STRETCH < stretch < _LEAST_STRETCH:
+            stretch = 1.0
+        return stretch, (left, right, top, bottom)
+
+    def close_up(self) -> Window:
+        """A few pixels about the centre that is in the middle of those along the line."""
+        good = self.pixel[np.isfinite(self.pixel[..., 0])]
+        height, width = self.image.shape
+        middle = np.array([width, height]) / 2.0
+        if good.size:
+            middle = good[np.argsort(good[:, 1 if self.upright else 0])[len(good) // 2]]
+        left, right = _about(middle[0], _CLOSE_UP_PX[0], width)
+        top, bottom = _about(middle[1], _CLOSE_UP_PX[1], height)
+        return left, right, top, bottom
+
+    def draw(
+        self,
+        axes: Axes,
+        window: tuple[int, int, int, int],
+        stretch: float = 1.0,
+        close: bool = False,
+    ) -> None:
+        """A part of the image with the centres; rows are drawn so many times as high as columns."""
+        left, right, top, bottom = window
+        shown, block = _coarser(self.image[top:bottom, left:right])
+        behind = (left + block[1] * shown.shape[1] - 0.5, top + block[0] * shown.shape[0] - 0.5)
+        extent = (left - 0.5, behind[0], behind[1], top - 0.5)
+        axes.imshow(shown, cmap="gray", extent=extent, interpolation="nearest", aspect=stretch)
+        axes.set(xlabel="u in px", ylabel="v in px")
+        axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5))
+        axes.grid(visible=False)
+        for rank, (centres, sigma) in enumerate(zip(self.pixel, self.sigma, strict=True)):
+            dots = {"color": _PEAKS[rank % len(_PEAKS)], "label": f"peak {rank + 1}"}
+            if close:
+                error = {"xerr" if self.upright else "yerr": np.nan_to_num(sigma)}
+                axes.errorbar(
+                    *centres.T, **error, fmt="o", ms=4, lw=1.2, mec=BLACK, mew=0.4, **dots
+                )
+            else:
+                axes.plot(*centres.T, ".", ms=2.0, **dots)
+        if len(self.pixel) > 1:
+            axes.figure.legend(loc="outside lower center", ncols=5, markerscale=1 if close else 5)
+
+
+def _draw_statuses(axes: Axes, view: _View, label: str) -> None:
+    """A row for each status that occurs, with a mark where a column, row or point has it."""
+    present = [s for s in Status if np.any(view.status == s)]
+    peaks = len(view.status)
+    broad = max(_POINTS * axes.get_position().width * CELL_IN[0] / np.ptp(view.limits), 0.8)
+    for number, status in enumerate(present):
+        mark = {"color": colour(status.name.lower()), "lw": broad, "capstyle": "butt"}
+        for rank, here in enumerate(view.status == status):
+            middle = number + 0.8 * ((rank + 0.5) / peaks - 0.5)
+            at, half = view.place[rank, here], 0.36 / peaks
+            axes.vlines(at, middle - half, middle + half, **mark)
+        if not np.isfinite(view.place[view.status == status]).any():
+            axes.text(np.mean(view.limits), number, "place not known", ha="center", va="center")
+    names = [f"{_words(s.name.lower())}: {int(np.sum(view.status == s))}" for s in present]
+    axes.set_yticks(range(len(present)), names)
+    axes.set(xlabel=label, xlim=view.limits, ylim=(max(len(present), 6) - 0.5, -0.5))
+    axes.grid(visible=False)
+
+
+def _draw_over(
+    axes: Axes, view: _View, values: NDArray[np.float64], label: str, ylabel: str
+) -> None:
+    """A figure of each centre over its place along the line, but for the largest hundredth."""
+    known = values[np.isfinite(values)]
+    for rank, row in enumerate(values.reshape(view.status.shape)):
+        axes.plot(view.place[rank], row, ".", ms=2.5, color=_PEAKS[rank % len(_PEAKS)])
+    axes.set(xlabel=label, ylabel=ylabel, xlim=view.limits)
+    if not known.size:
+        axes.set(ylim=(0.0, 1.0), yticks=[])
+        axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes)
+        return
+    axes.set_ylim(0.0, 1.3 * max(float(np.percentile(known, 99.0)), 1e-12))
+    axes.axhline(float(np.median(known)), color=colour("truth"), lw=1.0, ls="--")
+    axes.text(
+        *(0.99, float(np.median(known))),
+        f"median {np.median(known):.3g} px",
+        transform=axes.get_yaxis_transform(),
+        **{"ha": "right", "va": "bottom", "fontsize": 9.5},
+        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
+    )
+
+
+def _coarser(image: NDArray) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """An image with blocks of pixels as one, their brightest, and the blocks' rows and columns.
+
+    So a line of a pixel is seen in any size.
+    """
+    block = tuple(max(-(-size // _MOST_PX), 1) for size in image.shape)
+    values = np.where(np.isfinite(image), image, np.nan).astype(np.float32)
+    spare = [(0, -size % step) for size, step in zip(image.shape, block, strict=True)]
+    padded = np.pad(values, spare, mode="edge")
+    rows, columns = padded.shape
+    blocks = padded.reshape(rows // block[0], block[0], columns // block[1], block[1])
+    return np.fmax.reduce(np.fmax.reduce(blocks, axis=3), axis=1), (block[0], block[1])
+
+
+def _about(middle: float, size: int, most: int) -> tuple[int, int]:
+    """First pixel, and that behind the last, of so many about a place within an image."""
+    first = int(np.clip(round(middle - size / 2), 0, max(most - size, 0)))
+    return first, min(first + size, most)
+
+
+def _stretched(stretch: float) -> str:
+    return f"v stretched {stretch:.2g} x" if stretch > 1.0 else f"u stretched {1 / stretch:.2g} x"
+
+
+def _title(number: int, name: str) -> str:
+    """Of an image's section: the number makes it another than all others."""
+    return f"{number}: {printable(name)}"
+
+
+def _most(statuses: dict[str, int], count: int) -> str:
+    """The statuses that most columns have, so many of them, and how many have others."""
+    ordered = sorted(statuses.items(), key=lambda item: -item[1])
+    said = [f"{n} {_words(status)}" for status, n in ordered[:count]]
+    rest = sum(n for _, n in ordered[count:])
+    more = [f"{rest} more"] if rest else []
+    return ", ".join(each.replace(" ", _JOINED) for each in [*said, *more])
+
+
+def _words(status: str) -> str:
+    return status.replace("_", " ")
