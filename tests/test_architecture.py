@@ -8,13 +8,13 @@ import subprocess
 import sys
 import tomllib
 from functools import cache
-from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 import typer
+from importlinter.cli import lint_imports
 
 import virtual_sensor as vs
 from virtual_sensor import cli
@@ -26,27 +26,6 @@ PACKAGES = {
     "virtual_sensor_plugins": ROOT / "plugins",
     "virtual_sensor_scenes": ROOT / "scenes",
 }
-STAIRS = (  # from the ground up
-    (
-        "virtual_sensor.errors",
-        "virtual_sensor.arrays",
-        "virtual_sensor.interrupts",
-        "virtual_sensor.files",
-        "virtual_sensor.child",
-        "virtual_sensor.engine",
-        "virtual_sensor.poses",
-        "virtual_sensor.records",
-    ),
-    ("virtual_sensor.medium",),
-    ("virtual_sensor.optics",),
-    ("virtual_sensor.devices",),
-    ("virtual_sensor_plugins",),
-    ("virtual_sensor.metrology",),
-    ("virtual_sensor.imaging",),
-    ("virtual_sensor.studies",),
-    ("virtual_sensor.reporting",),
-    ("virtual_sensor.cli", "virtual_sensor.__main__"),
-)
 # Metrology serves images of real cameras too: it knows no renderer, and bent rays only when asked.
 METROLOGY_KNOWS = (
     "virtual_sensor.arrays",
@@ -59,11 +38,6 @@ METROLOGY_KNOWS = (
     "virtual_sensor.poses",
 )
 METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
-# Formulas without a renderer.
-WITHOUT_DRJIT = (
-    "virtual_sensor.devices",
-    *(name for name in METROLOGY_KNOWS if name.startswith("virtual_sensor.optics.")),
-)
 SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))
 
 
@@ -115,42 +89,15 @@ def violations(forbidden, lazy=True):
     return sorted(f"{name} imports {other}" for name, other in pairs if forbidden(name, other))
 
 
-def floor(module):
-    """Number of the stair on which a module stands; None for the doorstep and for others'."""
-    return next((i for i, rooms in enumerate(STAIRS) if in_any(module, rooms)), None)
+def test_the_rooms_keep_their_contracts(capsys, monkeypatch):
+    """Rationale: what lies below can be read, tested and used without what lies above.
 
-
-def test_every_module_has_a_place_in_the_house():
-    """Rationale: a module that no rule knows is a module that no rule holds for."""
-    homeless = {name for name in MODULES if floor(name) is None}
-    assert homeless == {
-        "virtual_sensor",  # lazy: the doorstep
-        "virtual_sensor_scenes",
-        "virtual_sensor_scenes.make_stepped_shaft",
-    }
-    named = {room for rooms in (*STAIRS, METROLOGY_KNOWS, WITHOUT_DRJIT) for room in rooms}
-    assert named <= MODULES.keys()
-
-
-def test_imports_only_go_down():
-    """Rationale: what lies below can be read, tested and used without what lies above."""
-
-    def upward(name, other):
-        return floor(name) is not None and (floor(other) or 0) > floor(name)
-
-    assert violations(upward) == []
-
-
-def test_nobody_goes_through_the_door():
-    """Rationale: `from virtual_sensor import render` inside the house would hide what it needs."""
-    assert violations(lambda name, other: other == "virtual_sensor" != name) == []
-
-
-def test_there_are_no_circles():
-    """Rationale: within a room too there is a first module to read."""
-    graph = {name: imports(file) & MODULES.keys() - {name} for name, file in MODULES.items()}
-    del graph["virtual_sensor"]
-    TopologicalSorter(graph).prepare()
+    The contracts stand in pyproject.toml. What they can't say stands below: what is imported at
+    once and what within functions, lists of all that is allowed, and files that are no package's.
+    """
+    monkeypatch.setattr(sys, "path", [*sys.path])  # which import-linter adds to
+    kept = lint_imports(str(ROOT / "pyproject.toml"), no_cache=True, no_logo=True) == 0
+    assert kept, capsys.readouterr().out
 
 
 @pytest.mark.parametrize("lazy", [False, True])
@@ -163,36 +110,6 @@ def test_metrology_knows_no_mitsuba(lazy):
         return ours and not in_any(other, known)
 
     assert violations(unknown, lazy) == []
-
-
-def test_only_imaging_knows_the_plugins():
-    """Rationale: studies and commands that hold a plugin's types can't be had without Mitsuba's."""
-
-    def leaked(name, other):
-        above = is_in(name, "virtual_sensor") and not is_in(name, "virtual_sensor.imaging")
-        return above and is_in(other, "virtual_sensor_plugins")
-
-    assert violations(leaked) == []
-
-
-def test_metrology_and_imaging_stand_apart():
-    """Rationale: what makes images must not know what is looked for in them."""
-    rooms = {"virtual_sensor.metrology", "virtual_sensor.imaging"}
-
-    def across(name, other):
-        here = {room for room in rooms if is_in(name, room)}
-        return bool(here) and in_any(other, rooms - here)
-
-    assert violations(across) == []
-
-
-def test_what_metrology_knows_of_optics_is_plain_numpy():
-    """Rationale: a ray family is a formula, for NumPy's arrays as for Dr.Jit's."""
-
-    def computes(name, other):
-        return in_any(name, WITHOUT_DRJIT) and is_in(other, "virtual_sensor.engine")
-
-    assert violations(computes) == []
 
 
 def test_tests_lie_in_rooms_like_what_they_test():
