@@ -179,7 +179,7 @@ def test_all_json_of_results_comes_from_one_writer():
         for file in SOURCES.rglob("*.py")
         if "json.dumps(" in file.read_text(encoding="utf-8")
     ]
-    keys_and_cells = {"studies/finished_cases.py", "studies/simulate.py", "studies/chart/rows.py"}
+    keys_and_cells = {"studies/finished_cases.py", "studies/simulate.py", "reporting/chart.py"}
     cases = {"medium/heat_flow/case.py"}
     assert set(dumping) <= {"records.py"} | keys_and_cells | cases
 

@@ -8,7 +8,6 @@ from virtual_sensor import ray_search
 from virtual_sensor.optics.ray_search import METHODS, SearchStatus
 from virtual_sensor.studies.chart import search_failures
 from virtual_sensor.studies.chart.search_failures import MARCH, UM_PER_PX, moved
-from virtual_sensor.studies.chart.searches import rungs
 
 
 @pytest.fixture(scope="module")
@@ -117,18 +116,3 @@ def test_the_panel_has_a_line_for_each_and_none_is_mistaken():
         assert bool(failure.first_at) == (failure.failed > 0)
         if "FOUND are wrong" in failure.note:
             assert failure.note.split("; ")[-1].startswith("0 of those")
-
-
-def test_the_panels_rungs_are_ordered_by_their_march():
-    """Newton's default is right to 1e-6 px, the paper's to its r_max, and long steps to neither."""
-    stages = []
-    found = rungs(lambda stage, fraction: stages.append(fraction), quick=True)
-    assert stages == sorted(stages)
-    assert all(r.panel == "search" and r.item == "laser point" and r.seconds > 0.0 for r in found)
-    papers, lost, newtons, longer, made, kept = found
-    assert newtons.largest_px < 1e-6 < 1e-4 < longer.largest_px < papers.largest_px
-    assert papers.largest_px < 1.1 / UM_PER_PX
-    assert lost.failed == lost.items
-    assert newtons.failed == longer.failed == papers.failed == 0
-    assert newtons.largest_px < made.largest_px == kept.largest_px <= 1e-3
-    assert made.failed == kept.failed == 0

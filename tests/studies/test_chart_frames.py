@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from artificial import paper_sensor
+from invented_charts import measured
 
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
@@ -16,9 +17,10 @@ from virtual_sensor.metrology.triangulation import error_um
 from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
 from virtual_sensor.optics.ray_search import incidence_points
 from virtual_sensor.studies.chart import frame_failures, frames, scaling
+from virtual_sensor.studies.chart.benchmark import measure_all
+from virtual_sensor.studies.chart.chart import on_gpu
 from virtual_sensor.studies.chart.frames import with_lamp
 from virtual_sensor.studies.chart.machine import cuda_found
-from virtual_sensor.studies.chart.rung import Rung
 
 
 def line(row, lost=()):
@@ -58,38 +60,36 @@ def test_windows_reach_over_both_ends_of_the_line():
     assert {500, 501, 1499, 1500} <= set(columns)
 
 
-def test_every_rung_is_a_choice_of_its_own():
-    """Rationale: two rungs of the same settings would be one, measured twice."""
+def test_every_configuration_is_one_of_its_own():
+    """Rationale: two of the same settings would be one, measured twice."""
     for quick in (True, False):
-        chosen = [(name, *sorted(settings.items())) for name, settings in frames.ladder(quick)]
+        chosen = [tuple(sorted(each.items())) for each in frames.settings(quick)]
         assert len(set(chosen)) == len(chosen)
-    names = {settings["transport"] for _, settings in frames.ladder()}
+    names = {each["transport"] for each in frames.settings()}
     assert names == {"straight", "first_order", "tabulated", "marched"}
 
 
-@pytest.mark.parametrize("exponent", [0.5, 1.0])
-def test_exponents_of_power_laws_are_found(exponent):
+def test_exponents_of_power_laws_are_found():
     """Rationale: the slope on logarithmic axes."""
     sizes = (1.0, 4.0, 64.0)
-    points = [(n, 0.02 * n**exponent) for n in sizes]
-    assert scaling.power("x", points).exponent == pytest.approx(exponent)
-    assert np.isnan(scaling.power("x", points[:1]).exponent)
+    for exponent in (0.5, 1.0):
+        times = [0.02 * n**exponent for n in sizes]
+        assert scaling.power("x", sizes, times).exponent == pytest.approx(exponent)
+        assert np.isnan(scaling.power("x", sizes[:1], times[:1]).exponent)
 
 
 def test_frames_that_differ_in_samples_only_are_put_together():
     """Rationale: 0.5 s and 30 ms a sample, told apart from frames by another step."""
 
-    def rung(spp, seconds, **others):
-        settings = {"spp": spp, **others}
-        values = (0.1, 0.1, 2.2, seconds, "frame", 1, 0, "say")
-        return Rung("frames", "marched", settings, *values)
+    def frame(spp, time_s, **others):
+        return measured("marched", time_s, 0.1, "frames", samples_per_pixel=spp, **others)
 
-    rungs = [rung(spp, 0.5 + 0.03 * spp, step=2) for spp in (1, 4, 16, 64)]
-    rungs += [rung(spp, 9.0, step=1) for spp in (1, 4)]
-    (found,) = scaling.by_samples(rungs)
+    rows = [frame(spp, 0.5 + 0.03 * spp, step_mm=2) for spp in (1, 4, 16, 64)]
+    rows += [frame(spp, 9.0, step_mm=1) for spp in (1, 4)]
+    (found,) = scaling.by_samples(rows)
     assert "0.5 s and 30 ms for each sample" in found.note
     assert "within 0 %" in found.note
-    assert [size for size, _ in found.points] == [1.0, 4.0, 16.0, 64.0]
+    assert found.sizes == (1.0, 4.0, 16.0, 64.0)
 
 
 @pytest.fixture
@@ -140,16 +140,20 @@ def test_the_panel_ranks_what_is_known():
     Mitsuba's `direct` shades itself in the middle of the cylinder and loses columns there, so that
     an rms is of others; the largest error is on the flanks, which both have.
     """
-    made = frames.rungs(lambda stage, fraction: None, quick=True)
-    errors = {(r.name, r.settings["spp"], r.settings.get("light")): r.error_px for r in made}
-    assert errors["marched", 4, None] < 1e-3
-    assert errors["tabulated", 4, None] < 3e-3
-    assert errors["straight", 4, None] > 1.0
-    largest = {r.name: r.largest_px for r in made if not r.settings.get("light")}
-    assert largest[frames.DIRECT] == pytest.approx(largest["straight"], rel=1e-2)
-    assert errors["tabulated, whole scene lit", 4, frames.LAMP] < 3e-3
-    assert all(r.seconds > 0.0 and r.item == "frame" for r in made)
-    assert not any(r.failed for r in made if r.name != frames.DIRECT)
+    made = list(measure_all("frames", frames.tasks(quick=True), lambda *now: None, 1))
+    laser, lit = (
+        {(m.name, m.chosen["samples_per_pixel"]): m for m in made if m.task.startswith(task)}
+        for task in ("a frame of the laser line", "a frame with every pixel lit")
+    )
+    assert laser["marched", 4].rms_px < 1e-3
+    assert laser["tabulated", 4].rms_px < 3e-3
+    assert laser["straight", 4].rms_px > 1.0
+    straight = laser["straight", 4].largest_px
+    assert laser["direct", 4].largest_px == pytest.approx(straight, rel=1e-2)
+    assert lit["tabulated", 4].rms_px < 3e-3
+    assert all(m.time_s > 0.0 for m in made)
+    assert not any(m.failed for m in made if m.name != "direct")
+    assert laser["marched", 4].defaults["step_mm"] == 2.0
 
 
 @pytest.mark.slow
@@ -197,8 +201,6 @@ def test_memory_is_the_frames_own():
 @pytest.mark.skipif(not cuda_found(), reason="no CUDA device")
 def test_the_gpu_gives_rows_of_its_own(tmp_path):
     """Rationale: the same code under `cuda_ad_mono`, by the command as the chart calls it."""
-    from virtual_sensor.studies.chart.chart import on_gpu
-
-    rows, told = on_gpu(["frames"], quick=True)
-    assert told == []
-    assert {row.settings["variant"] for row in rows} == {"cuda_ad_mono"}
+    rows, notes = on_gpu(["frames"], quick=True)
+    assert notes == []
+    assert {row.chosen["variant"] for row in rows} == {"cuda_ad_mono"}

@@ -14,6 +14,7 @@ from virtual_sensor.medium.spline import bspline_coefficients
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.optics.steppers import STEPPERS
 from virtual_sensor.studies.chart import rays
+from virtual_sensor.studies.chart.benchmark import measure_all
 from virtual_sensor.studies.chart.ray_bundles import (
     FINEST,
     MM_PER_PX,
@@ -48,9 +49,9 @@ def coarse(scene):
 
 @pytest.fixture(scope="module")
 def measured():
-    told = []
-    found = rays.rungs(lambda words, fraction: told.append(fraction), quick=True)
-    return found, told
+    said = []
+    found = list(measure_all("rays", rays.tasks(quick=True), lambda *now: said.append(now), 1))
+    return found, [fraction for _, fraction in said]
 
 
 # ---------------------------------------------------------------------------------------- bundles
@@ -133,33 +134,43 @@ def test_the_reference_is_scipys(scene):
 # ------------------------------------------------------------------------------------------ panel
 
 
-def test_every_method_has_rungs_on_the_plume_and_on_closed_forms(measured):
+def test_every_method_is_measured_on_the_plume_and_on_closed_forms(measured):
     """Rationale: the chart is to hold all that a user can choose."""
-    found, told = measured
-    plume = {r.name for r in found if r.reference.startswith("float64")}
-    exact = {r.name for r in found if r.reference.startswith("closed form")}
-    assert plume > {*STEPPERS, "straight", "first order", "dopri5, controlled"}
-    assert {"leapfrog, linear field", "leapfrog, 2-D field"} <= plume
+    found, said = measured
+    plume = {m.name for m in found if m.reference.startswith("rays in float64")}
+    exact = {m.name for m in found if m.reference == "rays in closed form"}
+    assert plume == {*STEPPERS, "straight", "first_order", "tabulated"}
+    assert [m.task for m in found if "tolerance_mm" in m.chosen] == ["through the hot plume"]
+    models = [m.chosen for m in found if "interpolation" in m.chosen or "dimensions" in m.chosen]
+    assert {(m.get("interpolation"), m.get("dimensions")) for m in models} == {
+        ("linear", None),
+        (None, 2),
+    }
     assert exact == set(STEPPERS)
-    assert told == sorted(told)
-    assert told[-1] <= 1.0
+    assert said == sorted(said)
+    assert said[-1] <= 1.0
 
 
-def test_rungs_tell_error_time_and_count(measured):
+def test_each_has_an_error_a_time_and_a_count(measured):
     """Rationale: each is a point in the chart, and none may hide rays that did not arrive."""
-    for rung in measured[0]:
-        assert (rung.panel, rung.item, rung.failed) == ("rays", "ray", 0)
-        assert 0.0 < rung.error_px <= rung.largest_px
-        assert rung.error_um == pytest.approx(22.0 * rung.error_px)
-        assert rung.seconds > 0.0
+    for each in measured[0]:
+        assert (each.panel, each.failed) == ("rays", 0)
+        assert 0.0 < each.rms_px <= each.largest_px
+        assert each.rms_um == pytest.approx(22.0 * each.rms_px)
+        assert each.time_s > 0.0
 
 
 def test_cruder_models_err_more(measured):
-    """Rationale: whoever mixes up two rungs breaks their order, which physics gives."""
-    error = {r.name: r.error_px for r in measured[0] if r.reference.startswith("float64")}
-    assert error["leapfrog"] < error["first order"] < error["straight"]
-    assert error["leapfrog"] < error["leapfrog, 2-D field"] < error["straight"]
-    assert error["leapfrog"] < error["leapfrog, linear field"] < error["straight"]
+    """Rationale: whoever mixes up two of them breaks their order, which physics gives."""
+    plume = [m for m in measured[0] if m.task == "through the hot plume"]
+    error = {m.name: m.rms_px for m in plume if not {"interpolation", "dimensions"} & set(m.chosen)}
+    linear, flat = (
+        next(m.rms_px for m in plume if name in m.chosen)
+        for name in ("interpolation", "dimensions")
+    )
+    assert error["leapfrog"] < error["first_order"] < error["straight"]
+    assert error["leapfrog"] < flat < error["straight"]
+    assert error["leapfrog"] < linear < error["straight"]
     assert error["rk4"] < error["leapfrog"] < error["euler"]
 
 

@@ -39,7 +39,7 @@ COLOURS = {
     "marched": BLUE,
     "tabulated": VERMILION,
     # searches
-    "paper": ORANGE,
+    "paper": PURPLE,
     "newton": BLUE,
     # airs of the reproduction
     "resolved": BLUE,

@@ -1,11 +1,13 @@
-"""Error against time, for every rung of the ladder, as this machine does it; and the failures."""
+"""Error against time, for every configuration of every job, as this machine does it."""
 
 from __future__ import annotations
 
+import os
+import pickle
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -13,15 +15,24 @@ from pathlib import Path
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
-from virtual_sensor.studies.chart.machine import cuda_found, machine
-from virtual_sensor.studies.chart.pareto import pareto
-from virtual_sensor.studies.chart.rows import RUNGS, read_rungs
-from virtual_sensor.studies.chart.rung import Failure, Report, Rung, Scaling
+from virtual_sensor.records import Record
+from virtual_sensor.studies.chart.benchmark import (
+    Measured,
+    Report,
+    Task,
+    measure_all,
+    with_fronts,
+)
+from virtual_sensor.studies.chart.failures import Failures, failures
+from virtual_sensor.studies.chart.machine import Machine, cuda_found, machine
+from virtual_sensor.studies.chart.scaling import Scaling
 
-_ROOM = "virtual_sensor.studies.chart"
 CUDA_VARIANT = "cuda_ad_mono"
 _CUDA_LIMIT_S = 1800.0
-_MEMORY = "peak memory of a frame"
+_ON_GPU = (
+    "import sys; from virtual_sensor.studies.chart.chart import hand_over;"
+    " hand_over(sys.argv[1], sys.argv[2].split(','), sys.argv[3] == 'quick')"
+)
 
 
 @dataclass(frozen=True)
@@ -30,81 +41,70 @@ class Panel:
 
     Attributes
     ----------
-    title : str
-    rungs, failures : str
-        Modules of this room with a function of the same name.
-    counted : str
-        What the time is for.
+    module : str
+        In this folder, with a function `tasks`.
     share : float
         Of the time that all panels take, roughly.
     on_gpu : bool
         Whether a GPU gets rows of its own.
     """
 
-    title: str
-    rungs: str
-    failures: str
-    counted: str
+    module: str
     share: float
     on_gpu: bool = False
 
 
 PANELS = {
-    "rays": Panel("Bent rays", "rays", "ray_failures", "ray", 0.35, on_gpu=True),
-    "frames": Panel("Rendered frames", "frames", "frame_failures", "frame", 0.5, on_gpu=True),
-    "search": Panel("Search for laser points", "searches", "search_failures", "laser point", 0.12),
-    "lines": Panel("Line detectors", "detectors", "line_failures", "column", 0.03),
+    "rays": Panel("rays", 0.35, on_gpu=True),
+    "frames": Panel("frames", 0.5, on_gpu=True),
+    "search": Panel("searches", 0.12),
+    "lines": Panel("detectors", 0.03),
 }
 
 
 @dataclass(frozen=True)
-class Chart:
+class Chart(Record):
     """All that was measured.
 
     Attributes
     ----------
-    rungs : list of Rung
-    failures : list of Failure
-    scalings : list of Scaling
-    machine : dict
-        Facts of the machine, by their names.
+    measured : tuple of Measured
+        Every configuration.
+    scalings : tuple of Scaling
+        How times grow with the size of the work.
+    failures : Failures
+        Where methods fail, as it comes with this version.
+    machine : Machine
+        What it was measured on.
     notes : tuple of str
         What the reader should know besides.
-    seconds : float
+    time_s : float
         Of the whole.
     """
 
-    rungs: list[Rung]
-    failures: list[Failure]
-    scalings: list[Scaling]
-    machine: dict[str, str]
+    measured: tuple[Measured, ...]
+    scalings: tuple[Scaling, ...]
+    failures: Failures
+    machine: Machine
     notes: tuple[str, ...]
-    seconds: float
+    time_s: float
 
     @property
     def panels(self) -> list[str]:
-        """Names of the panels that have rungs, in the chart's order."""
-        return [name for name in PANELS if self.of(name)]
+        """Names of the panels that were measured, in the chart's order."""
+        return [name for name in PANELS if any(m.panel == name for m in self.measured)]
 
-    def of(self, panel: str) -> list[Rung]:
-        """The rungs of one panel."""
-        return [rung for rung in self.rungs if rung.panel == panel]
+    def tasks(self, panel: str) -> list[str]:
+        """Names of a panel's tasks, the one that its picture shows first."""
+        return list(dict.fromkeys(m.task for m in self.measured if m.panel == panel))
 
-    def fronts(self, panel: str) -> dict[str, list[Rung]]:
-        """For each reference, its rungs that no other beats in time and error, fastest first.
+    def of(self, panel: str, task: str) -> list[Measured]:
+        """What was measured of a task."""
+        return [m for m in self.measured if (m.panel, m.task) == (panel, task)]
 
-        Errors against other references are of other tasks, which do not compare.  The reference of
-        most rungs comes first.
-        """
-        tasks: dict[str, list[Rung]] = {}
-        for rung in self.of(panel):
-            tasks.setdefault(rung.reference, []).append(rung)
-        ordered = sorted(tasks.items(), key=lambda task: -len(task[1]))
-        return {reference: pareto(rungs) for reference, rungs in ordered}
-
-    def front(self, panel: str) -> list[Rung]:
-        """All fronts of a panel, one after the other."""
-        return [rung for front in self.fronts(panel).values() for rung in front]
+    def front(self, panel: str, task: str) -> list[Measured]:
+        """The Pareto front of a task, the fastest first."""
+        return sorted((m for m in self.of(panel, task) if m.on_front), key=lambda m: m.time_s)
 
 
 def check_panels(panels: Sequence[str]) -> list[str]:
@@ -126,14 +126,14 @@ def chart(
     quick: bool = False,
     report: Report = lambda stage, fraction: None,
 ) -> Chart:
-    """Measure every rung of some panels, and where their methods fail.
+    """Measure every configuration of some panels.
 
     Parameters
     ----------
     panels : sequence of str
         Names out of `PANELS`; all of them if there is none.
     quick : bool
-        Few rungs on small tasks: to see that all works, not to judge by.
+        Few configurations on small tasks: to see that all works, not to judge by.
     report : callable
 
     Raises
@@ -142,60 +142,66 @@ def chart(
         If there is no such panel.
     """
     chosen = check_panels(panels)
-    started = time.perf_counter()
-    facts, notes = machine(), list[str]()
-    variant = facts["variant"]
-    rungs: list[Rung] = []
-    failures: list[Failure] = []
-    scalings: list[Scaling] = []
+    began = time.perf_counter()
+    found, notes, scalings = machine(), list[str](), list[Scaling]()
     if quick:
-        notes.append("quick: few rungs on small tasks, which show that all works and no more")
-    whole, done = 1.1 * sum(PANELS[name].share for name in chosen), 0.0
-    for name in chosen:
-        panel, share = PANELS[name], PANELS[name].share / whole
-        for kind, first, part in (("rungs", 0.0, 0.7), ("failures", 0.7, 0.3)):
-            start = done + first * share
-
-            def on(
-                stage: str, fraction: float, start: float = start, part: float = part * share
-            ) -> None:
-                report(stage, start + part * fraction)
-
-            made = getattr(import_module(f"{_ROOM}.{getattr(panel, kind)}"), kind)(on, quick)
-            (rungs if kind == "rungs" else failures).extend(made)
-        done += share
-    rungs = [replace(r, settings={"variant": variant} | r.settings) for r in rungs]
+        notes.append("quick: few configurations on small tasks, which show that all works")
+    measured = measure_panels(chosen, quick, lambda stage, done: report(stage, 0.9 * done))
     if "frames" in chosen:
         # Imported only now: those who ask for no frames need not wait for what makes them.
-        scaling = import_module(f"{_ROOM}.scaling")
-        scalings += scaling.by_samples(rungs)
-        scalings += scaling.by_field(lambda stage, part: report(stage, done + 0.06 * part), quick)
-        report("the memory of a frame", done + 0.06)
-        film, spp = scaling.memory_task(quick)
-        facts[_MEMORY] = (
-            f"{scaling.peak_memory_mb(film, spp):.0f} MB, of {film} x {film} px with {spp} samples"
-            " a pixel, in a process of its own"
-        )
+        from virtual_sensor.studies.chart import scaling
+
+        scalings += scaling.by_samples(measured)
+        scalings += scaling.by_field(lambda stage, part: report(stage, 0.9 + 0.06 * part), quick)
+        report("the memory of a frame", 0.96)
+        found = replace(found, frame_memory=scaling.peak_memory(quick))
     if engine.activate().backend == "llvm" and cuda_found():
         report("the same on the GPU", 0.97)
         more, words = on_gpu([name for name in chosen if PANELS[name].on_gpu], quick)
-        rungs += more
+        measured += more
         notes += words
-    return Chart(rungs, failures, scalings, facts, tuple(notes), time.perf_counter() - started)
+    seconds = time.perf_counter() - began
+    return Chart(
+        with_fronts(measured), tuple(scalings), failures(chosen), found, tuple(notes), seconds
+    )
 
 
-def on_gpu(panels: Sequence[str], quick: bool) -> tuple[list[Rung], list[str]]:
-    """The same panels' rungs by a process that computes on the GPU, and what went wrong there."""
+def measure_panels(
+    panels: Sequence[str], quick: bool, report: Report = lambda stage, fraction: None
+) -> list[Measured]:
+    """Every configuration of some panels, by this process."""
+    measured: list[Measured] = []
+    whole, done = sum(PANELS[name].share for name in panels), 0.0
+    for name in panels:
+        share = PANELS[name].share / whole
+
+        def on(stage: str, part: float, start: float = done, share: float = share) -> None:
+            report(stage, start + share * part)
+
+        on(f"{name}: references", 0.0)
+        measured += measure_all(name, tasks_of(name, quick), on, 1 if quick else 5)
+        done += share
+    variant = {"variant": engine.activate().variant}
+    return [replace(each, defaults=each.defaults | variant) for each in measured]
+
+
+def tasks_of(panel: str, quick: bool) -> Iterable[Task]:
+    """The tasks of a panel, whose module is imported only where it is asked for."""
+    tasks: Iterable[Task] = import_module(f"{__package__}.{PANELS[panel].module}").tasks(quick)
+    return tasks
+
+
+def on_gpu(panels: Sequence[str], quick: bool) -> tuple[list[Measured], list[str]]:
+    """What a process that computes on the GPU measures of some panels, and what failed there."""
     if not panels:
         return [], []
-    options = [word for name in panels for word in ("--panel", name)]
     with scratch_folder() as folder:
-        place = Path(folder, "gpu")
-        command = [sys.executable, "-c", "from virtual_sensor.cli import main; main()"]
-        command += ["--variant", CUDA_VARIANT, "chart", *options, "-o", f"{place}"]
+        place = Path(folder, "measured")
+        words = [f"{place}", ",".join(panels), "quick" if quick else "whole"]
         try:
             ended = subprocess.run(
-                [*command, *(["--quick"] if quick else [])],
+                [sys.executable, "-c", _ON_GPU, *words],
+                env=os.environ | {"VIRTUAL_SENSOR_VARIANT": CUDA_VARIANT},
                 capture_output=True,
                 text=True,
                 errors="replace",
@@ -204,6 +210,17 @@ def on_gpu(panels: Sequence[str], quick: bool) -> tuple[list[Rung], list[str]]:
         except (OSError, subprocess.TimeoutExpired) as error:
             return [], [f"no rows of the GPU: {error}"]
         if ended.returncode != 0:
-            said = (ended.stderr.strip().splitlines() or ["nothing was said"])[-1]
-            return [], [f"no rows of the GPU: its process ended with {ended.returncode}: {said}"]
-        return read_rungs(place / RUNGS), []
+            last = (ended.stderr.strip().splitlines() or ["it printed nothing"])[-1]
+            return [], [f"no rows of the GPU: its process ended with {ended.returncode}: {last}"]
+        return received(place), []
+
+
+def hand_over(path: str, panels: Sequence[str], quick: bool) -> None:
+    """Measure some panels, and write what `received` reads in another process."""
+    Path(path).write_bytes(pickle.dumps(measure_panels(panels, quick)))
+
+
+def received(path: Path) -> list[Measured]:
+    """What another process of this program measured, as chosen to be on its variant."""
+    rows: list[Measured] = pickle.loads(path.read_bytes())
+    return [replace(row, chosen=row.chosen | {"variant": row.defaults["variant"]}) for row in rows]

@@ -1,8 +1,7 @@
-"""Panel "frames": the line's centres in rendered frames, against the time that a frame takes."""
+"""Panel "frames": the line's centres in rendered frames, error against time for each frame."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -12,27 +11,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.engine import dr, mi
+from virtual_sensor.engine import mi
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.render import render_columns, render_uncached
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import error_um
-from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
+from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.studies.chart.rung import Report, Rung, timed
+from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 
 Array = NDArray[np.float64]
 Settings = dict[str, Any]
 
 SCENE = "hot_cylinder"
 FILM_PX, QUICK_FILM_PX = 2048, 512
-DIRECT = "stock direct, cold"
-LAMP = "laser and lamp"
 
 _SPP = (1, 4, 9, 16, 64)
-_RUNS, _LONG_RUNS = 5, 3  # of which the median is told; frames of over 1 s are long
 _END_PX, _INNER_PX = 16, 10  # columns of the reference's windows, at the line's ends and between
 _CUT_PX = 2  # columns beside a window's cut are taken for a line's end
 _LOST = 0.02  # a frame that loses this share of the columns has failed
@@ -40,6 +36,8 @@ _LAMP = (  # so faint that it moves no line, and costs what any lamp does
     '<emitter type="point"><point name="position" x="0" y="0" z="300"/>'
     '<spectrum name="intensity" value="0.1"/></emitter>'
 )
+_NAMES = {"spp": "samples_per_pixel", "step": "step_mm", "tolerance": "tolerance_px"}
+"""What scene parameters are called among results."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +69,14 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
     seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
     image = np.zeros((film_px, film_px), np.float32)
-    keep = np.zeros(film_px, bool)
+    inside = np.zeros(film_px, bool)
     for left, right in _windows(first, last, inner=6 if film_px > QUICK_FILM_PX else 1):
         image[:, left:right] = render_columns(scene, np.arange(left, right), spp)[:, left:right]
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
-        keep[sound] = True
+        inside[sound] = True
     line = line_centres(image)
-    row = np.where(keep & (line.status == Status.OK), line.row, np.nan)
-    words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples a pixel"
+    row = np.where(inside & (line.status == Status.OK), line.row, np.nan)
+    words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples per pixel"
     return Reference(scene, TrueLine.of_rows(row), words)
 
 
@@ -91,75 +89,89 @@ def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
     yield last + beyond - _END_PX, last + beyond
 
 
-def ladder(quick: bool = False) -> list[tuple[str, Settings]]:
-    """The rungs' names and their scene parameters."""
-    each: list[tuple[str, Settings]]
+def tasks(quick: bool = False) -> Iterator[Task]:
+    """A frame lit by the laser alone, and one of which each pixel is lit."""
+    film_px = QUICK_FILM_PX if quick else FILM_PX
+    truth = reference(film_px, *(4, 2.0) if quick else ())
+
+    def score(image: NDArray[np.float32]) -> Score:
+        errors = compare_line(line_centres(image), truth.line)
+        lost, columns = errors.lost.size, errors.expected
+        note = f"{lost} of {columns} columns lost" if lost else ""
+        um = error_um(truth.scene.sensor, errors)
+        return Score(errors.error_px, um, int(lost > _LOST * columns), note)
+
+    def task(
+        name: str, load: Callable[..., Scene], choices: list[Settings], spps: tuple[int, ...]
+    ) -> Task:
+        film = {"width": film_px, "height": film_px}
+        found = [_configuration(partial(load, **film), film, choice) for choice in choices]
+        found += [_direct(partial(load, **film), film, spp) for spp in spps]
+        return Task(f"{name}, {film_px} x {film_px} px", truth.words, 1, score, found)
+
+    few = (4,) if quick else (1, 4, 16)
+    yield task("a frame of the laser line", partial(load_scene, SCENE), settings(quick), few)
+    lit = [{"transport": "tabulated", "spp": spp} for spp in few]
+    yield task("a frame with every pixel lit", with_lamp, lit, few)
+
+
+def settings(quick: bool = False) -> list[Settings]:
+    """Scene parameters of the configurations."""
     if quick:
-        each = [("marched", {"transport": "marched", "spp": spp}) for spp in (1, 4)]
-        return [
-            *each,
-            *((name, {"transport": name, "spp": 4}) for name in ("straight", "tabulated")),
-        ]
+        few: list[Settings] = [{"transport": "marched", "spp": spp} for spp in (1, 4)]
+        return [*few, *({"transport": name, "spp": 4} for name in ("straight", "tabulated"))]
     spps: dict[str, tuple[int, ...]] = dict.fromkeys(("straight", "tabulated"), _SPP)
     # These two take long: the first of them never gets better by more samples.
     spps |= {"first_order": (1,), "marched": (1, 4, 16)}
-    each = [
-        (name.replace("_", " "), {"transport": name, "spp": spp})
-        for name, chosen in spps.items()
-        for spp in chosen
+    each: list[Settings] = [
+        {"transport": name, "spp": spp} for name, chosen in spps.items() for spp in chosen
     ]
     table: Settings = {"transport": "tabulated", "spp": 16}
     marched: Settings = {"transport": "marched", "spp": 1}
-    each += [("tabulated", table | {"tolerance": t}) for t in (0.1, 0.01)]
-    varied: list[tuple[str, Settings]] = [
-        ("Euler", {"method": "euler"}),
-        ("leapfrog", {"method": "leapfrog", "step": 8}),
-        ("leapfrog", {"method": "leapfrog", "step": 4}),
-        ("leapfrog", {"method": "leapfrog", "step": 1}),
-        ("Sharma", {"method": "sharma", "step": 4}),
-        ("RK4", {"method": "rk4", "step": 4}),
-        ("Dormand-Prince", {"method": "dopri5"}),
-        ("double", {"precision": "double"}),
-        ("linear", {"interpolation": "linear"}),
-        ("2-D", {"dimensions": 2}),
+    either: list[Settings] = [
+        {"method": "rk4", "step": 4},
+        {"precision": "double"},
+        {"dimensions": 2},
     ]
-    for name, choices in varied:
-        if name != "linear":  # its kinks let no table keep the tolerance
-            each.append((f"tabulated, {name}", table | choices))
-        if name in ("RK4", "double", "linear", "2-D"):
-            each.append((f"marched, {name}", marched | choices))
-    return each
+    of_tables: list[Settings] = [
+        {"tolerance": 0.1},
+        {"tolerance": 0.01},
+        {"method": "euler"},
+        *({"method": "leapfrog", "step": step} for step in (8, 4, 1)),
+        {"method": "sharma", "step": 4},
+        {"method": "dopri5"},
+    ]
+    # No table meets its tolerance in a linear field: its gradient jumps at each node.
+    of_marches: list[Settings] = [{"interpolation": "linear"}]
+    each += [table | varied for varied in of_tables + either]
+    return each + [marched | varied for varied in of_marches + either]
 
 
-def rungs(report: Report, quick: bool = False) -> list[Rung]:
-    """Measure the ladder, the same with a lamp that lights the whole scene, and the baseline."""
-    film_px = QUICK_FILM_PX if quick else FILM_PX
-    report("the frames' reference", 0.0)
-    truth = reference(film_px, *(4, 2.0) if quick else ())
-    chosen = ladder(quick)
-    lit = [{"transport": "tabulated", "spp": spp} for spp in ((4,) if quick else (1, 4, 16))]
-    spps = (4,) if quick else (1, 4, 16)
-    total, done, made = len(chosen) + len(lit) + 2 * len(spps), 0, []
+def _configuration(load: Callable[..., Scene], film: Settings, chosen: Settings) -> Configuration:
+    def prepare() -> Callable[[], NDArray[np.float32]]:
+        return partial(render_uncached, load(**chosen))
 
-    def measured(name: str, scene: Scene, work: Callable[[], Any], settings: Settings) -> None:
-        nonlocal done
-        done += 1
-        report(f"frames: {name}, {settings['spp']} samples", done / total)
-        made.append(measure(truth, name, scene, work, settings, 1 if quick else _RUNS))
+    march = load_scene(SCENE, **chosen).transport.march
+    used = {"step": march.step_mm, "method": march.method, "precision": march.precision}
+    transport = chosen["transport"]
+    rest = {name: value for name, value in chosen.items() if name != "transport"}
+    return Configuration(transport, transport, prepare, _named(rest), _named(film | used | chosen))
 
-    for name, settings in chosen:
-        scene = load_scene(SCENE, width=film_px, height=film_px, **settings)
-        measured(name, scene, partial(render_uncached, scene), settings)
-    for settings in lit:
-        scene = with_lamp(width=film_px, height=film_px, **settings)
-        settings |= {"light": LAMP}
-        measured("tabulated, whole scene lit", scene, partial(render_uncached, scene), settings)
-    for light, load in (("", partial(load_scene, SCENE)), (LAMP, with_lamp)):
-        for spp in spps:
-            scene = load(width=film_px, height=film_px, spp=spp)
-            settings = {"spp": spp} | ({"light": light} if light else {})
-            measured(DIRECT, scene, partial(frame_direct, scene), settings)
-    return made
+
+def _direct(load: Callable[..., Scene], film: Settings, spp: int) -> Configuration:
+    """The baseline: straight light by Mitsuba's own integrator."""
+    return Configuration(
+        "direct",
+        "straight",
+        lambda: partial(frame_direct, load(spp=spp)),
+        _named({"spp": spp}),
+        _named(film),
+        note=lambda: "baseline: straight light, no hot air",
+    )
+
+
+def _named(parameters: Settings) -> Settings:
+    return {_NAMES.get(name, name): value for name, value in parameters.items()}
 
 
 def frame_direct(scene: Scene) -> NDArray[np.float32]:
@@ -179,42 +191,3 @@ def with_lamp(**settings: Any) -> Scene:
         text = path.read_text(encoding="utf-8").replace("</scene>", f"{_LAMP}</scene>")
         lit.write_text(text, encoding="utf-8")
         return load_scene(lit, **settings)
-
-
-def measure(
-    truth: Reference,
-    name: str,
-    scene: Scene,
-    work: Callable[[], NDArray[np.float32]],
-    settings: Settings,
-    runs: int = _RUNS,
-) -> Rung:
-    """Measure one rung: `work` makes its frame's radiance (H, W)."""
-    work()  # else kernels would be compiled within what is measured
-    began = time.perf_counter()
-    image = work()
-    dr.sync_thread()
-    seconds = time.perf_counter() - began
-    if runs > 1:
-        seconds = timed(work, runs if seconds < 1.0 else min(runs, _LONG_RUNS), warm_ups=0)
-    errors = compare_line(line_centres(image), truth.line)
-    lost, columns = errors.lost.size, errors.expected
-    baseline = name == DIRECT
-    march = scene.transport.march
-    used = {"step": march.step_mm, "method": march.method, "precision": march.precision}
-    given = {"film": f"{image.shape[1]} x {image.shape[0]}"} | ({} if baseline else used) | settings
-    told = ["baseline: straight light, no hot air"] if baseline else []
-    return Rung(
-        panel="frames",
-        name=name,
-        settings=given,
-        error_px=errors.rms_px,
-        largest_px=errors.largest_px,
-        error_um=rms(error_um(truth.scene.sensor, errors)),
-        seconds=seconds,
-        item="frame",
-        items=1,
-        failed=int(lost > _LOST * columns),
-        reference=truth.words,
-        note="; ".join([*told, *[f"{lost} of {columns} columns lost"] * (lost > 0)]),
-    )

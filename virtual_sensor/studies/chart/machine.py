@@ -1,45 +1,61 @@
-"""What a chart was measured on: no time means anything without it."""
+"""What times were measured on: no time means anything without it."""
 
 from __future__ import annotations
 
 import os
 import platform
 from contextlib import suppress
+from dataclasses import dataclass
 from datetime import datetime
-from importlib import metadata
 from pathlib import Path
 
 from virtual_sensor import engine
-
-_PACKAGES = (
-    "virtual-sensor",
-    "mitsuba",
-    "drjit",
-    "numpy",
-    "scipy",
-    "opencv-contrib-python-headless",
-)
+from virtual_sensor.records import Record
+from virtual_sensor.studies.provenance import MadeWith, made_with
 
 
-def machine() -> dict[str, str]:
-    """Facts of this machine and of what runs on it, by their names."""
-    running = engine.activate()
+@dataclass(frozen=True)
+class Machine(Record):
+    """A machine, and what runs on it.
+
+    Attributes
+    ----------
+    date : str
+        When it was asked.
+    processor : str
+        Its name.
+    cores : str
+        How many can be used, of how many.
+    system : str
+        Operating system.
+    load : float
+        Processes that wanted a core in the minute before; NaN where the system doesn't say.
+    made_with : MadeWith
+        Engine and versions.
+    frame_memory : str
+        Peak memory of a frame, where it was measured.
+    """
+
+    date: str
+    processor: str
+    cores: str
+    system: str
+    load: float
+    made_with: MadeWith
+    frame_memory: str = ""
+
+
+def machine() -> Machine:
+    """What this process runs on."""
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    facts = {
-        "date": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "processor": _processor(),
-        "cores": f"{usable} usable of {os.cpu_count()}",
-        "threads": str(running.threads),
-        "variant": running.variant,
-        "LLVM": running.llvm.version if running.llvm else "none: CUDA",
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        **{name: metadata.version(name) for name in _PACKAGES if _installed(name)},
-    }
-    with suppress(OSError):  # some systems tell of no load
-        others = os.getloadavg()[0]
-        facts["load before"] = f"{others:.2f}: processes that wanted a core in the minute before"
-    return facts
+    return Machine(
+        date=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        processor=_processor(),
+        cores=f"{usable} usable of {os.cpu_count()}",
+        system=platform.platform(),
+        load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
+        made_with=made_with(),
+    )
 
 
 def cuda_found() -> bool:
@@ -52,17 +68,9 @@ def cuda_found() -> bool:
 
 
 def _processor() -> str:
-    """The processor's name, as Linux or else Python tells it."""
+    """The processor's name, as Linux or else Python gives it."""
     with suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-def _installed(name: str) -> bool:
-    try:
-        metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return False
-    return True

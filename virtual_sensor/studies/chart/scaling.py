@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -17,8 +18,9 @@ from virtual_sensor import engine
 from virtual_sensor.imaging.render import render_uncached
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.records import Record
+from virtual_sensor.studies.chart.benchmark import Measured, Report, timed
 from virtual_sensor.studies.chart.frames import FILM_PX, QUICK_FILM_PX, SCENE
-from virtual_sensor.studies.chart.rung import Report, Rung, Scaling, timed
 
 TRANSPORTS = ("marched", "tabulated")
 _MEMORY_SPP = 64
@@ -40,40 +42,64 @@ else:
 """
 
 
-def power(name: str, points: Sequence[tuple[float, float]], note: str = "") -> Scaling:
-    """Fit a power law through points (size, seconds); one needs two different sizes."""
-    sizes, seconds = np.array(points, float).reshape(-1, 2).T
+@dataclass(frozen=True)
+class Scaling(Record):
+    """How a time grows with the size of the work.
+
+    Attributes
+    ----------
+    name : str
+        What is made, and what is varied: "marched frame, samples per pixel".
+    exponent : float
+        Slope of log(time) over log(size), by least squares; NaN of fewer than two sizes.
+    sizes : tuple of float
+        How much work.
+    times_s : tuple of float
+        How long each took.
+    note : str
+        What else is to be known.
+    """
+
+    name: str
+    exponent: float
+    sizes: tuple[float, ...]
+    times_s: tuple[float, ...]
+    note: str = ""
+
+
+def power(name: str, sizes: Sequence[float], times_s: Sequence[float], note: str = "") -> Scaling:
+    """Fit a power law to times of sizes; one needs two different sizes."""
     exponent = np.nan
-    if np.unique(sizes).size > 1:
-        exponent = float(np.polyfit(np.log(sizes), np.log(seconds), 1)[0])
-    return Scaling(name, exponent, tuple((float(n), float(t)) for n, t in points), note)
+    if len(set(sizes)) > 1:
+        exponent = float(np.polyfit(np.log(sizes), np.log(times_s), 1)[0])
+    return Scaling(name, exponent, tuple(map(float, sizes)), tuple(map(float, times_s)), note)
 
 
-def by_samples(rungs: Sequence[Rung]) -> list[Scaling]:
+def by_samples(measured: Sequence[Measured]) -> list[Scaling]:
     """Time over samples per pixel, of frames that differ in nothing else.
 
     A part of it is the same for any number of samples, which a power law does not know: the note
-    tells it, and what each sample costs, by a straight line.
+    gives it, and what each sample costs, by a straight line.
     """
     groups: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
-    for rung in rungs:
-        others = {name: value for name, value in rung.settings.items() if name != "spp"}
-        if rung.panel == "frames":
-            light = f", {others['light']}" if "light" in others else ""
-            same = (f"{rung.name} frame{light}", repr(others))
-            groups[same].append((float(rung.settings["spp"]), rung.seconds))
+    for each in measured:
+        if each.panel == "frames":
+            same = {k: v for k, v in each.chosen.items() if k != "samples_per_pixel"}
+            name = f"{each.name} frame, {each.task}"
+            size = float(each.chosen["samples_per_pixel"])
+            groups[name, repr(same)].append((size, each.time_s))
     found = []
     for (name, _), points in groups.items():
         if len(points) > 2:
             sizes, seconds = np.array(points).T
-            # Relative errors count alike: else the longest time alone would say it all.
-            each, fixed = np.polyfit(sizes, seconds, 1, w=1.0 / seconds)
-            off = np.abs((fixed + each * sizes) / seconds - 1.0).max()
+            # Relative errors count alike: else the longest time alone would decide.
+            slope, fixed = np.polyfit(sizes, seconds, 1, w=1.0 / seconds)
+            off = np.abs((fixed + slope * sizes) / seconds - 1.0).max()
             note = (
-                f"{fixed:.3g} s and {1e3 * each:.3g} ms for each sample of a pixel,"
+                f"{fixed:.3g} s and {1e3 * slope:.3g} ms for each sample of a pixel,"
                 f" within {100.0 * off:.0f} %"
             )
-            found.append(power(f"{name}, samples per pixel", points, note))
+            found.append(power(f"{name}: samples per pixel", sizes, seconds, note))
     return found
 
 
@@ -101,27 +127,31 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
         scene = load_scene(SCENE, width=film, height=film, transport=name, spp=4)
         field = scene.field
         assert field is not None
-        points = []
-        for i, factor in enumerate(factors):
+        airs = [resampled(field, factor) for factor in factors]
+        times = []
+        for i, air in enumerate(airs):
             done = (number + i / len(factors)) / len(TRANSPORTS)
             report(f"{name} frames in finer and coarser fields", done)
-            air = resampled(field, factor)
-            other = scene.with_medium(air)
-            seconds = timed(partial(render_uncached, other), runs=1 if quick else 3)
-            points.append((float(np.prod(air.shape)), seconds))
-        found.append(power(f"{name} frame, nodes of the field", points, "4 samples a pixel"))
+            work = partial(render_uncached, scene.with_medium(air))
+            work()
+            times.append(timed(work, 1 if quick else 3)[0])
+        sizes = [float(np.prod(air.shape)) for air in airs]
+        found.append(power(f"{name} frame: nodes of the field", sizes, times, "4 samples a pixel"))
     return found
 
 
-def memory_task(quick: bool = False) -> tuple[int, int]:
-    """Film in px and samples per pixel of the frame whose memory is told."""
-    return (QUICK_FILM_PX, 4) if quick else (FILM_PX, _MEMORY_SPP)
+def peak_memory(quick: bool = False) -> str:
+    """Peak memory of a frame, in words."""
+    film, spp = (QUICK_FILM_PX, 4) if quick else (FILM_PX, _MEMORY_SPP)
+    megabytes = peak_memory_mb(film, spp)
+    frame = f"{film} x {film} px with {spp} samples per pixel"
+    return f"{megabytes:.0f} MB, of {frame}, in a process of its own"
 
 
 def peak_memory_mb(film_px: int, spp: int) -> float:
     """Most memory, MB, that a process of its own ever holds to render one frame; NaN if unknown.
 
-    Linux's own record of the process is asked: `getrusage` tells the parent's, too.
+    Linux's own record of the process is asked: `getrusage` gives the parent's, too.
     """
     ended = subprocess.run(
         [sys.executable, "-c", _MEMORY, SCENE, str(film_px), str(spp)],

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from virtual_sensor.files import written_whole
-from virtual_sensor.studies.chart.pareto import not_beaten
+from virtual_sensor.studies.pareto import not_beaten
 from virtual_sensor.studies.trial.scores import PHASES, Score
 from virtual_sensor.studies.trial.trial import Trial
 

@@ -139,6 +139,6 @@ def page(trial: Trial, charts: dict[str, str]) -> str:
             html_table(HEAD, told, [row[0] in best for row in told]),
         ]
     facts = {"seed": str(trial.seed), "columns": str(trial.columns), **trial.machine}
-    parts += ["<h2>Made with</h2>", html_table(["", ""], [[k, v] for k, v in facts.items()])]
+    parts += ["<h2>Made with</h2>", html_table(["", ""], [[k, f"{v}"] for k, v in facts.items()])]
     parts += [f"<p>Tried in {trial.seconds:.0f} s.</p>", "</body></html>"]
     return "\n".join(parts) + "\n"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.detectors import NAMES, find_detector
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
-from virtual_sensor.studies.chart.machine import machine
+from virtual_sensor.studies.provenance import made_with
 from virtual_sensor.studies.trial.images import Condition, TrialImage, frame_line
 from virtual_sensor.studies.trial.scores import Score, phase_bias, score_all, score_drawn
 
@@ -58,7 +59,7 @@ class Trial:
     phases: dict[tuple[str, float], Array]
     seed: int
     columns: int
-    machine: dict[str, str]
+    machine: dict[str, Any]
     seconds: float
 
     @property
@@ -153,7 +154,9 @@ def trial(
             report(told, _FRAMES_SHARE + (1.0 - _FRAMES_SHARE) * (done + 1) / len(waited))
     ordered = [scores[number] for number in sorted(scores)]
     in_order = {key: phases[key] for key in later.values()}
-    return Trial(ordered, in_order, seed, columns, machine(), time.perf_counter() - began)
+    return Trial(
+        ordered, in_order, seed, columns, made_with().to_dict(), time.perf_counter() - began
+    )
 
 
 def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition, TrialImage]]:

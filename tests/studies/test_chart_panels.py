@@ -1,0 +1,51 @@
+"""The chart's panels of searches and detectors: their tasks know the truth."""
+
+import numpy as np
+import pytest
+
+from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.studies.chart import detectors, searches
+from virtual_sensor.studies.chart.benchmark import measure_all
+
+UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood")
+UM_PER_PX = 22.0
+
+
+def quick(panel, module):
+    """What the panel measures, run once."""
+    return list(measure_all(panel, module.tasks(quick=True), lambda *now: None, 1))
+
+
+def test_searches_are_ordered_by_their_march():
+    """Newton's default is right to 1e-6 px, the paper's to its r_max, and long steps to neither."""
+    found = quick("search", searches)
+    assert all(m.panel == "search" and m.time_s > 0.0 for m in found)
+    new, cached, papers, lost, newtons, longer = found
+    assert newtons.largest_px < 1e-6 < 1e-4 < longer.largest_px < papers.largest_px
+    assert papers.largest_px < 1.1 / UM_PER_PX
+    assert lost.failed == lost.items
+    assert newtons.failed == longer.failed == papers.failed == 0
+    assert newtons.largest_px < new.largest_px == cached.largest_px <= 1e-3
+    assert new.failed == cached.failed == 0
+
+
+def test_detectors_know_their_truth_and_their_bound():
+    """Exact on drawn lines without noise, as good as they predict in noise, right in a frame."""
+    found = quick("lines", detectors)
+    tasks = list(dict.fromkeys(m.task for m in found))
+    assert tasks[0] == "line of sigma 1.5 px, 5,000 e at its peak, read noise 2 e"
+    assert all([m.name for m in found if m.task == task] == list(COLUMNWISE) for task in tasks)
+    assert all(m.failed == 0 for m in found if "read noise" not in m.task)
+    assert all(m.failed <= 0.02 * m.items for m in found)
+    for each in found:
+        if "no noise" in each.task:
+            assert each.largest_px < (1e-4 if each.name in UNBIASED else 0.1)
+        elif "frame" in each.task:
+            assert each.largest_px < (0.01 if each.name in UNBIASED else 0.1)
+            assert each.rms_um == pytest.approx(each.rms_px * 88.0)
+        else:
+            predicted = float(each.note.split()[1])
+            assert np.isnan(predicted) or each.rms_px == pytest.approx(predicted, rel=0.35)
+            assert each.rms_px > 0.85 * each.bound_px > 0.0  # of 256 columns, by chance
+    best = {m.name: m.rms_px / m.bound_px for m in found if m.task == tasks[0]}
+    assert best["max_likelihood"] == pytest.approx(1.0, abs=0.15)

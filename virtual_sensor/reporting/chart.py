@@ -1,0 +1,714 @@
+"""The chart of speed against accuracy: its picture, tables, page and files."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from numpy.typing import NDArray
+
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.records import Record, Table, plain, write_csv, write_json
+from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.page import (
+    PAGE,
+    Content,
+    Details,
+    Listing,
+    Page,
+    Section,
+    write_page,
+)
+from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
+from virtual_sensor.reporting.style import GREY, MARKERS, colours
+from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.words import counted, time_in_words
+from virtual_sensor.studies.chart.benchmark import (
+    EFFECT_PX,
+    RESOLVED_PX,
+    Measured,
+    enough,
+)
+from virtual_sensor.studies.chart.chart import Chart
+from virtual_sensor.studies.chart.failures import Failures, made_by
+from virtual_sensor.studies.chart.machine import Machine
+
+# ------------------------------------------------------------------------------------------ words
+
+TITLES = {
+    "rays": "Bent rays",
+    "frames": "Rendered frames",
+    "search": "Search for laser points",
+    "lines": "Line detectors",
+}
+_JOBS = {"rays": "rays", "frames": "frames", "search": "laser points", "lines": "line centres"}
+ITEMS = {"rays": "ray", "frames": "frame", "search": "laser point", "lines": "column"}
+_METHODS = {
+    "euler": "Euler",
+    "rk4": "RK4",
+    "sharma": "Sharma",
+    "dopri5": "Dormand-Prince 5(4)",
+    "direct": "Mitsuba's direct",
+    "paper": "paper's search",
+    "newton_along_line": "Newton along the line",
+    "newton_by_ray": "Newton ray by ray",
+    "new_maps": "new ray maps",
+    "cached_maps": "cached ray maps",
+    "gaussian": "Gaussian fit",
+    "weighted_gaussian": "weighted Gaussian fit",
+    "max_likelihood": "maximum likelihood",
+    "fir4": "FIR 4",
+    "fir8": "FIR 8",
+}
+_PRECISIONS = {"single": "float32", "double": "float64"}
+
+
+def method_in_words(name: str) -> str:
+    """A method's name as people read it."""
+    return _METHODS.get(name, name.replace("_", " "))
+
+
+def setting_in_words(name: str, value: Any) -> str:
+    """A setting as people read it: "16 samples per pixel", "2 mm steps"."""
+    match name:
+        case "samples_per_pixel":
+            return f"{counted(value, 'sample')} per pixel"
+        case "step_mm":
+            return f"{value:g} mm steps"
+        case "tolerance_px" | "tolerance_mm":
+            return f"tolerance {value:g} {name.removeprefix('tolerance_')}"
+        case "grid_px":
+            return f"grid of {value:g} px"
+        case "halvings":
+            return counted(value, "halving")
+        case "precision":
+            return _PRECISIONS[value]
+        case "interpolation":
+            return f"{value} field"
+        case "dimensions":
+            return f"{value}-D field"
+        case "variant":
+            return "on the GPU"
+        case "method":
+            return method_in_words(value)
+    return f"{name.replace('_', ' ')} {value}"
+
+
+def in_words(measured: Measured) -> str:
+    """A configuration as people read it: "tabulated, 16 samples per pixel"."""
+    settings = (setting_in_words(name, value) for name, value in measured.chosen.items())
+    return ", ".join([method_in_words(measured.name), *settings])
+
+
+def error_in_words(px: float) -> str:
+    """An error with two digits."""
+    if not np.isfinite(px):
+        return "unknown"
+    return f"{px:.2g} px" if px >= 1e-4 or px == 0.0 else f"{px:.0e} px".replace("e-0", "e-")
+
+
+def _micrometres(um: float) -> str:
+    if not np.isfinite(um):
+        return ""
+    return f"{um:.2g} µm" if um < 100.0 else f"{um:.0f} µm"
+
+
+def enough_in_words(measured: Sequence[Measured]) -> str:
+    """What is enough for one task, and what it costs; or that nothing is."""
+    best = enough(measured)
+    if best is None:
+        return f"nothing errs less than {RESOLVED_PX:g} px"
+    bound = f"; the noise allows {best.bound_px:.2g} px" if best.rms_px > RESOLVED_PX else ""
+    return f"{in_words(best)} ({time_in_words(best.time_s)}{bound})"
+
+
+def headline(chart: Chart) -> str:
+    """The cheapest of each panel whose error no sensor resolves."""
+    found = [
+        f"{_capital(_JOBS[panel])}: {enough_in_words(chart.of(panel, chart.tasks(panel)[0]))}."
+        for panel in chart.panels
+    ]
+    return f"How little is enough for {RESOLVED_PX:g} px? {' '.join(found)}"
+
+
+# ---------------------------------------------------------------------------------------- picture
+
+PICTURE = "chart.png"
+_CELL_IN = (6.4, 7.2)
+_KEY_PX, _BELOW_PX, _ABOVE_PX = 21.0, 70.0, 138.0  # a line of the key; below and above the axes
+_FEWEST_KEYS = 5  # lines that a panel has room for: axes beside each other hardly differ in height
+_HARDLY = 0.8  # of the error of the one before: no reason for a number
+_SMALLEST_PX = 1e-12  # what a logarithmic axis shows of an error of 0
+_TICKS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+"""Times powers of ten: where ticks may be, the fewest first."""
+_ENOUGH, _EFFECT = "#00714F", GREY
+
+
+def draw_chart(chart: Chart) -> Picture:
+    """All panels, each with the task that it is about."""
+    panels = []
+    for name in chart.panels:
+        measured = chart.of(name, chart.tasks(name)[0])
+        alt = (
+            f"Error in px over time per {ITEMS[name]} of {len(measured)} configurations. Enough:"
+            f" {enough_in_words(measured)}."
+        )
+        draw = partial(_draw_large, measured)
+        panels.append(Panel(TITLES[name], draw, alt, axes=False, layout=None))
+    return draw_picture(headline(chart), panels, cell_in=_CELL_IN)
+
+
+def draw_other_tasks(chart: Chart, panel: str) -> Picture | None:
+    """A panel's other tasks as small multiples; None where it has no others."""
+    panels = []
+    for task in chart.tasks(panel)[1:]:
+        measured = chart.of(panel, task)
+        alt = f"Error in px over time per {ITEMS[panel]}. Enough: {enough_in_words(measured)}."
+        panels.append(Panel(_capital(task), partial(_draw_small, measured), alt))
+    return draw_picture("", panels) if panels else None
+
+
+def numbered(measured: Sequence[Measured]) -> list[Measured]:
+    """Those of a front that get a number: what is enough, and what is clearly more accurate."""
+    found: list[Measured] = []
+    best = enough(measured)
+    for each in _front(measured):
+        if not found or each is best or each.rms_px <= _HARDLY * found[-1].rms_px:
+            found.append(each)
+    return found
+
+
+def _front(measured: Sequence[Measured]) -> list[Measured]:
+    return sorted((m for m in measured if m.on_front), key=lambda m: m.time_s)
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
+    """A panel: its task, the axes, and below them the key of the front's numbers."""
+    width, height = figure.get_size_inches() * DPI
+    key, best = numbered(measured), enough(measured)
+    keys = max(len(key), _FEWEST_KEYS)
+    bottom = _BELOW_PX + _KEY_PX * keys
+    size = (width - 100.0) / width, (height - bottom - _ABOVE_PX) / height
+    axes = figure.add_axes((84.0 / width, bottom / height, *size))
+    _draw(axes, measured)
+    _legend(axes, measured, ncols=3, loc="lower left", bbox_to_anchor=(-0.15, 1.0))
+    _number(axes, key, measured)
+
+    def write(x: float, y: float, text: str, **look: Any) -> None:
+        figure.text(x / width, y / height, text, va="center", **look)
+
+    write(13.0, height - 42.0, _capital(measured[0].task), fontsize=11, color="0.3")
+    for number, each in enumerate(key):
+        look: dict[str, Any] = {"fontsize": 10.2}
+        if each is best:
+            look |= {"fontweight": "bold", "color": _ENOUGH}
+        y = 10.0 + _KEY_PX * (keys - number - 0.5)
+        write(28.0, y, f"{number + 1}", ha="right", **look)
+        write(38.0, y, in_words(each), **look)
+        write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **look)
+        write(width - 12.0, y, time_in_words(each.time_s), ha="right", **look)
+
+
+def _draw_small(measured: Sequence[Measured], axes: Axes) -> None:
+    _draw(axes, measured)
+    _legend(axes, measured, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
+    """One task: hollow marks, filled ones on the front, its steps, the bands, the bound."""
+    shown = [m for m in measured if np.isfinite([m.rms_px, m.time_s]).all() and m.time_s > 0.0]
+    axes.set(xscale="log", yscale="log")
+    if not shown:
+        axes.text(0.5, 0.5, "no error is known", transform=axes.transAxes, ha="center")
+        return
+    looks = _looks(shown)
+    series: dict[tuple[str, ...], list[Measured]] = defaultdict(list)
+    for each in shown:
+        words = (v for v in each.chosen.values() if isinstance(v, str))
+        series[(each.name, *words)].append(each)  # they differ in numbers only
+    for line in series.values():
+        times, errors = [m.time_s for m in line], [_error(m) for m in line]
+        axes.plot(times, errors, color=looks[_kind(line[0])][0], lw=0.8, alpha=0.4)
+    best = enough(measured)
+    if best:
+        axes.plot(best.time_s, _error(best), "o", ms=19, mfc="none", mec=_ENOUGH, mew=2.5)
+    for each in shown:
+        colour, marker = looks[_kind(each)]
+        face, edge = (colour, "black") if each.on_front else ("white", colour)
+        look = {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
+        axes.plot(each.time_s, _error(each), marker=marker, mfc=face, mec=edge, mew=1.0, **look)
+    _limits(axes, shown)
+    front = _front(shown)
+    times = [*(m.time_s for m in front), axes.get_xlim()[1]]
+    errors = [*map(_error, front), *map(_error, front[-1:])]
+    axes.step(times[: len(errors)], errors, where="post", color="0.2", lw=1.5, zorder=2)
+    _bands(axes, shown[0].bound_px)
+    axes.set_xlabel(f"time per {ITEMS[shown[0].panel]}", fontsize=11)
+    axes.set_ylabel("error in px, rms", fontsize=11)
+
+
+def _error(measured: Measured) -> float:
+    return max(measured.rms_px, _SMALLEST_PX)
+
+
+def _kind(measured: Measured) -> str:
+    """What a legend calls a configuration: its method; on the GPU, a kind apart."""
+    name = method_in_words(measured.name)
+    return f"{name}, GPU" if "variant" in measured.chosen else name
+
+
+def _looks(measured: Sequence[Measured]) -> dict[str, tuple[str, str]]:
+    """Colour and marker of each kind: the colour says what it is a variety of on every page."""
+    by_colour = colours(list(dict.fromkeys(m.colour for m in measured)))
+    kinds = {_kind(m): by_colour[m.colour] for m in measured}
+    return {
+        kind: (colour, MARKERS[number % len(MARKERS)])
+        for number, (kind, colour) in enumerate(kinds.items())
+    }
+
+
+def _limits(axes: Axes, shown: Sequence[Measured]) -> None:
+    """Room round all marks, and up to what the bands mean where that is near."""
+    times, errors = [m.time_s for m in shown], [_error(m) for m in shown]
+    bound = shown[0].bound_px
+    low, high = min(errors), max(errors)
+    if high > 0.1 * EFFECT_PX:
+        high = max(high, 2.0 * EFFECT_PX)
+    if bound:
+        low = min(low, bound, RESOLVED_PX)
+    if low < RESOLVED_PX:
+        high = max(high, 1.5 * RESOLVED_PX)
+    for axis, set_limits, limits, words in (
+        (axes.xaxis, axes.set_xlim, (min(times), max(times)), time_in_words),
+        (axes.yaxis, axes.set_ylim, (low, high), _power),
+    ):
+        room = max(limits[1] / limits[0], 2.0) ** 0.1
+        low, high = limits[0] / room, limits[1] * room
+        set_limits(low, high)
+        axis.set_major_locator(FixedLocator(_ticks(low, high)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _, words=words: words(value)))
+        axis.set_minor_locator(NullLocator())  # they take half of the time of such a picture
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Ticks of a logarithmic axis, 0.01 among them: three or more where that goes, and not many."""
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1.0)
+    for factors in _TICKS:
+        ticks = [float(f * 10.0**n) for n in decades for f in factors]
+        inside = [tick for tick in ticks if low <= tick <= high]
+        if len(inside) >= 3:
+            break
+    every = 1 + len(inside) // 8
+    first = next((i for i, tick in enumerate(inside) if np.isclose(tick, RESOLVED_PX)), 0)
+    return inside[first % every :: every]
+
+
+def _power(value: float) -> str:
+    return f"{value:g}" if value >= 9e-4 else f"$10^{{{round(np.log10(value))}}}$"
+
+
+def _bands(axes: Axes, bound_px: float) -> None:
+    """What a sensor resolves, what the effect amounts to, what no detector beats."""
+    low, high = axes.get_ylim()
+    if low < RESOLVED_PX:
+        axes.axhspan(low, RESOLVED_PX, color=_ENOUGH, alpha=0.12, lw=0)
+        _label(axes, "finer than a sensor resolves", low, 0.01, _ENOUGH)
+    if high > EFFECT_PX:
+        axes.axhspan(EFFECT_PX, high, color=_EFFECT, alpha=0.12, lw=0)
+        _label(axes, "as wrong as without hot air", EFFECT_PX, 0.99, _EFFECT)
+    if bound_px:
+        axes.axhline(bound_px, color="black", lw=1.3, ls="--")
+        _label(axes, f"Cramér-Rao bound: {bound_px:.2g} px", bound_px, 0.99, "black")
+    axes.set_ylim(low, high)
+
+
+def _label(axes: Axes, words: str, px: float, x: float, colour: str) -> None:
+    """Words above a horizontal line, at its left or right end."""
+    axes.annotate(
+        words,
+        (x, px),
+        (0.0, 3.0),
+        xycoords=axes.get_yaxis_transform(),
+        textcoords="offset points",
+        ha="right" if x > 0.5 else "left",
+        va="bottom",
+        color=colour,
+        fontsize=9.5,
+    )
+
+
+def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
+    handles = [
+        Line2D([], [], color=colour, marker=marker, ls="none", mfc="white", ms=6, label=kind)
+        for kind, (colour, marker) in _looks(measured).items()
+    ]
+    axes.legend(handles=handles, fontsize=9.5, handletextpad=0.1, labelspacing=0.2, **place)
+
+
+def _number(axes: Axes, key: Sequence[Measured], measured: Sequence[Measured]) -> None:
+    """Write the key's numbers beside their marks, below the front, where nothing else lies."""
+
+    def pixels(each: Measured) -> NDArray[np.float64]:
+        return np.asarray(axes.transData.transform((each.time_s, _error(each))))
+
+    best = enough(measured)
+    taken = [pixels(each) for each in _front(measured)]
+    for number, each in enumerate(key):
+        at = pixels(each)
+        first = 24.0 if each is best else 16.0
+        offsets = [
+            distance * np.array([np.cos(angle), np.sin(angle)])
+            for distance in (first, first + 8.0, first + 16.0)
+            for angle in np.radians((225.0, 180.0, 270.0, 200.0, 250.0, 45.0))
+        ]
+        crowd = [
+            sum(max(0.0, 15.0 - float(np.linalg.norm(at + offset - other))) for other in taken)
+            for offset in offsets
+        ]
+        offset = offsets[int(np.argmin(crowd))]
+        taken.append(at + offset)
+        axes.annotate(
+            f"{number + 1}",
+            (each.time_s, _error(each)),
+            offset * 72.0 / DPI,
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=10.5,
+            fontweight="bold",
+            color=_ENOUGH if each is best else "black",
+            zorder=6,
+        )
+
+
+# ----------------------------------------------------------------------------------------- tables
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """What a program wants to know of a chart: `summary.json`.
+
+    Attributes
+    ----------
+    enough : dict
+        By panel, the fastest configuration whose error is as good as none.
+    fronts : dict
+        By panel, the Pareto fronts of its tasks, the fastest first.
+    exponents : dict
+        By what is varied, the power of the size with which the time grows.
+    machine : Machine
+        What it was measured on.
+    notes : tuple of str
+        What the reader should know besides.
+    time_s : float
+        Of the whole.
+    """
+
+    enough: dict[str, Measured | None]
+    fronts: dict[str, tuple[Measured, ...]]
+    exponents: dict[str, float]
+    machine: Machine
+    notes: tuple[str, ...]
+    time_s: float
+
+
+@dataclass(frozen=True)
+class ScalingTable(Table):
+    """Times over sizes: `scaling.csv`.
+
+    Attributes
+    ----------
+    name : sequence of str
+        What is made, and what is varied.
+    size : sequence of float
+        How much of it.
+    time_s : sequence of float
+        How long it took.
+    exponent : sequence of float
+        Power of the size with which the time grows; the same in all rows of a name.
+    note : sequence of str
+        What else is to be known.
+    """
+
+    name: Sequence[str]
+    size: Sequence[float]
+    time_s: Sequence[float]
+    exponent: Sequence[float]
+    note: Sequence[str]
+
+
+def summary(chart: Chart) -> Summary:
+    """The fronts, what is enough, and the machine."""
+    tasks = {panel: chart.tasks(panel) for panel in chart.panels}
+    return Summary(
+        {panel: enough(chart.of(panel, names[0])) for panel, names in tasks.items()},
+        {p: tuple(m for t in names for m in chart.front(p, t)) for p, names in tasks.items()},
+        {each.name: each.exponent for each in chart.scalings},
+        chart.machine,
+        chart.notes,
+        chart.time_s,
+    )
+
+
+def csv_columns(measured: Sequence[Measured]) -> dict[str, list[Any]]:
+    """A row for each configuration; settings are JSON, `on_front` is yes or no."""
+    columns = {f.name: [getattr(m, f.name) for m in measured] for f in fields(Measured)}
+    for name in ("chosen", "defaults"):
+        columns[name] = [json.dumps(plain(each)) for each in columns[name]]
+    columns["on_front"] = ["yes" if best else "no" for best in columns["on_front"]]
+    return columns
+
+
+def scaling_table(chart: Chart) -> ScalingTable:
+    """A row for each size."""
+    rows = [
+        (s.name, size, seconds, s.exponent, s.note)
+        for s in chart.scalings
+        for size, seconds in zip(s.sizes, s.times_s, strict=True)
+    ]
+    return ScalingTable(*(zip(*rows, strict=True) if rows else ((),) * 5))
+
+
+def measured_table(measured: Sequence[Measured], caption: str, whole: bool = False) -> TextTable:
+    """Configurations of one task; `whole`: with all that is known of them, the front in bold.
+
+    Else what is enough is in bold.
+    """
+    rows = [
+        {
+            "configuration": in_words(m),
+            "error, rms": error_in_words(m.rms_px),
+            "largest": error_in_words(m.largest_px),
+            "on the part": _micrometres(m.rms_um),
+            f"time per {ITEMS[m.panel]}": time_in_words(m.time_s),
+            "failed": f"{m.failed} of {m.items}" if m.failed else "",
+            "note": m.note,
+        }
+        for m in measured
+    ]
+    columns = list(rows[0]) if rows else ["configuration"]
+    if not whole:
+        columns = columns[:-2]
+    if not any(np.isfinite(m.rms_um) for m in measured):
+        columns.remove("on the part")
+    best = enough(measured)
+    return text_table(
+        rows, columns, caption, [m.on_front if whole else m is best for m in measured]
+    )
+
+
+def front_tables(chart: Chart) -> list[TextTable]:
+    """The front of each panel's picture, as the console shows it."""
+    return [
+        measured_table(
+            chart.front(panel, chart.tasks(panel)[0]), f"{TITLES[panel]}: the Pareto front"
+        )
+        for panel in chart.panels
+    ]
+
+
+def front_table(chart: Chart) -> TextTable:
+    """The front of each panel's picture: the table of the README."""
+    rows = []
+    for panel in chart.panels:
+        task = chart.tasks(panel)[0]
+        best = enough(chart.of(panel, task))
+        for number, m in enumerate(chart.front(panel, task)):
+            words = f"{in_words(m)} (enough)" if m is best else in_words(m)
+            cost = f"{time_in_words(m.time_s)} per {ITEMS[panel]}"
+            errors = error_in_words(m.rms_px), error_in_words(m.largest_px)
+            rows.append(("" if number else TITLES[panel], words, *errors, cost))
+    return TextTable(("job", "configuration", "error, rms", "largest", "time"), tuple(rows))
+
+
+def failure_table(failures: Failures) -> TextTable:
+    """Where methods fail, in words."""
+
+    def amount(value: float, unit: str) -> str:
+        return f"{value:g} {unit}".strip() if np.isfinite(value) else "never"
+
+    rows = [
+        (
+            r["trouble"],
+            r["method"],
+            f"{r['mildest']:g} to {amount(r['severest'], r['unit'])}",
+            f"{amount(r['reported_from'], r['unit'])} {r['reports']}".strip(),
+            amount(r["wrong_from"], r["unit"]),
+            error_in_words(r["largest_error_px"]) if np.isfinite(r["largest_error_px"]) else "",
+            "; ".join(filter(None, [r["conditions"], r["note"]])),
+        )
+        for r in failures.rows()
+    ]
+    head = ("trouble", "method", "tried", "reported from", "wrong from", "largest error", "note")
+    return TextTable(head, tuple(rows))
+
+
+# ------------------------------------------------------------------------------------------ files
+
+FRONT_TABLE = "front.md"
+FILES = (
+    FileOf(PAGE, "The page to open first: pictures, tables, failures, the machine."),
+    FileOf(PICTURE, "All panels."),
+    *(FileOf(f"{name}.png", f"The panel '{title}' alone.") for name, title in TITLES.items()),
+    FileOf("configurations.csv", "Every configuration: its errors, its time.", Measured),
+    FileOf("failures.csv", "Where methods fail, as `benchmarks/failures.py` found.", Failures),
+    FileOf("scaling.csv", "Times over samples per pixel and nodes of the field.", ScalingTable),
+    FileOf(FRONT_TABLE, "The fronts of the panels as a table in Markdown."),
+    FileOf(RESULTS_SIGN, "The fronts, what is enough, the machine.", Summary),
+)
+
+
+def save(chart: Chart, folder: Path, command: str, overwrite: bool = False) -> None:
+    """Write picture, page and tables; all of them or none.
+
+    Parameters
+    ----------
+    chart : Chart
+    folder : Path
+    command : str
+        That was given, for the page.
+    overwrite : bool
+        Whether a folder that exists is replaced.
+
+    Raises
+    ------
+    InputError
+        If the folder exists (and `overwrite` is not set) or can't be written.
+    """
+    picture = draw_chart(chart)
+    with folder_written_whole(folder, overwrite) as place:
+        write_csv(place / "configurations.csv", csv_columns(chart.measured))
+        write_csv(place / "failures.csv", chart.failures)
+        write_csv(place / "scaling.csv", scaling_table(chart))
+        picture.write(place / PICTURE)
+        for name, panel in zip(chart.panels, picture.panels, strict=True):
+            (place / f"{name}.png").write_bytes(panel.png)
+        (place / FRONT_TABLE).write_text(front_text(chart), encoding="utf-8")
+        write_page(place / PAGE, page(chart, picture, command))
+        write_json(place / RESULTS_SIGN, summary(chart))
+
+
+def front_text(chart: Chart) -> str:
+    """What is enough, the fronts as Markdown, and what made them."""
+    made = chart.machine.made_with
+    return (
+        f"{headline(chart)}\n\n{front_table(chart).markdown()}\nMade by `virtual-sensor chart` in"
+        f" {chart.time_s:.0f} s; {chart.machine.processor}, {counted(made.threads, 'thread')},"
+        f" {made.variant}.\n"
+    )
+
+
+# ------------------------------------------------------------------------------------------- page
+
+_HOW = (
+    "Each time is the median of up to five runs of the whole work, warmed up before, with Dr.Jit's"
+    " threads waited for; work that takes seconds runs less often. Errors are against rays in"
+    " closed form where there are some, and else against float64 at its finest: each task names its"
+    " reference, and errors of one task compare with no other's.",
+    "The Pareto front (filled marks, the stepped line, bold rows) holds the configurations that no"
+    " other of the task beats in both time and error. What fails in 1 % of its items more often"
+    " than the most reliable is not on it. Settings that are not named are as the scene has them.",
+    f"Enough is an error below {RESOLVED_PX:g} px, which no sensor resolves; where the noise of a"
+    " detector's task allows no such error, one within 10 % of the Cramér-Rao bound. Without any"
+    f" hot air in the computation the line is wrong by about {EFFECT_PX:g} px. One pixel is 22 µm"
+    " on the part.",
+)
+
+
+def page(chart: Chart, picture: Picture, command: str) -> Page:
+    """The page; `picture` is that of `draw_chart`."""
+    sections = [
+        Section(TITLES[name], *_panel(chart, name, panel))
+        for name, panel in zip(chart.panels, picture.panels, strict=True)
+    ]
+    sections.append(
+        Section(
+            "Where methods fail",
+            "Each trouble was made worse step by step, until a status reported it (reported from)"
+            " or results that count as good were wrong (wrong from). Where the second comes first,"
+            f" nothing warns. {made_by()}",
+            failure_table(chart.failures),
+        )
+    )
+    if chart.scalings:
+        rows = [
+            {
+                "time of a": s.name,
+                "exponent": s.exponent,
+                "times": ", ".join(
+                    f"{size:g}: {time_in_words(seconds)}"
+                    for size, seconds in zip(s.sizes, s.times_s, strict=True)
+                ),
+                "note": s.note,
+            }
+            for s in chart.scalings
+        ]
+        columns: list[Column | str] = [
+            "time of a",
+            Column("exponent", shape="{:.2f}"),
+            "times",
+            "note",
+        ]
+        words = "Time grows as the size to the power of the exponent."
+        memory = f"Peak memory of a frame: {chart.machine.frame_memory}."
+        sections.append(
+            Section("How time and memory grow", words, text_table(rows, columns), memory)
+        )
+    files = Listing(tuple(Link(f"{f.pattern}: {f.words}", f.pattern) for f in _written(chart)))
+    sections.append(Section("How it was measured", *_HOW, _machine_table(chart)))
+    sections.append(Section("Files", files))
+    made = chart.machine.made_with.to_dict()
+    return Page(
+        "Speed against accuracy", headline(chart), tuple(sections), command, made, chart.notes
+    )
+
+
+def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
+    """A panel's picture and front, its other tasks, and all that was measured."""
+    main, *others = chart.tasks(name)
+    measured = chart.of(name, main)
+    content: list[Content] = [
+        f"{_capital(main)}. Errors are against {measured[0].reference}.",
+        panel,
+        measured_table(chart.front(name, main), "The Pareto front, the fastest first"),
+    ]
+    if picture := draw_other_tasks(chart, name):
+        content.append(Details(counted(len(others), "other task"), (picture,)))
+    tables = tuple(
+        measured_table(
+            sorted(chart.of(name, task), key=lambda m: (not np.isfinite(m.rms_px), m.rms_px)),
+            f"{_capital(task)}, against {chart.of(name, task)[0].reference}",
+            whole=True,
+        )
+        for task in (main, *others)
+    )
+    count = sum(m.panel == name for m in chart.measured)
+    content.append(Details(f"All {count} that were measured, the most accurate first", tables))
+    return content
+
+
+def _written(chart: Chart) -> list[FileOf]:
+    absent = {f"{name}.png" for name in TITLES if name not in chart.panels}
+    return [each for each in FILES if each.pattern not in absent | {PAGE}]
+
+
+def _machine_table(chart: Chart) -> TextTable:
+    facts = chart.machine
+    load = f"{facts.load:.2f} processes wanted a core in the minute before"
+    rows = [("date", facts.date), ("processor", facts.processor), ("cores", facts.cores)]
+    rows += [("system", facts.system), ("load", load), ("time of all", f"{chart.time_s:.0f} s")]
+    return TextTable(("", "measured on"), tuple(rows))
