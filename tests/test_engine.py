@@ -7,7 +7,9 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -276,6 +278,15 @@ def test_a_cache_that_cannot_be_used_costs_a_proof_and_nothing_else(only, tmp_pa
     (tmp_path / "cache").write_text("a file where the folder should be")
     monkeypatch.setattr(engine, "_prove", lambda path: None)
     assert engine.find_llvm()[0] == engine.find_llvm()[0] == library
+
+
+def test_who_has_no_home_has_a_cache_among_the_temporary_files(tmp_path, monkeypatch):
+    """Rationale: in a container's nameless user's folder, a folder named "~" would be made."""
+    library = library_file(tmp_path, "libLLVM.so", "19.1")
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", dict[int, Any]().__getitem__)
+    assert engine._proof_file(library).parent == Path(tempfile.gettempdir(), "virtual_sensor")
 
 
 def test_libraries_are_tried_newest_first_and_once(tmp_path, monkeypatch):

@@ -37,6 +37,8 @@ from importlib.metadata import PackageNotFoundError, distribution, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from platformdirs import user_cache_path
+
 from virtual_sensor.errors import EngineError
 from virtual_sensor.files import scratch_folder
 
@@ -387,9 +389,11 @@ def _proof_file(library: Path) -> Path:
     """Name the empty file whose existence says that the library has passed the proof."""
     key = (library, library.stat().st_mtime_ns, version("drjit"), sys.version, PROOF)
     digest = hashlib.sha256(repr(key).encode()).hexdigest()
-    home = os.environ.get("HOME") or tempfile.gettempdir()
-    cache = os.environ.get("XDG_CACHE_HOME") or Path(home, ".cache")
-    return Path(cache, "virtual_sensor", f"llvm_works_{digest[:16]}")
+    try:
+        cache = user_cache_path("virtual_sensor")
+    except RuntimeError:  # a user without a home, as in a container
+        cache = Path(tempfile.gettempdir(), "virtual_sensor")
+    return cache / f"llvm_works_{digest[:16]}"
 
 
 def _prove(library: Path) -> str | None:
