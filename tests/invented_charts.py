@@ -6,7 +6,7 @@ from virtual_sensor.studies.chart.benchmark import Measured, with_fronts
 from virtual_sensor.studies.chart.chart import PANELS, Chart
 from virtual_sensor.studies.chart.failures import table
 from virtual_sensor.studies.chart.machine import Machine
-from virtual_sensor.studies.chart.scaling import Scaling
+from virtual_sensor.studies.chart.scaling import power
 from virtual_sensor.studies.provenance import made_with
 
 NASTY = "<script>&\"'"
@@ -70,8 +70,8 @@ def chart():
     ]
     rows.append(measured("unknown", error_px=np.nan, task="the main job"))
     scalings = (
-        Scaling("frame, samples", 0.8, (1.0, 4.0), (0.5, 1.5), "about"),
-        Scaling("frame, nodes", np.nan, (1.0,), (0.5,)),
+        *power("frame, samples", {1.0: 0.5, 4.0: 1.5}, f"about {NASTY}"),
+        *power("frame, nodes", {1.0: 0.5}),
     )
     machine = Machine("today", f"an {NASTY} abacus", "2 of 2", "none", 0.1, made_with(), "9 MB")
     return Chart(with_fronts(rows), scalings, failures(), machine, (f"a note {NASTY}",), 12.0)

@@ -18,11 +18,11 @@ from virtual_sensor.reporting import chart as words
 from virtual_sensor.reporting.chart import (
     FILES,
     TITLES,
+    configuration_in_words,
     draw_chart,
     draw_other_tasks,
     front_table,
     headline,
-    in_words,
     numbered,
     page,
     save,
@@ -86,7 +86,7 @@ def test_settings_are_named_in_plain_words():
         ),
         "centre of gravity": measured("centre_of_gravity"),
     }
-    assert [in_words(each) for each in expected.values()] == list(expected)
+    assert [configuration_in_words(each) for each in expected.values()] == list(expected)
 
 
 def test_the_headline_names_what_is_enough_for_each_job(example):
@@ -111,7 +111,7 @@ def test_the_readmes_table_marks_what_is_enough(example):
     fronts = [example.front(panel, example.tasks(panel)[0]) for panel in PANELS]
     assert text.count("\n") == 2 + sum(map(len, fronts))
     for front in fronts:
-        assert f"{in_words(enough(front))} (enough)" in text
+        assert f"{configuration_in_words(enough(front))} (enough)" in text
 
 
 def test_what_is_enough_has_a_number_and_nearly_equals_share_one():

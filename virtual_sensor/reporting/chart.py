@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.records import Record, Table, plain, write_csv, write_json
+from virtual_sensor.records import Record, plain, write_csv, write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import (
     PAGE,
@@ -31,8 +32,8 @@ from virtual_sensor.reporting.page import (
 )
 from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import GREY, MARKERS, colours
-from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
-from virtual_sensor.reporting.words import counted, time_in_words
+from virtual_sensor.reporting.tables import Link, TextTable, text_table
+from virtual_sensor.reporting.words import counted, in_words, time_in_words
 from virtual_sensor.studies.chart.benchmark import (
     EFFECT_PX,
     RESOLVED_PX,
@@ -42,6 +43,7 @@ from virtual_sensor.studies.chart.benchmark import (
 from virtual_sensor.studies.chart.chart import Chart
 from virtual_sensor.studies.chart.failures import Failures, made_by
 from virtual_sensor.studies.chart.machine import Machine
+from virtual_sensor.studies.chart.scaling import Scaling
 
 # ------------------------------------------------------------------------------------------ words
 
@@ -104,7 +106,7 @@ def setting_in_words(name: str, value: Any) -> str:
     return f"{name.replace('_', ' ')} {value}"
 
 
-def in_words(measured: Measured) -> str:
+def configuration_in_words(measured: Measured) -> str:
     """A configuration as people read it: "tabulated, 16 samples per pixel"."""
     settings = (setting_in_words(name, value) for name, value in measured.chosen.items())
     return ", ".join([method_in_words(measured.name), *settings])
@@ -129,7 +131,7 @@ def enough_in_words(measured: Sequence[Measured]) -> str:
     if best is None:
         return f"nothing errs less than {RESOLVED_PX:g} px"
     bound = f"; the noise allows {best.bound_px:.2g} px" if best.rms_px > RESOLVED_PX else ""
-    return f"{in_words(best)} ({time_in_words(best.time_s)}{bound})"
+    return f"{configuration_in_words(best)} ({time_in_words(best.time_s)}{bound})"
 
 
 def headline(chart: Chart) -> str:
@@ -218,7 +220,7 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
             look |= {"fontweight": "bold", "color": _ENOUGH}
         y = 10.0 + _KEY_PX * (keys - number - 0.5)
         write(28.0, y, f"{number + 1}", ha="right", **look)
-        write(38.0, y, in_words(each), **look)
+        write(38.0, y, configuration_in_words(each), **look)
         write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **look)
         write(width - 12.0, y, time_in_words(each.time_s), ha="right", **look)
 
@@ -426,31 +428,6 @@ class Summary(Record):
     time_s: float
 
 
-@dataclass(frozen=True)
-class ScalingTable(Table):
-    """Times over sizes: `scaling.csv`.
-
-    Attributes
-    ----------
-    name : sequence of str
-        What is made, and what is varied.
-    size : sequence of float
-        How much of it.
-    time_s : sequence of float
-        How long it took.
-    exponent : sequence of float
-        Power of the size with which the time grows; the same in all rows of a name.
-    note : sequence of str
-        What else is to be known.
-    """
-
-    name: Sequence[str]
-    size: Sequence[float]
-    time_s: Sequence[float]
-    exponent: Sequence[float]
-    note: Sequence[str]
-
-
 def summary(chart: Chart) -> Summary:
     """The fronts, what is enough, and the machine."""
     tasks = {panel: chart.tasks(panel) for panel in chart.panels}
@@ -464,23 +441,17 @@ def summary(chart: Chart) -> Summary:
     )
 
 
-def csv_columns(measured: Sequence[Measured]) -> dict[str, list[Any]]:
-    """A row for each configuration; settings are JSON, `on_front` is yes or no."""
-    columns = {f.name: [getattr(m, f.name) for m in measured] for f in fields(Measured)}
-    for name in ("chosen", "defaults"):
-        columns[name] = [json.dumps(plain(each)) for each in columns[name]]
-    columns["on_front"] = ["yes" if best else "no" for best in columns["on_front"]]
-    return columns
+def csv_columns(
+    kind: type[Measured | Scaling], records: Sequence[Measured | Scaling]
+) -> dict[str, list[Any]]:
+    """A row for each record; settings are JSON, truths yes or no."""
 
+    def cell(value: Any) -> Any:
+        if isinstance(value, dict):
+            return json.dumps(plain(value))
+        return value if not isinstance(value, bool) else "yes" if value else "no"
 
-def scaling_table(chart: Chart) -> ScalingTable:
-    """A row for each size."""
-    rows = [
-        (s.name, size, seconds, s.exponent, s.note)
-        for s in chart.scalings
-        for size, seconds in zip(s.sizes, s.times_s, strict=True)
-    ]
-    return ScalingTable(*(zip(*rows, strict=True) if rows else ((),) * 5))
+    return {f.name: [cell(getattr(each, f.name)) for each in records] for f in fields(kind)}
 
 
 def measured_table(measured: Sequence[Measured], caption: str, whole: bool = False) -> TextTable:
@@ -490,7 +461,7 @@ def measured_table(measured: Sequence[Measured], caption: str, whole: bool = Fal
     """
     rows = [
         {
-            "configuration": in_words(m),
+            "configuration": configuration_in_words(m),
             "error, rms": error_in_words(m.rms_px),
             "largest": error_in_words(m.largest_px),
             "on the part": _micrometres(m.rms_um),
@@ -528,33 +499,41 @@ def front_table(chart: Chart) -> TextTable:
         task = chart.tasks(panel)[0]
         best = enough(chart.of(panel, task))
         for number, m in enumerate(chart.front(panel, task)):
-            words = f"{in_words(m)} (enough)" if m is best else in_words(m)
+            words = (
+                f"{configuration_in_words(m)} (enough)" if m is best else configuration_in_words(m)
+            )
             cost = f"{time_in_words(m.time_s)} per {ITEMS[panel]}"
             errors = error_in_words(m.rms_px), error_in_words(m.largest_px)
             rows.append(("" if number else TITLES[panel], words, *errors, cost))
     return TextTable(("job", "configuration", "error, rms", "largest", "time"), tuple(rows))
 
 
-def failure_table(failures: Failures) -> TextTable:
-    """Where methods fail, in words."""
+def failure_table(failures: Failures, panel: str) -> TextTable:
+    """Where a panel's methods fail; methods that fail alike share a row."""
+    methods: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for r in failures.rows():
+        if r["panel"] == panel:
+            reported, wrong = (
+                f"{r[name]:g}" if np.isfinite(r[name]) else "never"
+                for name in ("reported_from", "wrong_from")
+            )
+            tried = f"{r['mildest']:g} to {r['severest']:g} {r['unit']}".strip()
+            note = "; ".join(filter(None, [r["conditions"], r["note"]]))
+            row = (r["trouble"], tried, f"{reported} {r['reports']}".strip(), wrong, note)
+            methods[row].append(str(r["method"]))
+    rows = tuple((row[0], "; ".join(names), *row[1:]) for row, names in methods.items())
+    return TextTable(("trouble", "method", "tried", "reported from", "wrong from", "note"), rows)
 
-    def amount(value: float, unit: str) -> str:
-        return f"{value:g} {unit}".strip() if np.isfinite(value) else "never"
 
-    rows = [
-        (
-            r["trouble"],
-            r["method"],
-            f"{r['mildest']:g} to {amount(r['severest'], r['unit'])}",
-            f"{amount(r['reported_from'], r['unit'])} {r['reports']}".strip(),
-            amount(r["wrong_from"], r["unit"]),
-            error_in_words(r["largest_error_px"]) if np.isfinite(r["largest_error_px"]) else "",
-            "; ".join(filter(None, [r["conditions"], r["note"]])),
-        )
-        for r in failures.rows()
-    ]
-    head = ("trouble", "method", "tried", "reported from", "wrong from", "largest error", "note")
-    return TextTable(head, tuple(rows))
+def scaling_table(scalings: Sequence[Scaling]) -> TextTable:
+    """How times grow, a row for each name."""
+    rows = []
+    for name, group in groupby(scalings, key=lambda each: each.name):
+        points = list(group)
+        times = ", ".join(f"{each.size:.3g}: {time_in_words(each.time_s)}" for each in points)
+        exponent = in_words(points[0].exponent, "{:.2f}")
+        rows.append((name, exponent, times, points[0].note))
+    return TextTable(("time of", "exponent", "size: time", "note"), tuple(rows))
 
 
 # ------------------------------------------------------------------------------------------ files
@@ -566,7 +545,7 @@ FILES = (
     *(FileOf(f"{name}.png", f"The panel '{title}' alone.") for name, title in TITLES.items()),
     FileOf("configurations.csv", "Every configuration: its errors, its time.", Measured),
     FileOf("failures.csv", "Where methods fail, as `benchmarks/failures.py` found.", Failures),
-    FileOf("scaling.csv", "Times over samples per pixel and nodes of the field.", ScalingTable),
+    FileOf("scaling.csv", "Times over samples per pixel and nodes of the field.", Scaling),
     FileOf(FRONT_TABLE, "The fronts of the panels as a table in Markdown."),
     FileOf(RESULTS_SIGN, "The fronts, what is enough, the machine.", Summary),
 )
@@ -591,9 +570,9 @@ def save(chart: Chart, folder: Path, command: str, overwrite: bool = False) -> N
     """
     picture = draw_chart(chart)
     with folder_written_whole(folder, overwrite) as place:
-        write_csv(place / "configurations.csv", csv_columns(chart.measured))
+        write_csv(place / "configurations.csv", csv_columns(Measured, chart.measured))
         write_csv(place / "failures.csv", chart.failures)
-        write_csv(place / "scaling.csv", scaling_table(chart))
+        write_csv(place / "scaling.csv", csv_columns(Scaling, chart.scalings))
         picture.write(place / PICTURE)
         for name, panel in zip(chart.panels, picture.panels, strict=True):
             (place / f"{name}.png").write_bytes(panel.png)
@@ -629,52 +608,36 @@ _HOW = (
 )
 
 
+_FAIL = (
+    "Each trouble was made worse step by step until a status, an error or a note reported it, and"
+    " until results that count as good were wrong. Where the second comes first, nothing warns. It"
+    " belongs to the methods and not to the machine: the tables come with the program."
+)
+_GROW = "Time grows as the size to the power of the exponent."
+
+
 def page(chart: Chart, picture: Picture, command: str) -> Page:
     """The page; `picture` is that of `draw_chart`."""
     sections = [
         Section(TITLES[name], *_panel(chart, name, panel))
         for name, panel in zip(chart.panels, picture.panels, strict=True)
     ]
-    sections.append(
-        Section(
-            "Where methods fail",
-            "Each trouble was made worse step by step, until a status reported it (reported from)"
-            " or results that count as good were wrong (wrong from). Where the second comes first,"
-            f" nothing warns. {made_by()}",
-            failure_table(chart.failures),
-        )
+    failed = tuple(
+        Details(TITLES[name], (failure_table(chart.failures, name),)) for name in chart.panels
     )
+    sections.append(Section("Where methods fail", _FAIL, f"Made by {made_by()}.", *failed))
     if chart.scalings:
-        rows = [
-            {
-                "time of a": s.name,
-                "exponent": s.exponent,
-                "times": ", ".join(
-                    f"{size:g}: {time_in_words(seconds)}"
-                    for size, seconds in zip(s.sizes, s.times_s, strict=True)
-                ),
-                "note": s.note,
-            }
-            for s in chart.scalings
-        ]
-        columns: list[Column | str] = [
-            "time of a",
-            Column("exponent", shape="{:.2f}"),
-            "times",
-            "note",
-        ]
-        words = "Time grows as the size to the power of the exponent."
+        table = scaling_table(chart.scalings)
         memory = f"Peak memory of a frame: {chart.machine.frame_memory}."
-        sections.append(
-            Section("How time and memory grow", words, text_table(rows, columns), memory)
-        )
+        sections.append(Section("How time and memory grow", _GROW, table, memory))
     files = Listing(tuple(Link(f"{f.pattern}: {f.words}", f.pattern) for f in _written(chart)))
-    sections.append(Section("How it was measured", *_HOW, _machine_table(chart)))
+    sections.append(Section("How it was measured", *_HOW))
     sections.append(Section("Files", files))
-    made = chart.machine.made_with.to_dict()
-    return Page(
-        "Speed against accuracy", headline(chart), tuple(sections), command, made, chart.notes
-    )
+    made = chart.machine.to_dict() | chart.machine.made_with.to_dict()
+    del made["made_with"], made["frame_memory"]
+    made["time of the chart"] = time_in_words(chart.time_s)
+    title = "Speed against accuracy"
+    return Page(title, headline(chart), tuple(sections), command, made, chart.notes)
 
 
 def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
@@ -704,11 +667,3 @@ def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
 def _written(chart: Chart) -> list[FileOf]:
     absent = {f"{name}.png" for name in TITLES if name not in chart.panels}
     return [each for each in FILES if each.pattern not in absent | {PAGE}]
-
-
-def _machine_table(chart: Chart) -> TextTable:
-    facts = chart.machine
-    load = f"{facts.load:.2f} processes wanted a core in the minute before"
-    rows = [("date", facts.date), ("processor", facts.processor), ("cores", facts.cores)]
-    rows += [("system", facts.system), ("load", load), ("time of all", f"{chart.time_s:.0f} s")]
-    return TextTable(("", "measured on"), tuple(rows))

@@ -71,7 +71,7 @@ class Chart(Record):
     measured : tuple of Measured
         Every configuration.
     scalings : tuple of Scaling
-        How times grow with the size of the work.
+        How times grow with the size of the work, point by point.
     failures : Failures
         Where methods fail, as it comes with this version.
     machine : Machine

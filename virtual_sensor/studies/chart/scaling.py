@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -44,35 +44,36 @@ else:
 
 @dataclass(frozen=True)
 class Scaling(Record):
-    """How a time grows with the size of the work.
+    """A time of some size of work, and how times grow with it.
 
     Attributes
     ----------
     name : str
-        What is made, and what is varied: "marched frame, samples per pixel".
+        What is made, and what is varied.
+    size : float
+        How much of it.
+    time_s : float
+        How long it took.
     exponent : float
-        Slope of log(time) over log(size), by least squares; NaN of fewer than two sizes.
-    sizes : tuple of float
-        How much work.
-    times_s : tuple of float
-        How long each took.
+        Slope of log(time) over log(size) by least squares, the same for all sizes of a name; NaN of
+        fewer than two sizes.
     note : str
         What else is to be known.
     """
 
     name: str
+    size: float
+    time_s: float
     exponent: float
-    sizes: tuple[float, ...]
-    times_s: tuple[float, ...]
     note: str = ""
 
 
-def power(name: str, sizes: Sequence[float], times_s: Sequence[float], note: str = "") -> Scaling:
-    """Fit a power law to times of sizes; one needs two different sizes."""
+def power(name: str, times_s: Mapping[float, float], note: str = "") -> list[Scaling]:
+    """Fit a power law to times by their sizes."""
     exponent = np.nan
-    if len(set(sizes)) > 1:
-        exponent = float(np.polyfit(np.log(sizes), np.log(times_s), 1)[0])
-    return Scaling(name, exponent, tuple(map(float, sizes)), tuple(map(float, times_s)), note)
+    if len(times_s) > 1:
+        exponent = float(np.polyfit(np.log([*times_s]), np.log([*times_s.values()]), 1)[0])
+    return [Scaling(name, size, seconds, exponent, note) for size, seconds in times_s.items()]
 
 
 def by_samples(measured: Sequence[Measured]) -> list[Scaling]:
@@ -81,17 +82,16 @@ def by_samples(measured: Sequence[Measured]) -> list[Scaling]:
     A part of it is the same for any number of samples, which a power law does not know: the note
     gives it, and what each sample costs, by a straight line.
     """
-    groups: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    groups: dict[tuple[str, str], dict[float, float]] = defaultdict(dict)
     for each in measured:
         if each.panel == "frames":
             same = {k: v for k, v in each.chosen.items() if k != "samples_per_pixel"}
-            name = f"{each.name} frame, {each.task}"
-            size = float(each.chosen["samples_per_pixel"])
-            groups[name, repr(same)].append((size, each.time_s))
-    found = []
-    for (name, _), points in groups.items():
-        if len(points) > 2:
-            sizes, seconds = np.array(points).T
+            name = f"{each.name}: samples per pixel of {each.task}"
+            groups[name, repr(same)][each.chosen["samples_per_pixel"]] = each.time_s
+    found: list[Scaling] = []
+    for (name, _), times in groups.items():
+        if len(times) > 2:
+            sizes, seconds = np.array([*times]), np.array([*times.values()])
             # Relative errors count alike: else the longest time alone would decide.
             slope, fixed = np.polyfit(sizes, seconds, 1, w=1.0 / seconds)
             off = np.abs((fixed + slope * sizes) / seconds - 1.0).max()
@@ -99,7 +99,7 @@ def by_samples(measured: Sequence[Measured]) -> list[Scaling]:
                 f"{fixed:.3g} s and {1e3 * slope:.3g} ms for each sample of a pixel,"
                 f" within {100.0 * off:.0f} %"
             )
-            found.append(power(f"{name}: samples per pixel", sizes, seconds, note))
+            found += power(name, times, note)
     return found
 
 
@@ -122,21 +122,20 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
     """Time of a frame over the nodes of the field: every 2nd node, all, and 8 times as many."""
     film = QUICK_FILM_PX if quick else FILM_PX
     factors = (-2, 1) if quick else (-2, 1, 2)
-    found = []
+    found: list[Scaling] = []
     for number, name in enumerate(TRANSPORTS):
         scene = load_scene(SCENE, width=film, height=film, transport=name, spp=4)
         field = scene.field
         assert field is not None
-        airs = [resampled(field, factor) for factor in factors]
-        times = []
-        for i, air in enumerate(airs):
+        times = {}
+        for i, factor in enumerate(factors):
             done = (number + i / len(factors)) / len(TRANSPORTS)
             report(f"{name} frames in finer and coarser fields", done)
+            air = resampled(field, factor)
             work = partial(render_uncached, scene.with_medium(air))
             work()
-            times.append(timed(work, 1 if quick else 3)[0])
-        sizes = [float(np.prod(air.shape)) for air in airs]
-        found.append(power(f"{name} frame: nodes of the field", sizes, times, "4 samples a pixel"))
+            times[float(np.prod(air.shape))] = timed(work, 1 if quick else 3)[0]
+        found += power(f"{name}: nodes of the field", times, "frames of 4 samples per pixel")
     return found
 
 
