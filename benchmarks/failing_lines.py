@@ -118,5 +118,5 @@ def _detected(trouble: str, amount: float, draw: Draw, method: str) -> Outcome:
         row = row + amount * SIGMA_PX - 30.0
     error = np.abs(line.row - row)
     found = judged(line.status, [Status.OK], error)
-    wrong = ~found.reported & (error > 0.05) & ~(error <= 3.0 * line.sigma)
+    wrong = ~found.reported & (error > 0.05) & (error > 3.0 * line.sigma)
     return Outcome(found.reported, wrong, found.reports, found.largest_px)

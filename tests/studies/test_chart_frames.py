@@ -1,6 +1,5 @@
-"""The chart's frames: errors against a reference, scalings, and troubles made worse on purpose."""
+"""The chart's frames: errors against a reference, and scalings."""
 
-import re
 import subprocess
 import sys
 
@@ -15,8 +14,7 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import error_um
 from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
-from virtual_sensor.optics.ray_search import incidence_points
-from virtual_sensor.studies.chart import frame_failures, frames, scaling
+from virtual_sensor.studies.chart import frames, scaling
 from virtual_sensor.studies.chart.benchmark import measure_all
 from virtual_sensor.studies.chart.chart import on_gpu
 from virtual_sensor.studies.chart.frames import with_lamp
@@ -115,15 +113,6 @@ def test_resampled_air_is_the_same_air(smooth, factor, shape):
     assert np.abs(apart).max() < 0.02e-4
 
 
-def test_more_contrast_scales_the_difference_from_the_surroundings(smooth):
-    """Rationale: the surroundings stay; a field scaled as a whole would refract at its border."""
-    points = np.array([[0.0, 0.0, 1.0], [1.0, -1.0, 0.0]])
-    other = frame_failures.contrasted(smooth, 20.0)
-    difference = smooth.refractivity(points) - smooth.ambient
-    np.testing.assert_allclose(other.refractivity(points) - other.ambient, 20.0 * difference)
-    assert other.ambient == smooth.ambient
-
-
 def test_the_lamp_lights_all_and_moves_no_line():
     """Rationale: every pixel must cost, and the line must stay comparable."""
     film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5, "field": ""}  # cold
@@ -156,35 +145,6 @@ def test_the_panel_ranks_what_is_known():
     assert all(m.time_s > 0.0 for m in made)
     assert not any(m.failed for m in made if m.name != "direct")
     assert laser["marched", 4].defaults["step_mm"] == 2.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", frame_failures.TRANSPORTS)
-def test_no_fold_goes_untold(name):
-    """Rationale: independent of any status: incidence points of ever larger b go back in y."""
-    found = frame_failures.folding(name, (10, 20))
-    first = float(found.first_at.split()[0])
-    scene = load_scene("hot_cylinder")
-
-    def runs_back(factor):
-        air = frame_failures.contrasted(scene.field, factor)
-        y = incidence_points(scene.with_medium(air), np.linspace(-11.0, 11.0, 701))[:, 1]
-        return bool(np.any(np.diff(y[np.isfinite(y)]) < 0.0))
-
-    true = float(re.search(r"runs back over itself from ([\d.]+) times on", found.note)[1])
-    assert not runs_back(0.93 * true)
-    assert runs_back(1.05 * true)
-    assert 10.0 < first < 1.05 * true
-    assert found.failed > 0
-    assert found.note.startswith("0 of the unlit pixels have a truth all the same")
-
-
-@pytest.mark.slow
-def test_every_trouble_of_frames_shows_and_is_told():
-    """Rationale: the chart is to name a status or to say that none can tell."""
-    made = frame_failures.failures(lambda stage, fraction: None, quick=True)
-    assert len({(f.what, f.method) for f in made}) == len(made) >= 6
-    assert all(f.first_at and f.status and f.tried for f in made)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.studies.chart import detectors, searches
@@ -49,3 +50,10 @@ def test_detectors_know_their_truth_and_their_bound():
             assert each.rms_px > 0.85 * each.bound_px > 0.0  # of 256 columns, by chance
     best = {m.name: m.rms_px / m.bound_px for m in found if m.task == tasks[0]}
     assert best["max_likelihood"] == pytest.approx(1.0, abs=0.15)
+
+
+def test_lines_are_drawn_as_the_tests_draw_them():
+    """With the error function over the pixel's edges, written twice."""
+    centre = np.linspace(30.0, 31.0, 7)
+    drawn = detectors.gaussian_lines(centre, 1.3, 64, 5.0)
+    np.testing.assert_allclose(drawn, line_image(centre, 1.3, 5.0), atol=1e-12)

@@ -22,7 +22,6 @@ SILENT = {  # of these no status can know: the remedy stands beside each
 WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "turned back by total reflection",  # within a micrometre of the field's border
     "undercut points accepted by z_max",  # the user's own choice
-    "line on an edge of the background",  # by one detector, at one amount
 }
 
 
@@ -91,6 +90,8 @@ def test_each_row_is_measured_and_has_one_place(table):
         assert (row["reported"] > 0) == np.isfinite(row["reported_from"]) == bool(row["reports"])
         assert (row["wrong"] > 0) == np.isfinite(row["wrong_from"])
     assert set(failures(["search"]).panel) == {"search"}
+    frames = failures(["frames"])
+    assert np.all(np.isfinite(frames.reported_from) | np.isfinite(frames.wrong_from))
 
 
 def test_the_table_says_what_it_is_and_what_made_it():

@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 from command_line import command
+from random_scenes import random_scene, random_tolerance, trial
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.studies import tolerance
-from virtual_sensor.studies.chart.trials import random_scene, random_tolerance, trial
 from virtual_sensor.studies.tolerance import STEPS_MM, choose, whole_columns, with_rung
 
 FILM = {"width": 512, "height": 512}
