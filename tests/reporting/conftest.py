@@ -84,7 +84,7 @@ def faults_of(browser):
 def _is_file(page, link):
     from urllib.parse import unquote
 
-    return (page.parent / unquote(link).split("#")[0]).exists()
+    return (page.parent / unquote(link.partition("#")[0])).exists()
 
 
 def _brightness(colour):

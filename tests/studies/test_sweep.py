@@ -18,14 +18,15 @@ from command_line import command
 from several import two_by_two
 
 from virtual_sensor import cli
-from virtual_sensor.cli.sweep import save_case
+from virtual_sensor.cli.sweep import values
 from virtual_sensor.errors import InputError
-from virtual_sensor.studies import cluster, finished_cases, sweep, sweep_results
+from virtual_sensor.reporting.measure import save as save_case
+from virtual_sensor.studies import cluster, finished_cases, sweep_table
 from virtual_sensor.studies.sweep import MARK, CaseStatus, cases, plan, run
 
 FILM = {"width": ["256"], "height": ["256"], "spp": ["1"], "line_radius": ["0.5"]}
 OPTIONS = [word for name, [value] in FILM.items() for word in ("-D", f"{name}={value}")]
-TIMED = {"report.png", "summary.json", "table.md"}
+TIMED = {"report.png", "report.html", "summary.json", "table.md"}
 """Files of a measurement that tell how long it took."""
 
 
@@ -112,6 +113,15 @@ def test_a_file_of_the_users_is_found_from_another_folder_too(tmp_path, monkeypa
         ("hot_cylinder -D beta", "-D beta: write it as NAME=VALUE"),
         ("nope -D beta=0", "nope: there is no such scene file"),
         ("hot_cylinder -D beta=0 -D beta=15", "twice; give all values at once, as -D beta=0,15"),
+        (
+            "hot_cylinder -D beta=0:30",
+            "beta=0:30: write a range as START:STOP:STEP, such as 0:30:5",
+        ),
+        ("hot_cylinder -D beta=0:3O:5", "beta=0:3O:5: write a range as START:STOP:STEP"),
+        ("hot_cylinder -D beta=0:inf:5", "beta=0:inf:5: write a range as START:STOP:STEP"),
+        ("hot_cylinder -D beta=0:30:-5", "steps of -5 don't lead from 0 to 30; give 5"),
+        ("hot_cylinder -D beta=0:30:0", "steps of 0 don't lead from 0 to 30; give another one"),
+        ("hot_cylinder -D beta=0:1e9:1", "has 1000000001 values; give a longer step, for at most"),
     ],
 )
 def test_what_cannot_be_planned_is_told_before_any_work(arguments, told, tmp_path):
@@ -137,11 +147,29 @@ def test_a_repeated_value_is_taken_once():
     assert [case.values["beta"] for case in planned] == ["0", "15", "30"]
 
 
+def test_a_range_gives_decimal_numbers_without_drift():
+    """Rationale: 0.30000000000000004 names no folder, and is no other case than 0.3."""
+    given = {
+        "0:1:0.1": "0 0.1 0.2 0.3 0.4 0.5 0.6 0.7 0.8 0.9 1",
+        "0:30:5": "0 5 10 15 20 25 30",
+        "0:31:15": "0 15 30",
+        "15:-15:-15": "15 0 -15",
+        "-0.2:0.2:0.1": "-0.2 -0.1 0 0.1 0.2",
+        "1e-3:3e-3:1e-3": "0.001 0.002 0.003",
+        "900:1250:350": "900 1250",
+        "5:5:1": "5",
+        "0:30:15, 7,45:50:5": "0 15 30 7 45 50",
+        "a:b:c": "a:b:c",
+        "0:1:1;2": "0 1 2",
+    }
+    assert {text: " ".join(values("beta", text)) for text in given} == given
+
+
 def test_more_cases_than_anyone_waits_for_are_refused():
     """Rationale: three ranges of a thousand values would fill the memory first."""
-    values = [str(i) for i in range(1000)]
+    numbers = [str(i) for i in range(1000)]
     with pytest.raises(InputError, match="1000000000 cases; give at most 100000"):
-        plan("hot_cylinder", dict.fromkeys(("beta", "along", "tilt"), values))
+        plan("hot_cylinder", dict.fromkeys(("beta", "along", "tilt"), numbers))
 
 
 def test_a_scene_with_several_cameras_is_refused_once(tmp_path):
@@ -207,7 +235,7 @@ def test_the_table_says_what_the_measurements_say(swept):
         assert float(row["cold_line_rms_px"]) == pytest.approx(line["rms_px"], rel=1e-12)
         assert float(row["cold_line_largest_px"]) == pytest.approx(line["largest_px"], rel=1e-12)
         assert int(row["cold_centres"]) == state["line_status"]["ok"] > 0
-        assert row["hot_centres"] == row["largest_B-A_um"] == ""  # never measured hot
+        assert row["hot_centres"] == row["largest_incidence_shift_um"] == ""  # never measured hot
 
 
 def test_an_extended_sweep_makes_only_what_is_new(swept):
@@ -239,11 +267,11 @@ def test_results_of_another_program_are_told_and_make_room(tmp_path, monkeypatch
     words = ["cold_cylinder", *OPTIONS, "-o", tmp_path / "swept"]
     assert command("sweep", *words, "-D", "alpha=60,50")[0] == 0
     earlier = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
-    for module in (finished_cases, sweep, sweep_results):
+    for module in (finished_cases, sweep_table):
         monkeypatch.setattr(module, "fingerprint", lambda: "0" * 8)
     status, out, _ = command("sweep", *words, "-D", "alpha=60")
     assert status == 0
-    assert "1 cases: 1 measured, 0 already there, 0 failed" in out
+    assert "1 case: 1 measured, 0 already there, 0 failed" in out
     notes = json.loads((tmp_path / "swept/summary.json").read_text())["notes"]
     assert notes[0].startswith("1 cases were measured again, since this program or a package")
     assert notes[1].startswith("cases/ holds 1 results of another version of this program")
@@ -295,6 +323,16 @@ def test_files_that_changed_since_the_plan_are_told(tmp_path):
     [ended] = run(planned, tmp_path / "swept", save_case)
     assert (ended.status, ended.folder) == (CaseStatus.FAILED, None)
     assert "not those that the sweep was planned with" in ended.message
+
+
+def test_cases_without_any_line_end_with_status_3(tmp_path):
+    """Rationale: a script must know that there is nothing in its results."""
+    film = ["-D", "width=64", "-D", "height=64", "-D", "spp=1", "-D", "line_radius=0.01"]
+    words = ["cold_cylinder", "-D", "alpha=60,50", *film, "-o", tmp_path / "swept"]
+    status, out, _ = command("sweep", *words)
+    assert status == 3, out
+    assert "no case has a line centre or a dot" in out
+    assert [row["status"] for row in table(tmp_path / "swept")] == ["nothing_found"] * 2
 
 
 STUCK = """

@@ -140,13 +140,7 @@ def burst(
     )
 
 
-app.command(
-    epilog="Examples:\n\n"
-    "    virtual-sensor sweep hot_cylinder -D beta=0,15,30 -D temperature=900,1100,1250 -o swept"
-    "\n\n"
-    "    virtual-sensor sweep stepped_shaft -D beta=-20,0,20 -o shafts\n\n"
-    "    virtual-sensor sweep hot_cylinder -D beta=0,5,10,15 --scheduler tcp://127.0.0.1:8786"
-)(sweep.sweep)
+app.command(epilog=sweep.EPILOG)(sweep.sweep)
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 app.command(epilog=chart.EPILOG)(chart.chart)
 app.command(epilog=detect.EPILOG)(detect.detect)

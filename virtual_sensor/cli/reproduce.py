@@ -15,7 +15,6 @@ from virtual_sensor.cli.shared import (
     print_notes,
     reporting,
 )
-from virtual_sensor.cli.sweep import save_case
 
 EPILOG = (
     "Examples:\n\n"
@@ -39,6 +38,7 @@ def reproduce(
     poses, a dense reconstruction. What is finished is kept: stopped or killed, the same command
     goes on.
     """
+    from virtual_sensor.reporting.measure import save as save_case
     from virtual_sensor.studies.reproduction.report import PAGE, save_reproduction
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
     from virtual_sensor.studies.tables import in_words

@@ -1,26 +1,39 @@
 """The command `virtual-sensor sweep`."""
 
-from collections.abc import Sequence
+import math
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from virtual_sensor.cli.shared import (
     FINISHED_STAYS,
+    NOTHING_FOUND,
     Camera,
     ProbeRays,
     SceneArgument,
     Scheduler,
     Source,
+    command_line,
     console,
     definitions,
+    print_end,
     print_notes,
     reporting,
 )
 from virtual_sensor.errors import InputError
 
+EPILOG = (
+    "Examples:\n\n"
+    "    virtual-sensor sweep hot_cylinder -D beta=0:30:15 -D temperature=900,1100,1250 -o swept"
+    "\n\n"
+    "    virtual-sensor sweep stepped_shaft -D beta=-20:20:10 -o shafts\n\n"
+    "    virtual-sensor sweep hot_cylinder -D transport=straight,marched,tabulated -o transports"
+    "\n\n"
+    "    virtual-sensor sweep hot_cylinder -D beta=0:15:5 --scheduler tcp://127.0.0.1:8786"
+)
+_MOST_VALUES = 10_000
 _SHOWN = 10  # cases whose notes are printed
 
 Choices = Annotated[
@@ -28,9 +41,9 @@ Choices = Annotated[
     typer.Option(
         "-D",
         metavar="NAME=VALUES",
-        help="Values of a parameter of the scene, with commas in between; repeatable: all are "
-        "combined. Where a value has commas of its own, put a semicolon after each value: "
-        "'dots=0,-5,-10;' is one.",
+        help="Values of a parameter of the scene, with commas in between, or a range "
+        "START:STOP:STEP, such as beta=0:30:5; repeatable: all are combined. Where a value has "
+        "commas of its own, put a semicolon after each value: 'dots=0,-5,-10;' is one.",
     ),
 ]
 
@@ -46,25 +59,22 @@ def sweep(
     ] = Path("swept"),
     scheduler: Scheduler = None,
 ) -> None:
-    """Measure a scene over any of its parameters: a table over all cases, and a folder for each.
+    """Measure a scene over any of its parameters: a page and a table, and a folder for each case.
 
-    Finished cases are kept: stopped or killed, the same command goes on, and one with more values
-    makes only what is missing. Cases that can't be measured are listed in the end; exit status 1:
-    there are some, or some have found nothing.
+    Finished cases stay: stopped or killed, the same command goes on, and one with more values
+    makes only what is missing. Exit status 1: some cases could not be measured, or have no line;
+    3: none has a line.
     """
-    from virtual_sensor.studies.sweep import (
-        CaseStatus,
-        differing,
-        plan,
-        program_notes,
-        run,
-        sweep_notes,
-    )
-    from virtual_sensor.studies.sweep_results import save_sweep
-
-    choices = {name: _values(text) for name, text in definitions(define).items()}
+    choices = {name: values(name, text) for name, text in definitions(define).items()}
     if len(choices) < len(define or []):
         raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
+
+    from virtual_sensor.reporting.measure import save as save_case
+    from virtual_sensor.reporting.sweep import save, table
+    from virtual_sensor.reporting.words import counted
+    from virtual_sensor.studies.sweep import CaseStatus, plan, run
+    from virtual_sensor.studies.sweep_table import results
+
     with reporting("planning the cases", FINISHED_STAYS) as report:
         cases = plan(scene, choices, y or None, camera, source)
         finished = run(
@@ -75,54 +85,86 @@ def sweep(
             lambda stage, fraction: report(stage, 0.98 * fraction),
         )
         report("writing the table", 0.98)
-        columns = save_sweep(finished, output)
+        result = results(finished, output)
+        save(result, output, command_line())
         report("done", 1.0)
-    console.print(_table(columns, differing(cases)))
-    failed = [end for end in finished if end.status == CaseStatus.FAILED]
-    for end in failed:
-        console.print(f"{end.case.name}: {end.message}", style="red", soft_wrap=True)
-    print_notes(program_notes(finished, output))
-    notes = sweep_notes(finished, columns)
-    print_notes(notes[:_SHOWN])
-    if len(notes) > _SHOWN:
-        print_notes([f"{len(notes) - _SHOWN} cases more have notes: see summary.json"])
-    there = sum(end.already_there for end in finished)
+    console.print(table(result).rich())
+    summary = result.summary
+    for name, message in summary.failed.items():
+        console.print(f"{name}: {message}", style="red", soft_wrap=True)
+    print_notes(summary.notes[:_SHOWN])
+    if len(summary.notes) > _SHOWN:
+        print_notes([f"{len(summary.notes) - _SHOWN} notes more: see summary.json"])
+    there, failed = sum(end.already_there for end in finished), len(summary.failed)
+    measured = len(finished) - there - failed
     console.print(
-        f"{len(finished)} cases: {len(finished) - there - len(failed)} measured, {there} already"
-        f" there, {len(failed)} failed; results in {output}, look at {output / 'sweep.csv'} and"
-        f" {output / 'sweep.png'} first",
+        f"{counted(len(finished), 'case')}: {measured} measured, {there} already there,"
+        f" {failed} failed",
         soft_wrap=True,
     )
-    if any(status != CaseStatus.OK for status in columns["status"]):
+    print_end(output)
+    if len(summary.nothing_found) == len(finished):
+        print_notes(["no case has a line centre or a dot"])
+        raise typer.Exit(NOTHING_FOUND)
+    if any(status != CaseStatus.OK for status in result.table.status):
         raise typer.Exit(1)
 
 
-def _values(text: str) -> list[str]:
-    """The values of one option: with commas in between, or with semicolons if there is one."""
-    if ";" not in text:
-        return [value.strip() for value in text.split(",")]
-    values = [value.strip() for value in text.split(";")]
-    return values if values[-1] else values[:-1]
+def values(name: str, text: str) -> list[str]:
+    """The values of one option: with commas in between, or with semicolons if there is one.
+
+    Raises
+    ------
+    InputError
+        If a range among them is none (see `numbers_of`).
+    """
+    parts = [part.strip() for part in text.split(";" if ";" in text else ",")]
+    if ";" in text:
+        parts = parts if parts[-1] else parts[:-1]
+    return [value for part in parts for value in numbers_of(name, part)]
 
 
-def save_case(result: Any, folder: Path, command: str, overwrite: bool = False) -> None:
-    """Write the results of a sweep's case."""
-    from virtual_sensor.reporting.measure import save
+def numbers_of(name: str, text: str) -> list[str]:
+    """The numbers of a range START:STOP:STEP, its stop included where it is hit; else the text.
 
-    save(result, folder, command, overwrite)
+    The numbers are decimal ones, without drift: 0:1:0.1 has eleven.
+
+    Raises
+    ------
+    InputError
+        If it begins as a range, with a number and a colon, and is none.
+    """
+    parts = text.split(":")
+    if len(parts) == 1 or _decimal(parts[0]) is None:
+        return [text]
+    numbers = [_decimal(part) for part in parts]
+    if len(numbers) != 3 or None in numbers:
+        raise InputError(f"-D {name}={text}: write a range as START:STOP:STEP, such as 0:30:5")
+    start, stop, step = (number for number in numbers if number is not None)
+    if step == 0 or (stop - start) / step < 0:
+        raise InputError(
+            f"-D {name}={text}: steps of {parts[2]} don't lead from {parts[0]} to {parts[1]}; give"
+            f" {'another one' if step == 0 else format(-step, 'f')}"
+        )
+    last = math.floor((stop - start) / step)
+    if last >= _MOST_VALUES:
+        raise InputError(
+            f"-D {name}={text}: has {last + 1} values; give a longer step, for at most"
+            f" {_MOST_VALUES}"
+        )
+    return [_plainly(start + i * step) for i in range(last + 1)]
 
 
-def _table(columns: dict[str, list[Any]], swept: Sequence[str]) -> Table:
-    shown = [*swept, "status", "hot_line_rms_px", "hot_dots_largest_v_px"]
-    shown += ["largest_B-A_um", "largest_B-B_m_um", "largest_B_m-A_m_um"]
-    shown = [name for name in shown if any(value == value for value in columns[name])]  # not NaN
-    told = Table(*(name.replace("_", " ") for name in shown))
-    for row in zip(*(columns[name] for name in shown), strict=True):
-        told.add_row(*map(_cell, row))
-    return told
+def _decimal(text: str) -> Decimal | None:
+    try:
+        number = Decimal(text.strip())
+    except InvalidOperation:
+        return None
+    return number if number.is_finite() else None
 
 
-def _cell(value: object) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}" if value == value else "none"
-    return str(value)
+def _plainly(number: Decimal) -> str:
+    """Without an exponent and zeros at the end."""
+    text = format(number, "f")
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    return "0" if text in ("-0", "") else text

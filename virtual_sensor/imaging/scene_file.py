@@ -46,6 +46,10 @@ _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 _MITSUBAS = (*_PLAIN, "utf-16", "iso8859-1")
 _DECLARATION = re.compile(r"<\?xml\b[^>]*?\bencoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
 
+_DOCUMENTED = re.compile(
+    r"<default\b[^>]*?\bname\s*=\s*[\"']([^\"']*)[\"'][^>]*?/>[ \t]*<!--(.*?)-->", re.DOTALL
+)
+
 
 @dataclass(frozen=True)
 class Element:
@@ -70,6 +74,18 @@ class SceneFile:
     elements: list[Element]
     text: str
     notes: tuple[str, ...] = ()
+
+
+def parameter_words(path: Path) -> dict[str, str]:
+    """What a scene file says of its parameters: the comment behind a ``<default>``, on its line.
+
+    Raises
+    ------
+    InputError
+        If the file can't be read (see `read_scene_file`).
+    """
+    text = read_scene_file(path).text
+    return {name: " ".join(words.split()) for name, words in _DOCUMENTED.findall(text)}
 
 
 def read_scene_file(path: Path, inner: bool = False) -> SceneFile:

@@ -6,7 +6,6 @@ made, so that the scheduler's machine needs none.
 
 import importlib
 import itertools
-import json
 import math
 import re
 import shlex
@@ -17,23 +16,19 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.studies.cluster import completed
 from virtual_sensor.studies.finished_cases import (
     file_hash,
     find,
     find_or_make,
-    fingerprint,
     key_of,
     of_other_programs,
     own_folder,
 )
 
 Report = Callable[[str, float], None]
-Save = Callable[..., None]
+Save = Callable[..., object]
 """Called as ``save(measurement, folder, command, overwrite)``, it writes a case's results.
 
 A cluster's workers import it by its name.
@@ -43,7 +38,6 @@ MARK = "SWEEP.txt"
 """A folder with this file is a sweep's own."""
 CASES = "cases"
 MOST_CASES = 100_000
-STATES = ("cold", "hot")
 
 _MARK_TEXT = """\
 The folder of a `virtual-sensor sweep`. Finished cases lie in cases/ under a hash of all that went
@@ -52,11 +46,6 @@ into them: the same command, or an extended one, makes only those that are missi
 _VALUE_LENGTH, _NAME_LENGTH = 40, 120
 _ONE_AT_A_TIME = threading.Lock()  # a case uses all cores, and what it holds is one process's
 _Ending = tuple[str, str]  # status and message
-_PROBE_RAYS = {
-    "largest_B-A_um": "largest_incidence_shift_um",
-    "largest_B-B_m_um": "largest_hot_error_um",
-    "largest_B_m-A_m_um": "largest_measured_shift_um",
-}
 
 
 class CaseStatus(StrEnum):
@@ -411,98 +400,3 @@ def _on_cluster(
             )
         report(f"{number + 1} of {len(missing)} cases: {case.name}", (number + 1) / len(missing))
         yield case, ending
-
-
-def program_notes(finished: Sequence[Finished], folder: Path) -> list[str]:
-    """What has become of results of another version of the program, or of a package under it."""
-    again = sum(end.made_again for end in finished)
-    others = len(of_other_programs(folder / CASES))
-    replaced = (
-        f"{again} cases were measured again, since this program or a package under it has changed;"
-        " their earlier results are removed"
-    )
-    unused = (
-        f"{CASES}/ holds {others} results of another version of this program, or of a package under"
-        f" it, that were not used; delete what does not end with -{fingerprint()}"
-    )
-    return [note for count, note in ((again, replaced), (others, unused)) if count]
-
-
-def sweep_notes(finished: Sequence[Finished], columns: dict[str, list[Any]]) -> list[str]:
-    """The notes of all cases that were measured, each after the case's name."""
-    return [
-        f"{end.case.name}: {message}"
-        for end, message in zip(finished, columns["message"], strict=True)
-        if message and end.status != CaseStatus.FAILED
-    ]
-
-
-def table(finished: Sequence[Finished], folder: Path) -> dict[str, list[Any]]:
-    """Columns of the tidy table, one row for each case.
-
-    The given parameters as they were used; status; of each state the number of centres, those that
-    were compared and those that are ok and wrong, and rms and largest distance of rendered from
-    searched in px, across the line, or of a laser that makes dots along u and v; how many of the
-    probe rays are lit, and their largest differences in um; the case's folder, relative to
-    `folder`, and its message.  What a case does not have is NaN.
-
-    Raises
-    ------
-    InputError
-        If a case's summary can't be read.
-    """
-    given = list(dict.fromkeys(name for end in finished for name in end.case.parameters))
-    rows = [_row(end, folder) for end in finished]
-    columns: dict[str, list[Any]] = {
-        name: [end.case.values.get(name, "") for end in finished] for name in given
-    }
-    columns["status"] = [_status(end, row).value for end, row in zip(finished, rows, strict=True)]
-    for name in _figures({}):
-        columns[name] = [row[name] for row in rows]
-    columns["folder"] = [_relative(end.folder, folder) for end in finished]
-    columns["message"] = [row["message"] for row in rows]
-    return columns
-
-
-def _status(end: Finished, row: dict[str, Any]) -> CaseStatus:
-    nothing = not any(row[f"{name}_centres"] > 0.0 for name in STATES)
-    return CaseStatus.NOTHING_FOUND if nothing and end.status == CaseStatus.OK else end.status
-
-
-def _row(end: Finished, folder: Path) -> dict[str, Any]:
-    if end.folder is None:
-        return {**_figures({}), "message": end.message}
-    path = end.folder / RESULTS_SIGN
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        return {**_figures(summary), "message": "; ".join(summary["notes"])}
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{path}: can't be read ({error!r}); delete the case's folder, and it is measured again"
-        ) from None
-
-
-def _figures(summary: dict[str, Any]) -> dict[str, float]:
-    """The figures of one case's summary; NaN where it has none."""
-    figures: dict[str, float | None] = {}
-    for name in STATES:
-        state = summary.get("states", {}).get(name, {})
-        dots = state.get("dots_minus_search") or {}
-        line = state.get("line_minus_search") or {}
-        figures |= {
-            f"{name}_centres": dots.get("found", line.get("centres")),
-            f"{name}_compared": dots.get("found", line.get("compared")),
-            f"{name}_wrong": state["line_minus_truth"]["wrong"] if line else None,
-            f"{name}_line_rms_px": line.get("rms_px"),
-            f"{name}_line_largest_px": line.get("largest_px"),
-            f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
-            f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
-        }
-    moved = summary.get("probe_rays", {})
-    figures["rays_lit"] = moved.get("lit")
-    figures |= {name: moved.get(key) for name, key in _PROBE_RAYS.items()}
-    return {name: np.nan if value is None else value for name, value in figures.items()}
-
-
-def _relative(path: Path | None, folder: Path) -> str:
-    return str(path.relative_to(folder.absolute())) if path else ""

@@ -45,7 +45,8 @@ from virtual_sensor.studies.reproduction.settings import (
     settings,
 )
 from virtual_sensor.studies.reproduction.statements import Verdict, judge
-from virtual_sensor.studies.sweep import CaseStatus, Finished, Save, cases, run, table
+from virtual_sensor.studies.sweep import CaseStatus, Finished, Save, cases, run
+from virtual_sensor.studies.sweep_table import table
 
 MARK = "REPRODUCTION.txt"
 _MARK_TEXT = """\
@@ -90,7 +91,7 @@ class Reproduction:
     maps: dict[str, BetaMap]
     reconstructions: dict[Setting, Reconstruction]
     sections: dict[str, list[Any]]
-    measured: dict[str, list[Any]]
+    measured: dict[str, Any]
     verdicts: list[Verdict]
     made: int
     seconds: float
@@ -154,7 +155,7 @@ def reproduce(
         all_poses,
         scans,
         _sections(finished, shelf.scenes),
-        table(list(finished.values()), folder / "measurements"),
+        dict(table(list(finished.values()), folder / "measurements").columns()),
         judge(curves, list(airs)),
         sum(not end.already_there for end in finished.values()),
         time.perf_counter() - started,
