@@ -182,7 +182,7 @@ def test_a_scene_with_several_cameras_is_refused_once(tmp_path):
     status, out, err = command("sweep", scene, "--camera", "nope", "-D", "beta=0,15", "-o", folder)
     assert (status, out, err.count("\n")) == (2, "", 1)
     assert "nope" in err
-    assert not folder.exists()
+    assert [path.name for path in folder.rglob("*")] == [MARK]
 
 
 def test_a_case_names_the_command_that_measures_it_alone():

@@ -46,6 +46,7 @@ into them: the same command, or an extended one, makes only those that are missi
 _VALUE_LENGTH, _NAME_LENGTH = 40, 120
 _ONE_AT_A_TIME = threading.Lock()  # a case uses all cores, and what it holds is one process's
 _Ending = tuple[str, str]  # status and message
+_REFUSED = "refused"  # for all cases: which camera or source is meant
 
 
 class CaseStatus(StrEnum):
@@ -287,7 +288,6 @@ def run(
     place = folder.absolute() / CASES
     there = {case.key: find(place, case.key) for case in cases}
     missing = list({case.key: case for case in cases if not there[case.key]}.values())
-    _check_names(missing)
     own_folder(folder, MARK, _MARK_TEXT)
     outdated = {case.key for case in missing if of_other_programs(place, case.key)}
     ended: dict[str, _Ending] = {}
@@ -297,26 +297,15 @@ def run(
             ending = _on_cluster(missing, place, save, scheduler, report)
         else:
             ending = _here(missing, place, save, report)
-        ended = {case.key: how for case, how in ending}
+        for case, (status, message) in ending:
+            if status == _REFUSED:
+                raise InputError(message)
+            ended[case.key] = status, message
     report("done", 1.0)
     return [
         _finished(case, place, there[case.key], ended.get(case.key), case.key in outdated)
         for case in cases
     ]
-
-
-def _check_names(missing: list[Case]) -> None:
-    """Refuse cameras and sources that the scene lacks, or that must be named, before any work."""
-    from virtual_sensor.imaging.scene import load_scene
-
-    for case in missing:
-        try:
-            scene = load_scene(case.scene, **case.parameters)
-        except InputError:  # this case fails; another one may not
-            continue
-        named = scene.only(case.camera, case.source)
-        _ = named.camera_name, named.source_name
-        return
 
 
 def _finished(
@@ -339,8 +328,6 @@ def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _E
     progress = report or (lambda stage, fraction: None)
 
     def fill(folder: Path) -> None:
-        progress("loading the scene", 0.0)
-        scene = load_scene(case.scene, **case.parameters).only(case.camera, case.source)
         result = measure(scene, lambda stage, part: progress(stage, 0.85 * part), case.y_mm)
         progress("writing the results", 0.85)
         write = _imported(save) if isinstance(save, str) else save
@@ -354,6 +341,13 @@ def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _E
                     f"{case.scene}: its files or the program are not those that the sweep was"
                     " planned with; let all workers have the same version of both, and run it again"
                 )
+            progress("loading the scene", 0.0)
+            scene = load_scene(case.scene, **case.parameters)
+            try:
+                scene = scene.only(case.camera, case.source)
+                _ = scene.camera_name, scene.source_name
+            except InputError as error:
+                return _REFUSED, f"{error}"
             find_or_make(Path(place), case.name, inputs, fill)
         except InputError as error:
             return CaseStatus.FAILED.value, f"{error}"
