@@ -25,7 +25,14 @@ COLD = ["cold_cylinder", *COLD_FILM]
 FILES = {
     *("cold.exr", "cold.png", "line_cold.csv", "points_cold.ply"),
     *("hot.exr", "hot.png", "line_hot.csv", "points_hot.ply"),
-    *("probe_rays.csv", "dense_search.csv", "report.png", "summary.json", "table.md"),
+    *(
+        "probe_rays.csv",
+        "dense_search.csv",
+        "report.png",
+        "report.html",
+        "summary.json",
+        "table.md",
+    ),
     "calibration.yaml",
 }
 
@@ -195,7 +202,7 @@ def test_a_measurement_writes_all_its_files(measured):
     folder, out = measured
     assert {path.name for path in folder.iterdir()} == FILES
     assert {path.name for path in folder.parent.iterdir()} == {"measured"}
-    assert f"results in {folder}, open {folder}/report.png first\n" in out
+    assert f"results in {folder}, open {folder}/report.html first\n" in out
     for picture in ("report.png", "cold.png"):
         assert cv2.imread(str(folder / picture), cv2.IMREAD_UNCHANGED) is not None
 
@@ -338,7 +345,7 @@ from virtual_sensor.reporting import measure
 def wait(*_):
     print("writing", flush=True)
     time.sleep(60)
-measure.draw_report = wait
+measure.picture = wait
 cli.main()
 """
 

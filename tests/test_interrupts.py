@@ -82,7 +82,7 @@ WORK = [
     LOADING,
     MARCHING,
     "virtual_sensor.records:write_csv",
-    "matplotlib.figure:savefig",
+    "virtual_sensor.reporting.pictures:_pixels",
 ]
 
 

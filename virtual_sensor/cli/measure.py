@@ -75,6 +75,6 @@ def measure(
     for each in on_console(figures):
         console.print(each if isinstance(each, str) else each.rich(), soft_wrap=True)
     print_notes(result.notes)
-    print_end(output, "report.png")
+    print_end(output)
     if not result.centres:
         raise typer.Exit(NOTHING_FOUND)

@@ -1,35 +1,70 @@
-"""A measurement's results: frames, points, tables, the summary, a picture and a page."""
+"""A measurement's results: its picture, page and tables, and all files that it writes."""
 
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from fnmatch import fnmatchcase
+from itertools import product
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.imaging.render import EXR_LAYERS, write_exr, write_png
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
+from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import write_csv, write_json, write_ply
 from virtual_sensor.reporting.files import FileOf
-from virtual_sensor.reporting.measure_picture import draw_report
-from virtual_sensor.reporting.tables import Column, TextTable, text_table
-from virtual_sensor.reporting.words import in_words
+from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
+from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
+from virtual_sensor.reporting.style import LINES, MARKERS, colour, plain
+from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.words import counted, in_words, listed, time_in_words
 from virtual_sensor.studies.measure import (
     DenseTable,
     DotTable,
     LineTable,
     Measurement,
     ProbeTable,
+    State,
     StateSummary,
     Summary,
     dense_table,
     dot_table,
     line_table,
+    probe_deviations,
     probe_table,
     summary,
 )
 
+Array = NDArray[np.float64]
+
 CALIBRATION = "calibration.yaml"
 """The sensor as `virtual-sensor detect --calibration` reads it."""
 
+NIL_UM = 1e-6
+"""Below this, lengths are rounding: drawn as zero."""
+
+_UM = "µm"
+_MARGIN_PX = 12
+_SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
+_AIR_NODES = 200
+_LONGEST_STEP = 4.0  # times the usual one of searched points
+_LETTER_KEY = (
+    ("B - A", "incidence_um", "lit point: hot minus cold"),
+    ("B - B$_m$", "hot_um", "hot: lit minus measured"),
+    ("B$_m$ - A$_m$", "measured_um", "measured: hot minus cold"),
+    ("A - A$_m$", "cold_um", "cold: lit minus measured"),
+)
+
+
 FILES = (
+    FileOf(PAGE, "The page to open first."),
     FileOf("report.png", "The measurement at a glance."),
     FileOf("summary.json", "The figures of the measurement.", Summary),
     FileOf("table.md", "Accuracy and speed as a table."),
@@ -42,6 +77,9 @@ FILES = (
     FileOf("dense_search.csv", "The rays searched along the whole line.", DenseTable),
     FileOf(CALIBRATION, "The sensor, as `virtual-sensor detect --calibration` reads it."),
 )
+
+
+# The files.
 
 
 def save(result: Measurement, folder: Path, command: str, overwrite: bool = False) -> Summary:
@@ -76,68 +114,59 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
         with written_whole(place / CALIBRATION) as temporary:
             text = calibration_text(calibration_of(sensor), CALIBRATION)
             temporary.write_text(text, encoding="utf-8")
-        draw_report(result, figures, place / "report.png")
+        whole, panels = picture(result, figures)
+        whole.write(place / "report.png")
         with written_whole(place / "table.md") as temporary:
             temporary.write_text(_table_page(result, figures), encoding="utf-8")
         for frame in written:
             frame.result()
         write_json(place / RESULTS_SIGN, figures)
+        names = [path.name for path in sorted(place.iterdir())]
+        write_page(place / PAGE, page(result, figures, panels, command, names))
     return figures
 
 
 def table(result: Measurement, figures: Summary) -> TextTable:
     """Accuracy and speed of a measurement, as the README shows them."""
-    states = figures.states
     size, spp = result.scene.sensor.camera.size, figures.made_with.samples_per_pixel
-    shown = {
-        "Measured minus true section, rms": ("{:.3g} µm", "section.rms_um"),
-        "... the largest": ("{:.3g} µm", "section.largest_um"),
-        "... where along the line": ("{:.3g} mm", "section.largest_y_mm"),
-    }
-    if result.cold.dots:
-        shown |= {
-            "Rendered dots minus ray search, rms": ("{:.4f} px", "dots_minus_search.rms_px"),
-            "... at most, along the line": ("{:.4f} px", "dots_minus_search.largest_u_px"),
-            "... at most, across the line": ("{:.4f} px", "dots_minus_search.largest_v_px"),
-            "Dots found": ("{}", "dots_minus_search.found"),
-        }
-    else:
-        line = "line_minus_search"
-        shown |= {
-            "Rendered line minus ray search, rms": ("{:.4f} px", f"{line}.rms_px"),
-            "... at most, line ends included": ("{:.4f} px", f"{line}.largest_px"),
-            "Centres found": ("{}", f"{line}.centres"),
-            "... compared with the search": ("{}", f"{line}.compared"),
-            "... left out, an edge cuts the line": ("{}", f"{line}.cut_centres"),
-            "... left out, off the searched line": ("{}", f"{line}.stray_centres"),
-            "Centres that are ok and wrong by the frame's truth": ("{}", "line_minus_truth.wrong"),
-        }
-    searched = f"{len(result.probe_y_mm)} rays"
-    shown |= {
-        f"The paper's search: largest distance of {searched}": (
-            "{:.2g} µm",
-            "paper_search.largest_distance_um",
-        ),
-        "Newton's search: the same": ("{:.1g} µm", "newton_search.largest_distance_um"),
-        "Newton's search: marches a ray": ("{}", "newton_search.iterations"),
-        f"Frame of {size[0]} x {size[1]} px, {spp} samples a lit pixel": (
-            "{:.1f} s",
-            "render_time_s",
-        ),
-        f"Search of {result.rays} rays": ("{:.2f} s", "search_time_s"),
-    }
+    line, dots, probes = "line_minus_search", "dots_minus_search", len(result.probe_y_mm)
+    of_dots = (
+        ("Rendered dots minus ray search, rms", f"{dots}.rms_px", "{:.4f} px"),
+        ("... at most, along the line", f"{dots}.largest_u_px", "{:.4f} px"),
+        ("... at most, across the line", f"{dots}.largest_v_px", "{:.4f} px"),
+        ("Dots found", f"{dots}.found", "{}"),
+    )
+    of_line = (
+        ("Rendered line minus ray search, rms", f"{line}.rms_px", "{:.4f} px"),
+        ("... at most, line ends included", f"{line}.largest_px", "{:.4f} px"),
+        ("Centres found", f"{line}.centres", "{}"),
+        ("... compared with the search", f"{line}.compared", "{}"),
+        ("... left out, an edge cuts the line", f"{line}.cut_centres", "{}"),
+        ("... left out, off the searched line", f"{line}.stray_centres", "{}"),
+        ("Centres that are ok and wrong by the frame's truth", "line_minus_truth.wrong", "{}"),
+    )
+    paper, newton = "paper_search", "newton_search"
+    shown = (
+        ("Measured minus true section, rms", "section.rms_um", _UM),
+        ("... the largest", "section.largest_um", _UM),
+        ("... at y, along the line", "section.largest_y_mm", "{:.3g} mm"),
+        *(of_dots if result.cold.dots else of_line),
+        (f"The paper's search: distance of {probes} rays", f"{paper}.largest_distance_um", _UM),
+        ("Newton's search: the same", f"{newton}.largest_distance_um", _UM),
+        ("Newton's search: marches a ray", f"{newton}.iterations", "{}"),
+        (f"Frame of {size[0]} x {size[1]} px, {spp} samples a pixel", "render_time_s", "{:.1f} s"),
+        (f"Search of {result.rays} rays", "search_time_s", "{:.2f} s"),
+    )
+    states = figures.states
     rows = tuple(
-        (name, *(in_words(_value(state, key), shape) for state in states.values()))
-        for name, (shape, key) in shown.items()
+        (name, *(_cell(attrgetter(key)(state), shape) for state in states.values()))
+        for name, key, shape in shown
     )
     return TextTable(("", *states), rows, numeric=(False, *(True for _ in states)))
 
 
-def _value(state: StateSummary, key: str) -> float | int | None:
-    value: object = state
-    for name in key.split("."):
-        value = getattr(value, name)
-    return value  # type: ignore[return-value]
+def _cell(value: Any, shape: str) -> str:
+    return micrometres(value) if shape == _UM else in_words(value, shape)
 
 
 def _table_page(result: Measurement, figures: Summary) -> str:
@@ -151,44 +180,44 @@ def _table_page(result: Measurement, figures: Summary) -> str:
 
 def on_console(figures: Summary) -> list[TextTable | str]:
     """What the command prints: how wrong the section is, why, and whether the check holds."""
-    states = [{"state": name} | state.to_dict() for name, state in figures.states.items()]
-    dots = any(state["dots_minus_search"] for state in states)
-    section = text_table(
-        states,
-        (
-            Column("state", " "),
-            Column("section.rms_um", "rms, µm"),
-            Column("section.largest_um", "largest, µm", nothing="none"),
-            Column("section.largest_y_mm", "at y, mm"),
-            Column("section.points", "points", "{}"),
-            Column("render_time_s", "rendered in", "{:.1f} s"),
-        ),
-        "Measured minus true section (positive: outside the part)",
+    return [section_table(figures), *why(figures), check_table(figures)]
+
+
+def section_table(figures: Summary) -> TextTable:
+    """How wrong the measured section is."""
+    columns = (
+        Column("state", " "),
+        Column("section.rms_um", "rms, µm", nothing="none"),
+        Column("section.largest_um", "largest, µm", nothing="none"),
+        Column("section.largest_y_mm", "at y, mm", nothing="none"),
+        Column("section.points", "points", "{}"),
+        Column("render_time_s", "rendered in", "{:.2f} s"),
     )
-    check = text_table(
-        states,
-        (
-            Column("state", " "),
-            *(
-                (
-                    Column("dots_minus_search.rms_px", "rms, px", "{:.4f}", "none"),
-                    Column("dots_minus_search.largest_u_px", "largest in u, px", "{:.4f}", "none"),
-                    Column("dots_minus_search.largest_v_px", "largest in v, px", "{:.4f}", "none"),
-                    Column("dots_minus_search.found", "dots found", "{}"),
-                    Column("dots_minus_search.dots", "of", "{}"),
-                )
-                if dots
-                else (
-                    Column("line_minus_search.rms_px", "rms, px", "{:.4f}", "none"),
-                    Column("line_minus_search.largest_px", "largest, px", "{:.4f}", "none"),
-                    Column("line_minus_search.compared", "centres compared", "{}"),
-                    Column("line_minus_search.centres", "of", "{}"),
-                )
-            ),
-        ),
-        f"Check: rendered {'dots' if dots else 'line'} minus ray search",
-    )
-    return [section, *why(figures), check]
+    caption = "Measured minus true section (positive: outside the part)"
+    return text_table(_states(figures), columns, caption)
+
+
+def check_table(figures: Summary) -> TextTable:
+    """Whether renderer and ray search agree."""
+    dots = any(state.dots_minus_search for state in figures.states.values())
+    what = "dots" if dots else "line"
+    of_dots = {
+        "largest_u_px": "largest in u, px",
+        "largest_v_px": "largest in v, px",
+        "found": "found",
+        "dots": "dots",
+    }
+    of_line = {"largest_px": "largest, px", "compared": "compared", "centres": "centres"}
+    columns = [Column("state", " ")]
+    for key, heading in {"rms_px": "rms, px", **(of_dots if dots else of_line)}.items():
+        shape = "{:.4f}" if key.endswith("_px") else "{}"
+        columns.append(Column(f"{what}_minus_search.{key}", heading, shape, "none"))
+    caption = f"Check: rendered {what} minus ray search"
+    return text_table(_states(figures), columns, caption)
+
+
+def _states(figures: Summary) -> list[dict[str, Any]]:
+    return [{"state": name, **vars(state)} for name, state in figures.states.items()]
 
 
 def why(figures: Summary) -> list[str]:
@@ -198,10 +227,507 @@ def why(figures: Summary) -> list[str]:
         return []
     rays, paths = figures.probe_rays, hot.paths
     return [
-        f"Hot air bends both light paths: the laser's makes"
-        f" {in_words(paths.laser_rms_um, '{:.3g}')} µm rms of the section's"
-        f" error, the camera's {in_words(paths.camera_rms_um, '{:.3g}')} µm rms.",
-        f"It moves the lit point by up to {in_words(rays.largest_incidence_shift_um, '{:.3g}')} µm,"
-        f" the measured one by up to {in_words(rays.largest_measured_shift_um, '{:.3g}')} µm"
-        f" ({rays.lit} of {rays.rays} probe rays are lit).",
+        f"Hot air bends both light paths: the laser's makes {micrometres(paths.laser_rms_um)} rms"
+        f" of the section's error, the camera's {micrometres(paths.camera_rms_um)} rms.",
+        f"Hot air moves the lit point by up to {micrometres(rays.largest_incidence_shift_um)}, the"
+        f" measured one by up to {micrometres(rays.largest_measured_shift_um)} ({rays.lit} of"
+        f" {rays.rays} probe rays are lit).",
     ]
+
+
+# The page.
+
+
+def page(
+    result: Measurement,
+    figures: Summary,
+    panels: Mapping[str, PanelPicture],
+    command: str,
+    files: Sequence[str],
+) -> Page:
+    """The page of a measurement; `files` are the names of those beside it."""
+    lead = headline(figures)
+    sections = [
+        Section(
+            "The measured section",
+            *why(figures)[:1],
+            _beside(panels, "section", "paths"),
+            section_table(figures),
+            "The true section is where straight light of the sheet's middle meets the part. Each"
+            " point's distance from it is positive outside the part.",
+            *_at_edges(figures),
+        ),
+        Section("What the camera sees", _beside(panels, "frame", "air")),
+    ]
+    if result.hot:
+        sections.append(
+            Section(
+                "Points lit and measured",
+                *why(figures)[1:],
+                _beside(panels, "letters", "probes"),
+                _probe_rays_table(result),
+            )
+        )
+    sections += [
+        Section(
+            "Check: renderer and ray search agree",
+            "The line's centres in the rendered frames stand beside a search by rays, without any"
+            " image: what separates them is the error of rendering and detecting.",
+            panels["check"],
+            table(result, figures),
+            *(_compared(name, state) for name, state in figures.states.items()),
+        ),
+        Section(
+            "Settings",
+            *(_frame_words(name, state) for name, state in figures.states.items()),
+            Details("All parameters of the scene", (_parameters_table(figures),)),
+        ),
+        Section("Files", _file_table(files)),
+    ]
+    made = figures.made_with.to_dict()
+    title = f"{result.scene.path.stem}: a measurement"
+    return Page(
+        title, f"{lead[:1].upper()}{lead[1:]}.", tuple(sections), command, made, figures.notes
+    )
+
+
+def _beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:
+    """Those of the panels that there are, beside each other where there is room."""
+    return Picture("", b"", tuple(panels[name] for name in names if name in panels))
+
+
+def _at_edges(figures: Summary) -> list[str]:
+    """How many points have no distance."""
+    edges = {n: s.section.edge_points for n, s in figures.states.items() if s.section.edge_points}
+    if not edges:
+        return []
+    words = listed([f"{counted(count, 'point')} ({name})" for name, count in edges.items()])
+    return [f"Left out: {words} at edges of the part, where the true section ends."]
+
+
+def _compared(name: str, state: StateSummary) -> str:
+    """How many centres were compared with the search, and why others weren't."""
+    if dots := state.dots_minus_search:
+        return f"{name}: {dots.found} of {counted(dots.dots, 'dot')} were found."
+    line = state.line_minus_search
+    assert line is not None
+    if not line.centres:
+        counts = {kind: n for kind, n in state.line_status.items() if n}
+        reasons = listed([f"{kind} {n}" for kind, n in counts.items()])
+        return f"{name}: no line centre was found; the image's columns are: {reasons}."
+    words = f"{name}: {line.compared} of {counted(line.centres, 'centre')} were compared"
+    left_out = {
+        "in whose columns an edge of the part hides some of the line's profile": line.cut_centres,
+        "in whose columns the search found no row": line.stray_centres,
+    }
+    why_not = [f"{count} {reason}" for reason, count in left_out.items() if count]
+    return f"{words}, without {listed(why_not)}." if why_not else f"{words}."
+
+
+def _frame_words(name: str, state: StateSummary) -> str:
+    """How a frame was made."""
+    frame = state.frame
+    text = f"The {name} frame's light was {frame.transport}"
+    if frame.reason:
+        text += f" ({frame.reason})"
+    if frame.map_error_px > 0.0:
+        text += f", by ray maps with an estimated error of {frame.map_error_px:.2g} px"
+    return f"{text}; rendered in {time_in_words(state.render_time_s)}."
+
+
+def _probe_rays_table(result: Measurement) -> TextTable:
+    return text_table(
+        probe_table(result),
+        (
+            Column("y_mm", "y, mm"),
+            Column("incidence_shift_um_norm", "B \N{MINUS SIGN} A, µm"),
+            Column("hot_error_um_norm", "B \N{MINUS SIGN} B_m, µm"),
+            Column("measured_shift_um_norm", "B_m \N{MINUS SIGN} A_m, µm"),
+            Column("pixel_shift_px_u", "shift in u, px"),
+            Column("pixel_shift_px_v", "shift in v, px"),
+            Column("status_hot", "status"),
+        ),
+        "Distances between points lit and measured, for each probe ray",
+    )
+
+
+def _parameters_table(figures: Summary) -> TextTable:
+    rows = tuple((name, str(value)) for name, value in figures.parameters.items())
+    return TextTable(("parameter", "value"), rows)
+
+
+def _file_table(files: Sequence[str]) -> TextTable:
+    rows = []
+    for name in files:
+        file = next((each for each in FILES if fnmatchcase(name, each.pattern)), None)
+        if file and name != PAGE:
+            rows.append((Link(name, name), file.words))
+    return TextTable(("file", "what it holds"), tuple(rows))
+
+
+# The picture.
+
+
+def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, PanelPicture]]:
+    """Draw a measurement: the whole picture, and its panels by name; of a cold part fewer."""
+    hot = result.hot
+    panels = {"section": _section_panel(result, figures)}
+    if hot:
+        panels |= {"paths": _paths_panel(hot), "frame": _frame_panel(result, 2)}
+        panels |= {"air": _air_panel(hot), "probes": _probe_panel(result)}
+        panels |= {"letters": _letters_panel(), "check": _check_panel(result)}
+    else:
+        panels |= {"check": _check_panel(result), "frame": _frame_panel(result, 3)}
+    name = plain(result.scene.path.stem)
+    drawn = draw_picture(f"{name}: {headline(figures)}", list(panels.values()), columns=3)
+    return drawn, dict(zip(panels, drawn.panels, strict=True))
+
+
+def headline(figures: Summary) -> str:
+    """How wrong the measured section is, and where."""
+    words = []
+    for name, state in reversed(figures.states.items()):
+        section = state.section
+        if not section.points:
+            words.append(f"in {name} air no point is measured")
+        elif not words:
+            words.append(
+                f"in {name} air the measured section is wrong by"
+                f" {micrometres(section.rms_um)} rms, at most by"
+                f" {micrometres(section.largest_um)} at y = {section.largest_y_mm:.3g} mm"
+            )
+        else:
+            words.append(f"in {name} air by {micrometres(section.rms_um)} rms")
+    return "; ".join(words)
+
+
+def micrometres(value_um: float | None) -> str:
+    """A length as people read it: what is only rounding is called so."""
+    if value_um is not None and abs(value_um) < NIL_UM:
+        return "below 1e-6 µm"
+    return in_words(value_um, "{:.3g} µm").replace("-", "\N{MINUS SIGN}")
+
+
+def _section_panel(result: Measurement, figures: Summary) -> Panel:
+    def draw(axes: Axes) -> None:
+        for name, state in result.states.items():
+            errors = figures.states[name].section
+            label = f"{name}: {micrometres(errors.rms_um)} rms"
+            y = state.section.along_mm(state.points_mm)
+            _curve(axes, y, state.section_error_um, name, label, dots=bool(state.dots))
+            if errors.points and abs(errors.largest_um) >= NIL_UM and state.scene.field:
+                at = (errors.largest_y_mm, errors.largest_um)
+                axes.plot(*at, "s", color=colour(name), ms=11, mfc="none", zorder=5)
+        for state in result.states.values():
+            some = slice(None, None, 1 if state.dots else _SEARCHED_EVERY)
+            y, error = state.section.along_mm(state.searched_mm), _floored(state.searched_error_um)
+            style: dict[str, Any] = {"marker": "o", "mfc": "none", "ms": 4, "ls": ""}
+            style["label"] = "by ray search" if state is result.cold else None
+            axes.plot(y[some], error[some], color=colour("search"), **style)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel="y along the line in mm", ylabel="outside (+) or inside the part (−), µm")
+        _key_above(axes)
+
+    return Panel(
+        "Measured minus true section",
+        draw,
+        f"Error of the measured section along the line. {headline(figures)}.",
+        width=2,
+        layout=None,
+    )
+
+
+def _paths_panel(hot: State) -> Panel:
+    """Which of the two bent light paths makes the error."""
+    whole, laser = hot.searched_error_um, hot.laser_path_um
+
+    def draw(axes: Axes) -> None:
+        y = hot.section.along_mm(hot.searched_mm)
+        dots = bool(hot.dots)
+        if not dots:
+            y = np.where(_parted(hot.searched_mm), np.nan, y)
+        _curve(axes, y, whole, "hot", "both", dots=dots)
+        _curve(axes, y, laser, "laser", "laser's path", LINES[1], MARKERS[1], dots)
+        _curve(axes, y, whole - laser, "camera", "camera's path", LINES[2], MARKERS[2], dots)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel="y along the line in mm", ylabel="error of the section, µm")
+        _key_above(axes)
+
+    return Panel(
+        "Why: hot air bends both paths",
+        draw,
+        "The section's error of the hot part, split into what the bent laser light alone makes and"
+        " what the camera's bent lines of sight add.",
+        layout=None,
+    )
+
+
+def _frame_panel(result: Measurement, width: int) -> Panel:
+    name, state = list(result.states.items())[-1]
+    image = state.frame.radiance
+
+    def draw(axes: Axes) -> None:
+        found = np.concatenate([s.centres_px for s in result.states.values()])
+        columns, rows = found[np.isfinite(found).all(axis=1)].T
+        lit_rows, lit_columns = np.nonzero(image > 0.01 * image.max())
+        left, right = _range(columns, lit_columns, image.shape[1])
+        top, bottom = _range(rows, lit_rows, image.shape[0])
+        extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
+        axes.imshow(image[top:bottom, left:right], cmap="gray", aspect="auto", extent=extent)
+        for number, (label, drawn) in enumerate(result.states.items()):
+            look = ("+", "x")[number] if drawn.dots else LINES[number]
+            label = f"{label}: {drawn.centres} {'dots' if drawn.dots else 'line centres'}"
+            axes.plot(*drawn.centres_px.T, look, color=_on_black(number), lw=1.2, label=label)
+        axes.grid(False)
+        axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u along the line in px")
+        axes.set(ylabel="v in px")
+        _key_above(axes)
+
+    return Panel(
+        f"What the camera sees of the {name} part",
+        draw,
+        f"The camera's frame of the {name} part, cut to the lit pixels, with the centres found.",
+        width=width,
+        layout=None,
+    )
+
+
+def _on_black(number: int) -> str:
+    """Colours of cold and hot, as light as a black ground needs."""
+    return ("#56B4E9", "#FF7A2F")[number]
+
+
+def _range(found: Array, lit: NDArray[np.intp], size: int) -> tuple[int, int]:
+    """First pixel and the one after the last, of what is found or lit, with a margin."""
+    both = np.concatenate([found, lit])
+    return (
+        max(int(both.min()) - _MARGIN_PX, 0),
+        min(int(np.ceil(both.max())) + _MARGIN_PX, size),
+    )
+
+
+def _air_panel(hot: State) -> Panel:
+    """The air in two planes through the part, with the light paths drawn in."""
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots(1, 2, gridspec_kw={"wspace": 0.1})
+        figure.subplots_adjust(left=0.12, right=0.83, bottom=0.14, top=0.78)
+        for each, axis in zip(axes, (0, 1), strict=True):
+            drawn = _air_plane(each, hot, axis)
+        axes[0].set_ylabel("z in mm")
+        axes[1].set_yticklabels([])
+        bar = figure.add_axes((0.85, 0.14, 0.03, 0.64))
+        figure.colorbar(drawn, cax=bar)
+        bar.set_title("$10^5\\,(n-1)$", fontsize=9.5, loc="center", fontweight="normal")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc=(0.12, 0.86), ncols=2)
+
+    return Panel(
+        "The air and the light paths",
+        draw,
+        "Refractivity of the air in the planes y = 0 and x = 0, with the laser's and the camera's"
+        " light paths to both ends and the middle of the line.",
+        axes=False,
+        layout=None,
+    )
+
+
+def _air_plane(axes: Axes, state: State, axis: int) -> Any:
+    """The plane in which x (axis 0) or y (axis 1) varies, with z upwards."""
+    field = state.scene.field
+    assert field is not None
+    corners = field.to_world(np.array(list(product(*field.box.T))))
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    side, z = (np.linspace(low[i], high[i], _AIR_NODES) for i in (axis, 2))
+    points = np.zeros((len(side), len(z), 3))
+    points[..., axis], points[..., 2] = side[:, None], z
+    n = field.refractivity(points.reshape(-1, 3)).reshape(len(side), len(z))
+    extent = (low[axis], high[axis], low[2], high[2])
+    drawn = axes.imshow(n.T * 1e5, origin="lower", extent=extent, aspect="auto", cmap="YlOrRd_r")
+    axes.set_facecolor(drawn.cmap(drawn.norm(1e5 * field.ambient)))
+    ends = [low[[axis, 2]], high[[axis, 2]]]
+    for number, path in enumerate(_light_paths(state)):
+        for style, (name, points_mm) in zip(LINES, path.items(), strict=False):
+            label = f"{name}'s light" if number == 0 else None
+            flat = points_mm[:, [axis, 2]]
+            axes.plot(*flat.T, style, color=colour(name), lw=1.5, label=label)
+            ends += list(flat)
+    axes.set(xlim=_ends(ends, 0), ylim=_ends(ends, 1), xlabel=f"{'xy'[axis]} in mm")
+    axes.grid(False)
+    axes.set_title(f"plane {'yx'[axis]} = 0", fontsize=9.5, fontweight="normal", loc="center")
+    return drawn
+
+
+def _ends(points: list[Array], axis: int) -> tuple[float, float]:
+    values = np.array(points)[:, axis]
+    return float(values.min()), float(values.max())
+
+
+def _light_paths(state: State) -> Iterator[dict[str, Array]]:
+    """Start and end (2, 3) of the laser's and the camera's light, at both ends and the middle."""
+    ends = state.dense.laser_point_mm[np.isfinite(state.dense.pixel[:, 0])]
+    sensor = state.scene.sensor
+    for end in ends[[0, len(ends) // 2, -1]] if len(ends) else ():
+        t = sensor.laser.family.coordinates(end[None])[:, 1]
+        start = sensor.laser.family.rays(0.0, t)[0][0]
+        yield {
+            "laser": np.stack([start, end]),
+            "camera": np.stack([sensor.camera.pose.origin_mm, end]),
+        }
+
+
+def _probe_panel(result: Measurement) -> Panel:
+    """The norms of the paper's figure 7."""
+    d = probe_deviations(result)
+
+    def draw(axes: Axes) -> None:
+        styles = zip(MARKERS, _LETTER_COLOURS, strict=False)
+        for (letters, name, _), (marker, paint) in zip(_LETTER_KEY, styles, strict=False):
+            lengths = _floored(euclidean(getattr(d, name)))
+            axes.plot(result.probe_y_mm, lengths, marker=marker, color=paint, label=letters)
+        axes.set(xlabel="y of the laser ray in mm", ylabel="distance, µm")
+        _key_above(axes, 4)
+
+    return Panel(
+        "Probe rays",
+        draw,
+        "Distances between the points lit (A cold, B hot) and measured (A_m cold, B_m hot), for"
+        " each probe ray.",
+        layout=None,
+    )
+
+
+_LETTER_COLOURS = ("#CC79A7", "#D55E00", "#E69F00", "#0072B2")
+
+
+def _letters_panel() -> Panel:
+    """A sketch of what the letters mean."""
+
+    def draw(axes: Axes) -> None:
+        x = np.linspace(-1.0, 1.0, 100)
+        axes.fill_between(x, -0.35 * x**2, -1.0, color="0.85", lw=0)
+        axes.plot(x, -0.35 * x**2, color="0.4")
+        laser, camera = np.array([-0.55, 1.1]), np.array([0.85, 1.0])
+        A, B = np.array([0.0, 0.0]), np.array([0.3, -0.0315])
+        _arrow(axes, [laser, A], "--", colour("cold"))
+        _arrow(axes, _bent(laser, B, 0.10), "-", colour("hot"))
+        leaves = _bent(B, camera, 0.09)
+        _arrow(axes, leaves, "-", colour("hot"))
+        _arrow(axes, [A, camera], "--", colour("cold"))
+        towards = leaves[-2] - camera  # the line of sight, as the camera believes it
+        share = np.linalg.solve(np.stack([towards, laser - A], axis=1), A - camera)[0]
+        B_m = camera + share * towards
+        axes.plot(*np.stack([camera, B_m]).T, ":", color=colour("hot"))
+        for point, letter, aside in (
+            (A, "A = A$_m$", (-0.52, -0.22)),
+            (B, "B", (0.05, -0.22)),
+            (B_m, "B$_m$", (-0.3, 0.0)),
+        ):
+            axes.plot(*point, "o", color="k", ms=5)
+            axes.annotate(letter, point, point + np.array(aside), fontsize=12)
+        axes.text(*(laser - [0.05, 0.0]), "laser", ha="right", va="center")
+        axes.text(*(camera + np.array([0.0, 0.05])), "camera", ha="center")
+        words = (
+            "A, B: lit point on the cold, the hot part\n"
+            "A$_m$, B$_m$: the points measured there\n"
+            "dashed: cold; solid: hot; dotted: the line of\n"
+            "sight if it were straight (not to scale)"
+        )
+        axes.text(-1.05, -0.48, words, va="top", fontsize=9.5)
+        axes.set(xlim=(-1.1, 1.1), ylim=(-1.0, 1.25))
+        axes.set_axis_off()
+
+    return Panel(
+        "What A, B, A$_m$ and B$_m$ are",
+        draw,
+        "Sketch: straight laser light meets the part at A, which is measured rightly as A_m. Bent"
+        " by hot air it meets it at B; the camera's line of sight is bent too, and where it would"
+        " cross the laser's plane if it were straight, B_m is measured.",
+        layout=None,
+    )
+
+
+def _bent(start: Array, end: Array, by: float) -> Array:
+    """A path from start to end (N, 2) that bulges to its left by so much of its length."""
+    share = np.linspace(0.0, 1.0, 30)[:, None]
+    aside = np.array([start[1] - end[1], end[0] - start[0]])
+    return start + share * (end - start) + by * 4.0 * share**2 * (1.0 - share) * aside
+
+
+def _arrow(axes: Axes, path: Any, look: str, paint: str) -> None:
+    axes.plot(*np.asarray(path).T, look, color=paint)
+
+
+def _check_panel(result: Measurement) -> Panel:
+    def draw(axes: Axes) -> None:
+        for number, (name, state) in enumerate(result.states.items()):
+            compared = state.compared
+            label = f"{name}: {in_words(compared.rms_px)} px rms"
+            label += f" ({compared.count} of {state.centres})"
+            if isinstance(compared, DotErrors):
+                u, dv = compared.true_pixel[:, 0], compared.error_px[:, 1]
+                axes.plot(u, 1e3 * dv, MARKERS[number], color=colour(name), label=label)
+            else:
+                u, dv = _with_gaps(compared.column, compared.error_px)
+                axes.plot(u, 1e3 * dv, LINES[number], color=colour(name), lw=0.9, label=label)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel="u along the line in px", ylabel="difference in v, 0.001 px")
+        _key_above(axes)
+
+    what = "dots" if result.cold.dots else "line"
+    return Panel(
+        f"Check: rendered {what} minus search",
+        draw,
+        f"The rendered {what} minus the ray search, px, along the line.",
+        layout=None,
+    )
+
+
+def _curve(
+    axes: Axes,
+    x: Array,
+    y: Array,
+    name: str,
+    label: str,
+    look: str = "-",
+    marker: str = "o",
+    dots: bool = False,
+) -> None:
+    """A curve that is broken where there is no value, of dots points only."""
+    style = {"ls": "", "marker": marker, "ms": 6} if dots else {"ls": look}
+    axes.plot(x, _floored(y), color=colour(name), label=label, **style)
+
+
+def _parted(points_mm: Array) -> NDArray[np.bool_]:
+    """Which points (N, 3) are far from the one before: the line is broken there."""
+    steps = np.linalg.norm(np.diff(points_mm, axis=0, prepend=points_mm[:1]), axis=1)
+    return steps > _LONGEST_STEP * np.nanmedian(steps)
+
+
+def _floored(values_um: Array) -> Array:
+    """Lengths whose rounding is drawn as zero."""
+    return np.where(np.abs(values_um) < NIL_UM, 0.0, values_um)
+
+
+def _with_gaps(column: Array, values: Array) -> tuple[Array, Array]:
+    """The same with NaN where a column is missing, so that no line is drawn across."""
+    gaps = np.flatnonzero(np.diff(column) > 1.5) + 1
+    return np.insert(column, gaps, np.nan), np.insert(values, gaps, np.nan)
+
+
+def _key_above(axes: Axes, columns: int | None = None) -> None:
+    """A legend above the axes, beside the title, where it covers nothing."""
+    handles, _ = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    wide = axes.figure.get_figwidth() > 8.0
+    axes.legend(
+        loc="lower right" if wide else "lower left",
+        bbox_to_anchor=(1.0, 1.0) if wide else (-0.02, 1.0),
+        ncols=columns or len(handles),
+        columnspacing=1.0,
+        handlelength=1.6,
+        borderaxespad=0.2,
+    )
+    if not wide:
+        axes.set_title(axes.get_title(loc="left"), pad=24)
+        axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())

@@ -644,7 +644,7 @@ def _field_facts(field: IndexField) -> FieldFacts:
 
 def _state_summary(state: State) -> StateSummary:
     return StateSummary(
-        section=section_errors(state.section_error_um, state.section.along_mm(state.points_mm)),
+        section=section_errors(state.section, state.points_mm),
         paths=_path_errors(state) if state.scene.field else None,
         line_minus_search=_line_agreement(state.by_search, state.centres)
         if state.by_search
@@ -735,7 +735,7 @@ class LineTable(Table):
     point_mm : ndarray of shape (N, 3)
         The point measured there, world.
     section_error_um : ndarray of shape (N,)
-        Its distance from the true section: positive outside the part.
+        Its distance from the true section: positive outside the part; none at the part's edges.
     """
 
     column_px: Array
@@ -781,7 +781,7 @@ class DotTable(Table):
     point_mm : ndarray of shape (N, 3)
         The point measured there, world.
     section_error_um : ndarray of shape (N,)
-        Its distance from the true section: positive outside the part.
+        Its distance from the true section: positive outside the part; none at the part's edges.
     status : ndarray of str of shape (N,)
         Whether it was found.
     search_status : ndarray of str of shape (N,)
@@ -948,7 +948,7 @@ class DenseTable(Table):
     measured_cold_mm, measured_hot_mm : ndarray of shape (N, 3)
         The points measured from them, world: A_m and B_m.
     section_error_cold_um, section_error_hot_um : ndarray of shape (N,)
-        Their distances from the true section: positive outside the part.
+        Their distances from the true section: positive outside; none at the part's edges.
     status_cold, status_hot : ndarray of str of shape (N,)
         How the search ended.
     laser_path_um : ndarray of shape (N,)

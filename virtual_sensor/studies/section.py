@@ -17,8 +17,9 @@ from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
 
-_RAYS = 4001  # at 54 degrees of a cylinder of 13.5 mm radius, chords err by 1 nm
+_RAYS = 2001
 _BESIDE = 0.05  # of the line on either side: hot air moves its ends
+_SLACK = 0.5  # of a chord
 _STEEPEST = 11.4  # depth over length along the line: from 85 degrees on it is a step of the part
 
 
@@ -46,27 +47,41 @@ class Section:
     def distance_um(self, points_mm: Array) -> Array:
         """Distance (M,) of world points (M, 3) of the laser's plane: positive outside the part.
 
-        NaN of points that are, or if there is no section.
+        NaN of points that are, and of those before which the surface ends: at an edge of the part.
         """
         distance = np.full(len(points_mm), np.nan)
         good = np.isfinite(points_mm).all(axis=1)
         if not good.any() or len(self.point_mm) < 2:
             return distance
         points = self.laser.pose.to_local(points_mm[good])[:, 1:]
+        chord = np.diff(self.point_mm, axis=0)
+        length = np.linalg.norm(chord, axis=1)
+        sagitta = self._sagitta_mm(chord, length)
         _, nearest = cKDTree(self.point_mm).query(points)
         best = np.full(len(points), np.inf)
         for first in (nearest - 1, nearest):  # to the point before the nearest one, and after it
-            i = first.clip(0, len(self.point_mm) - 2)
-            start, along = self.point_mm[i], self.point_mm[i + 1] - self.point_mm[i]
-            offset = points - start
-            share = np.sum(offset * along, axis=1) / np.sum(along * along, axis=1)
-            share = np.where(self.joined[i], share.clip(0.0, 1.0), nearest - i)
-            length = np.linalg.norm(offset - share[:, None] * along, axis=1)
+            i = first.clip(0, len(chord) - 1)
+            along = chord[i] / length[i, None]
+            offset = points - self.point_mm[i]
+            share = np.sum(offset * along, axis=1) / length[i]
             outside = along[:, 1] * offset[:, 0] - along[:, 0] * offset[:, 1]
-            better = length < np.abs(best)
-            best[better] = np.copysign(length, outside)[better]
-        distance[good] = UM_PER_MM * best
+            outside -= 4.0 * sagitta[i] * share * (1.0 - share)
+            # Before an edge of two chords the point may be a little beyond both.
+            before = (share >= -_SLACK) & (share <= 1.0 + _SLACK) & self.joined[i]
+            better = before & (np.abs(outside) < np.abs(best))
+            best[better] = outside[better]
+        distance[good] = np.where(np.isfinite(best), UM_PER_MM * best, np.nan)
         return distance
+
+    def _sagitta_mm(self, chord: Array, length: Array) -> Array:
+        """By how much the surface rises above the middle of each chord (N - 1,)."""
+        unit = chord / length[:, None]
+        turn = unit[:-1, 0] * unit[1:, 1] - unit[:-1, 1] * unit[1:, 0]
+        turn[~(self.joined[:-2] & self.joined[1:-1])] = np.nan
+        beside = np.stack([np.append(np.nan, turn), np.append(turn, np.nan)])
+        known = np.isfinite(beside)
+        mean = np.where(known, beside, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        return length * mean / 8.0
 
 
 def true_section(scene: Scene) -> Section:
@@ -89,7 +104,9 @@ class SectionErrors(Record):
     Attributes
     ----------
     points : int
-        Measured points.
+        Measured points whose distance is known.
+    edge_points : int
+        Those at an edge of the part, where the true section ends: they have none.
     mean_um, rms_um : float
         Mean and root mean square of their distances.
     largest_um : float
@@ -99,19 +116,28 @@ class SectionErrors(Record):
     """
 
     points: int
+    edge_points: int
     mean_um: float
     rms_um: float
     largest_um: float
     largest_y_mm: float
 
 
-def section_errors(distance_um: Array, y_mm: Array) -> SectionErrors:
-    """The figures of distances (N,) at positions along the line; NaN are left out."""
-    good = np.isfinite(distance_um)
+def section_errors(section: Section, points_mm: Array) -> SectionErrors:
+    """The figures of measured points (N, 3); those that are NaN don't count."""
+    measured = points_mm[np.isfinite(points_mm).all(axis=1)]
+    distance = section.distance_um(measured)
+    good = np.isfinite(distance)
+    edges = int(np.sum(~good))
     if not good.any():
-        return SectionErrors(0, *[float("nan")] * 4)
-    distance, y = distance_um[good], y_mm[good]
+        return SectionErrors(0, edges, *[float("nan")] * 4)
+    distance, y = distance[good], section.along_mm(measured[good])
     at = int(np.abs(distance).argmax())
     return SectionErrors(
-        len(distance), float(distance.mean()), rms(distance), float(distance[at]), float(y[at])
+        len(distance),
+        edges,
+        float(distance.mean()),
+        rms(distance),
+        float(distance[at]),
+        float(y[at]),
     )

@@ -1,0 +1,211 @@
+"""A measurement's picture and page: what a reader sees of it, for every kind of scene."""
+
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+from command_line import command
+from matplotlib.figure import Figure
+
+from virtual_sensor.imaging.scene import find_scene, load_scene
+from virtual_sensor.reporting import measure as reporting
+from virtual_sensor.reporting.files import undocumented
+from virtual_sensor.studies.measure import measure, summary
+
+FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
+SCENES = {
+    "hot": ("hot_cylinder", {}),
+    "cold": ("cold_cylinder", {}),
+    "shaft": ("stepped_shaft", {"line_radius": 0.25}),
+    "dots": ("hot_cylinder", {"dots": "-3, 0, 4"}),
+    "nothing": ("hot_cylinder", {"line_radius": 0.03}),
+}
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """By kind: the measurement, its summary and its folder."""
+    place = tmp_path_factory.mktemp("measured")
+    found = {}
+    for kind, (name, given) in SCENES.items():
+        result = measure(load_scene(name, **FILM | given))
+        figures = reporting.save(result, place / kind, f"virtual-sensor measure {name}")
+        found[kind] = result, figures, place / kind
+    return found
+
+
+def drawn(panel):
+    """The axes of a panel."""
+    axes = Figure(figsize=(12.0, 4.0)).add_subplot()
+    panel.draw(axes)
+    return axes
+
+
+def test_all_files_columns_and_keys_are_in_the_data_dictionary(measured):
+    """Rationale: what nobody documents, users guess at."""
+    for kind, (_, _, folder) in measured.items():
+        assert undocumented(folder, reporting.FILES) == [], kind
+
+
+def test_pages_stand_in_a_browser(measured, faults_of):
+    """Rationale: on a phone and a desk, with all pictures, links and words."""
+    for _, _, folder in measured.values():
+        assert faults_of(folder / "report.html") == []
+
+
+def test_the_page_begins_with_how_wrong_the_section_is(measured):
+    """Rationale: this is what its reader came for; that two programs agree is a check."""
+    for kind, (_, figures, folder) in measured.items():
+        html = (folder / "report.html").read_text(encoding="utf-8")
+        lead = re.search(r'<p class="lead">(.*?)</p>', html)[1]
+        name = "cold" if kind == "cold" else "hot"
+        section = figures.states[name].section
+        if kind == "nothing":
+            assert lead.startswith("In hot air no point is measured")
+            continue
+        assert lead.startswith(f"In {name} air the measured section is wrong by ")
+        assert f"{section.rms_um:.3g} µm rms" in lead
+        assert f"y = {section.largest_y_mm:.3g} mm" in lead
+
+
+def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
+    """Rationale: empty panels, and zigzags of 1e-11 um, made readers ask what they had missed."""
+    result, figures, _ = measured["cold"]
+    _, panels = reporting.picture(result, figures)
+    assert list(panels) == ["section", "check", "frame"]
+    _, panels = reporting.picture(*measured["hot"][:2])
+    assert {"section", "paths", "frame", "air", "probes", "letters", "check"} == set(panels)
+    assert reporting.micrometres(5e-11) == "below 1e-6 µm"
+    assert reporting.micrometres(-0.5) == "\N{MINUS SIGN}0.5 µm"
+    assert reporting.micrometres(None) == "none"
+
+
+def test_lengths_that_are_rounding_are_drawn_as_zero(measured):
+    """Rationale: of the probe rays A - A_m is 1e-11 um, and looked like a curve on a cold scene."""
+    axes = drawn(reporting._probe_panel(measured["hot"][0]))
+    [cold] = [line for line in axes.lines if line.get_label() == "A - A$_m$"]
+    assert (cold.get_ydata() == 0.0).all()
+    axes = drawn(reporting._section_panel(*measured["cold"][:2]))
+    [searched] = [line for line in axes.lines if line.get_label() == "by ray search"]
+    assert (searched.get_ydata() == 0.0).all()
+
+
+def test_no_line_is_drawn_across_a_gap(measured):
+    """Rationale: where the shaft's line breaks off, curves went on, with spikes of 1.2 mm."""
+    result, figures, _ = measured["shaft"]
+    axes = drawn(reporting._section_panel(result, figures))
+    [hot] = [line for line in axes.lines if str(line.get_label()).startswith("hot")]
+    y, error = np.asarray(hot.get_xdata()), np.asarray(hot.get_ydata())
+    joined = np.isfinite(error[1:]) & np.isfinite(error[:-1])
+    pixel_mm = 45.056 / 256
+    assert 0 < joined.sum() < result.hot.centres
+    assert np.abs(np.diff(y)[joined]).max() < 2.0 * pixel_mm
+    axes = drawn(reporting._check_panel(result))
+    for line in axes.lines[:2]:
+        steps = np.diff(np.asarray(line.get_xdata()))
+        assert (steps[np.isfinite(steps)] < 1.5).all()
+
+
+def test_the_frame_shows_the_cold_line_too(measured):
+    """Rationale: the crop was of the hot light, and cut the cold line off."""
+    for kind in ("hot", "shaft", "dots"):
+        result = measured[kind][0]
+        axes = drawn(reporting._frame_panel(result, 2))
+        left, right = sorted(axes.get_xlim())
+        top, bottom = sorted(axes.get_ylim())
+        for state in result.states.values():
+            u, v = state.centres_px[np.isfinite(state.centres_px).all(axis=1)].T
+            assert ((u > left) & (u < right) & (v > top) & (v < bottom)).all()
+
+
+def test_no_key_lies_on_a_panel_s_curves(measured):
+    """Rationale: a legend covered the light paths."""
+    result, figures, _ = measured["hot"]
+    for panel in (
+        reporting._section_panel(result, figures),
+        reporting._frame_panel(result, 2),
+        reporting._probe_panel(result),
+        reporting._check_panel(result),
+    ):
+        axes = drawn(panel)
+        axes.figure.canvas.draw()
+        key = axes.get_legend().get_window_extent()
+        assert key.y0 >= axes.get_window_extent().y1 - 1.0, panel.title
+
+
+def test_the_light_paths_are_whole(measured):
+    """Rationale: the laser's path was cut off where the field ends."""
+    hot = measured["hot"][0].hot
+    figure = Figure()
+    for axis in (0, 1):
+        axes = figure.add_subplot()
+        reporting._air_plane(axes, hot, axis)
+        left, right = axes.get_xlim()
+        bottom, top = axes.get_ylim()
+        ends = np.concatenate([line.get_xydata() for line in axes.lines])
+        assert (ends >= [left, bottom]).all()
+        assert (ends <= [right, top]).all()
+
+
+def test_the_check_says_how_many_were_compared_and_why_others_were_not(measured):
+    """Rationale: an rms without its count can be made as small as one likes."""
+    for kind in ("hot", "shaft"):
+        _, figures, folder = measured[kind]
+        html = (folder / "report.html").read_text(encoding="utf-8")
+        for name, state in figures.states.items():
+            line = state.line_minus_search
+            assert f"{name}: {line.compared} of {line.centres} centres were compared" in html
+            if line.cut_centres:
+                assert f"{line.cut_centres} in whose columns an edge of the part hides" in html
+    assert measured["shaft"][1].states["hot"].line_minus_search.cut_centres > 0
+
+
+def test_light_paths_explain_the_whole_error(measured):
+    """Rationale: of two causes the parts must add up, and without air there is no laser's part."""
+    hot = measured["hot"][0].hot
+    table = reporting.dense_table(measured["hot"][0])
+    np.testing.assert_allclose(
+        table.laser_path_um + table.camera_path_um, table.section_error_hot_um, atol=1e-9
+    )
+    assert np.abs(measured["hot"][0].cold.laser_path_um).max() < 1e-6
+    paths = summary(measured["hot"][0]).states["hot"].paths
+    assert paths.laser_largest_um == pytest.approx(np.nanmax(np.abs(hot.laser_path_um)))
+
+
+NASTY = "<script>alert('1')</script> \"q\" & $x$"
+
+
+def test_names_of_a_users_files_are_only_names(tmp_path, faults_of):
+    """Rationale: a scene called <script> ran in the page of whoever opened it."""
+    scene = tmp_path / "<script>alert('1')<" / 'script> "q" & $x_{$.xml'
+    scene.parent.mkdir()
+    scene.write_text(find_scene("cold_cylinder").read_text(encoding="utf-8"), encoding="utf-8")
+    given = [f"-D{name}={value}" for name, value in FILM.items()]
+    folder = tmp_path / 'a "b" | <i>'
+    status, out, err = command("measure", scene, *given, "-o", folder)
+    assert (status, err) == (0, "")
+    assert faults_of(folder / "report.html") == []
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in html
+    assert "script&gt; &#34;q&#34; &amp; $x_{$" in html
+    assert json.loads((folder / "summary.json").read_text())["scene"] == str(scene)
+    assert cv2.imread(str(folder / "report.png")) is not None
+    assert "<i>" in out
+
+
+def test_where_no_centre_is_found_all_says_so(measured, tmp_path):
+    """Rationale: "none none 0" and exit status 0 let a script go on with nothing."""
+    given = [f"-D{name}={value}" for name, value in (FILM | SCENES["nothing"][1]).items()]
+    status, out, err = command("measure", "hot_cylinder", *given, "-o", tmp_path / "out")
+    assert (status, err) == (3, "")
+    assert re.search("Note: hot: no line centres, the columns are .*too_narrow", out)
+    html = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    assert re.search(
+        "hot: no line centre was found; the image&#39;s columns are: .*too_narrow", html
+    )
+    assert not re.search(r"\bnan\b", html + out)
+    status, out, _ = command("search", "cold_cylinder", "-y", "14")
+    assert status == 3
+    assert "Note: no ray was found: laser_missed" in out
