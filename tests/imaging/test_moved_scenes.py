@@ -11,8 +11,8 @@ from virtual_sensor.imaging.checks import border_crossings, check_scene, lit_lin
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.poses import Pose
+from virtual_sensor.reporting.field import make_cut
 from virtual_sensor.studies.field_info import field_info
-from virtual_sensor.studies.field_picture import make_cut
 
 # Axes change places, so that float32 says it exactly: x is where y was, and so on.
 MOTION = Pose(np.roll(np.eye(3), 1, axis=0), np.array([32.0, -40.0, 24.0]))
@@ -138,12 +138,12 @@ def test_the_fields_solid_moves_along(write):
         check_scene(vs.load_scene(write(aside), **FILM))
 
 
-def test_a_field_is_looked_at_where_the_scene_has_it(write, still):
+def test_a_field_is_examined_where_the_scene_has_it(write, still):
     """What it does to light, what its grid loses and its solid are those of the scene at rest."""
     one, other = (
         field_info(still.air.path, str(scene), FILM) for scene in ("hot_cylinder", write(AIR))
     )
-    np.testing.assert_allclose(other.effect_px, one.effect_px, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(other.light.shift_px, one.light.shift_px, rtol=0, atol=1e-4)
     np.testing.assert_array_equal(other.solid, one.solid)
     assert "the scene moves the field" in "".join(other.notes)
     for across, up in ((1, 2), (0, 1)):

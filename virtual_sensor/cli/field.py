@@ -1,10 +1,9 @@
-"""The commands `virtual-sensor field ...`."""
+"""The commands `virtual-sensor field info` and `field import`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from virtual_sensor.cli.shared import (
     Camera,
@@ -12,6 +11,7 @@ from virtual_sensor.cli.shared import (
     Overwrite,
     ProbeRays,
     Source,
+    check_suffix,
     closing,
     command_line,
     console,
@@ -22,8 +22,11 @@ from virtual_sensor.cli.shared import (
 )
 from virtual_sensor.files import check_output
 
+FIELD_FILES = (".nc",)
+"""Suffixes of a field file that is written."""
+
 app = typer.Typer(
-    help="The air's field: simulate it, import it from another solver, look at it.",
+    help="The air's field: simulate it, import it from another solver, examine it.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
@@ -31,7 +34,7 @@ app = typer.Typer(
 
 @app.callback()
 def field() -> None:
-    """The air's field: simulate it, import it from another solver, look at it."""
+    """The air's field: simulate it, import it from another solver, examine it."""
 
 
 @app.command(
@@ -45,8 +48,8 @@ def info(
     scene: Annotated[
         str | None,
         typer.Option(
-            help="Scene whose light goes through it: a file, or one that comes along. By default "
-            "hot_cylinder, left out where it does not suit."
+            help="Scene whose light passes through the field: a file, or one that is installed. By"
+            " default hot_cylinder, left out where it does not suit."
         ),
     ] = None,
     define: Definitions = None,
@@ -57,46 +60,46 @@ def info(
         float | None, typer.Option(help="Flow time, s, of a field with many; by default the last.")
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="PNG of three cuts with the light's ways.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            help="Picture (.png) of three cuts and of the shift of the image; beside it is written"
+            " the page: air.html beside air.png.",
+        ),
     ] = None,
     figures: Annotated[
-        Path | None, typer.Option("--json", help="File for all that is told, for programs.")
+        Path | None, typer.Option("--json", help="File for every figure, for programs.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Tell what a field holds, what it does to light, and whether border and grid are sound."""
-    from virtual_sensor.studies import field_words
+    """Show what a field holds, what it does to light, and whether border and grid are sound."""
+    from virtual_sensor.reporting import field as words
     from virtual_sensor.studies.field_info import field_info
-    from virtual_sensor.studies.field_picture import draw_field
-    from virtual_sensor.studies.tables import write_json
 
-    for path in (output, figures):
-        if path:
-            check_output(path, overwrite)
+    if output:
+        check_suffix(output, (".png",), "the picture")
+        check_output(words.page_beside(output), overwrite)
+        check_output(output, overwrite)
+    if figures:
+        check_output(figures, overwrite)
     with reporting("reading the field") as report:
-        told = field_info(
+        found = field_info(
             field, scene, definitions(define), time, report, y or None, camera, source
         )
-        if output:
-            report("drawing the picture", 0.8)
-            draw_field(told, output)
-        if figures:
-            write_json(figures, field_words.figures(told))
+        if output or figures:
+            report("writing the results", 0.8)
+            words.save(found, command_line(), output, figures)
         report("done", 1.0)
-    facts = Table.grid(padding=(0, 2))
-    for name, words in field_words.facts(told).items():
-        facts.add_row(name, words)
-    console.print(facts)
-    for headings, rows in field_words.tables(told):
-        table = Table(*headings)
-        for row in rows:
-            table.add_row(*row)
-        console.print(table)
-    for text in field_words.verdicts(told):
+    for table in words.tables(found):
+        console.print(table.rich())
+    print_notes(found.notes)
+    for text in words.verdicts(found):
         console.print(text, soft_wrap=True)
-    print_notes(told.notes)
     if output:
-        console.print(f"picture in {output}", soft_wrap=True)
+        console.print(
+            f"picture in {output}; open {words.page_beside(output)} first", soft_wrap=True
+        )
 
 
 @app.command(
@@ -127,7 +130,7 @@ def import_(
         str | None,
         typer.Option(
             help="temperature, density, refractivity (n - 1) or index (n); by default what the "
-            "variable's name or units tell."
+            "variable's name or units say."
         ),
     ] = None,
     units: Annotated[
@@ -195,6 +198,7 @@ def import_(
     from virtual_sensor.medium.imports.import_field import Choices, import_field, summary
     from virtual_sensor.medium.netcdf import write_quantity
 
+    check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
     spacings = numbers("--spacing", spacing, 1, 3) or ()
     choices = Choices(
@@ -223,6 +227,5 @@ def import_(
         report("done", 1.0)
     for line in summary(made):
         console.print(f"  {line}", soft_wrap=True)
-    for text in made.notes:
-        console.print(f"Note: {text}", style="yellow", soft_wrap=True)
+    print_notes(made.notes)
     closing(output)

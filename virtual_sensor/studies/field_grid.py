@@ -1,7 +1,7 @@
 """How fine a field's grid is: its narrowest structures in nodes, and what fewer nodes lose."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.spline import MIN_NODES
+from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -20,7 +21,7 @@ _NOTABLE = 0.1  # of the largest difference from ambient: what is less is no str
 
 
 @dataclass(frozen=True)
-class Structure:
+class Structure(Record):
     """The narrowest rise or dip of n - 1 along one axis.
 
     Attributes
@@ -28,73 +29,75 @@ class Structure:
     axis : str
     at_wall : bool
         Whether its peak lies in the wall layer or in the air beyond.
-    half_width_mm, nodes : float
-        From its peak to where half of the difference from ambient is left, in mm and in spacings of
-        the grid.
-    place_mm : ndarray of shape (3,)
-        Of the peak, world.
+    half_width_mm : float
+        From its peak to where half of the difference from ambient is left.
+    half_width_nodes : float
+        The same in distances of nodes.
+    peak_mm : ndarray
+        Where its peak is, in the field's frame.
     """
 
     axis: str
     at_wall: bool
     half_width_mm: float
-    nodes: float
-    place_mm: Array
+    half_width_nodes: float
+    peak_mm: Array
 
 
 @dataclass(frozen=True)
-class Convergence:
+class Richardson(Record):
     """What is lost with fewer nodes, and by Richardson's extrapolation what the present ones lose.
 
     With an error C h^p the changes are C h^p (2^p - 1) and C h^p (4^p - 1).
 
     Attributes
     ----------
-    twice, fourfold : float
-        Change with every second and with every fourth node; NaN if there are too few nodes.
+    every_2nd, every_4th : float
+        Change with every second and with every fourth node; nothing if there are too few nodes.
+    order : float
+        The observed p; nothing if the two changes don't show one.
+    present : float
+        Error of the present grid, with p between 1 and a cubic spline's gradient's 3.
     """
 
-    twice: float
-    fourfold: float
+    every_2nd: float
+    every_4th: float
+    order: float = field(init=False)
+    present: float = field(init=False)
 
-    @property
-    def order(self) -> float:
-        """The observed p; NaN if the two changes don't tell."""
+    def __post_init__(self) -> None:
         with np.errstate(divide="ignore", invalid="ignore"):
-            return float(np.log2(np.divide(self.fourfold, self.twice) - 1.0))
-
-    @property
-    def present(self) -> float:
-        """Error of the present grid, with p between 1 and a cubic spline's gradient's 3."""
-        order = np.clip(np.nan_to_num(self.order, nan=1.0, posinf=3.0, neginf=1.0), 1.0, 3.0)
-        return float(self.twice / (2.0**order - 1.0))
+            order = float(np.log2(np.divide(self.every_4th, self.every_2nd) - 1.0))
+        likely = np.clip(np.nan_to_num(order, nan=1.0, posinf=3.0, neginf=1.0), 1.0, 3.0)
+        object.__setattr__(self, "order", order)
+        object.__setattr__(self, "present", float(self.every_2nd / (2.0**likely - 1.0)))
 
     @property
     def converges(self) -> bool:
         """False where structures are as narrow as the grid, such as kinks and noise."""
-        return not self.fourfold < 3.0 * self.twice
+        return not self.every_4th < 3.0 * self.every_2nd
 
 
 @dataclass(frozen=True)
-class Loss:
+class Loss(Record):
     """What a field loses when it is stored with fewer nodes along some axes.
 
     Attributes
     ----------
     axes : str
         Such as "y", or "xyz" for all together.
-    largest : float
+    largest_refractivity : float
         Change of n - 1 with every second node: largest, in the air beyond the wall layer.
-    rms : Convergence
+    rms_refractivity : Richardson
         Root mean square of the same.
-    pixel : Convergence or None
-        Largest shift of the rays' pixels, px; None without a scene.
+    shift_px : Richardson or None
+        Largest shift of the probe rays' pixels; None without a scene.
     """
 
     axes: str
-    largest: float
-    rms: Convergence
-    pixel: Convergence | None
+    largest_refractivity: float
+    rms_refractivity: Richardson
+    shift_px: Richardson | None
 
 
 def beyond_wall(field: IndexField, solid: Mask | None) -> Mask:
@@ -104,8 +107,8 @@ def beyond_wall(field: IndexField, solid: Mask | None) -> Mask:
     return np.asarray(ndimage.distance_transform_edt(~solid) > WALL_NODES)
 
 
-def narrowest_structures(field: IndexField, solid: Mask | None) -> list[Structure]:
-    """Find the narrowest structure along each axis, in the wall layer and beyond it."""
+def narrowest_structures(field: IndexField, solid: Mask | None) -> tuple[Structure, ...]:
+    """The narrowest structure along each axis, in the wall layer and beyond it."""
     difference = np.abs(field.nodes - field.ambient)
     beyond = beyond_wall(field, solid)
     air = np.ones(field.shape, bool) if solid is None else ~solid
@@ -114,13 +117,13 @@ def narrowest_structures(field: IndexField, solid: Mask | None) -> list[Structur
         for at_wall, peaks in ((False, beyond), (True, air & ~beyond))
         for axis in range(3)
     ]
-    return [structure for structure in found if structure]
+    return tuple(structure for structure in found if structure)
 
 
 def _narrowest(
     field: IndexField, difference: Array, peaks: Mask, axis: int, at_wall: bool
 ) -> Structure | None:
-    """Find the narrowest structure along an axis among those whose peak is in a mask."""
+    """The narrowest structure along an axis among those whose peak is in a mask."""
     allowed = np.where(peaks, difference, -np.inf)
     if not allowed.max() > 0.0:
         return None
@@ -163,29 +166,29 @@ def _to_half(lines: Array, peak: NDArray[np.int64], height: Array) -> Array:
     there, column = ended.argmax(axis=0), np.arange(lines.shape[1])
     inner, outer = lines[there - 1, column], lines[there, column]
     with np.errstate(divide="ignore", invalid="ignore"):
-        way = there - 1 + (inner - 0.5 * height) / (inner - outer) - peak
-    return np.where(ended.any(axis=0) & np.isfinite(outer), way, np.inf)
+        reach = there - 1 + (inner - 0.5 * height) / (inner - outer) - peak
+    return np.where(ended.any(axis=0) & np.isfinite(outer), reach, np.inf)
 
 
 def pixel_loss(
     field: IndexField, solid: Mask | None, pixels: Callable[[IndexField], Array]
-) -> Convergence:
+) -> Richardson:
     """What a field's grid loses along all axes together, in px of some rays.
 
     `solid` are the nodes that come from the air around, if any; `pixels` gives the pixels (N, 2) of
     the rays through a field.
     """
-    steps, kept = _thinning(field)
-    solid = None if solid is None else solid[kept]
-    whole = pixels(_thinned(field, solid, kept, [1, 1, 1]))
+    steps, common = _thinning(field)
+    solid = None if solid is None else solid[common]
+    whole = pixels(_thinned(field, solid, common, [1, 1, 1]))
 
     def shift(k: int) -> float:
         if max(steps[k]) < k:
             return np.nan
-        moved = pixels(_thinned(field, solid, kept, steps[k])) - whole
+        moved = pixels(_thinned(field, solid, common, steps[k])) - whole
         return float(np.fmax.reduce(np.linalg.norm(moved, axis=1), initial=np.nan))
 
-    return Convergence(shift(2), shift(4))
+    return Richardson(shift(2), shift(4))
 
 
 def _thinning(field: IndexField) -> tuple[dict[int, list[int]], tuple[slice, ...]]:
@@ -195,17 +198,17 @@ def _thinning(field: IndexField) -> tuple[dict[int, list[int]], tuple[slice, ...
     """
     steps = {k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (2, 4)}
     widest = np.max(list(steps.values()), axis=0)
-    kept = tuple(slice((n - 1) // k * k + 1) for n, k in zip(field.shape, widest, strict=True))
-    return steps, kept
+    common = tuple(slice((n - 1) // k * k + 1) for n, k in zip(field.shape, widest, strict=True))
+    return steps, common
 
 
 def _thinned(
-    field: IndexField, solid: Mask | None, kept: tuple[slice, ...], step: list[int]
+    field: IndexField, solid: Mask | None, common: tuple[slice, ...], step: list[int]
 ) -> IndexField:
-    """The field of fewer nodes; `solid` are those of the kept ones that are filled again."""
+    """The field of fewer nodes; `solid` are those of the common ones that are filled again."""
     nodes = tuple(slice(None, None, k) for k in step)
     return field.with_nodes(
-        field.nodes[kept][nodes],
+        field.nodes[common][nodes],
         spacing_mm=field.spacing * step,
         solid=None if solid is None else solid[nodes],
     )
@@ -217,8 +220,8 @@ def grid_losses(
     filled: bool,
     pixels: Callable[[IndexField], Array] | None,
     report: Callable[[float], None] = lambda fraction: None,
-) -> list[Loss]:
-    """Store a field with every second and fourth node along each axis and along all; see the loss.
+) -> tuple[Loss, ...]:
+    """What a field loses with every second and fourth node, along each axis and along all.
 
     Parameters
     ----------
@@ -231,13 +234,13 @@ def grid_losses(
     pixels : callable or None
         Gives the pixels (N, 2) of some rays through a field.
     report : callable
-        Is told the fraction done.
+        Called with the fraction done.
     """
-    steps, kept = _thinning(field)
-    solid = None if solid is None else solid[kept]
+    steps, common = _thinning(field)
+    solid = None if solid is None else solid[common]
 
     def every(step: list[int]) -> IndexField:
-        return _thinned(field, solid if filled else None, kept, step)
+        return _thinned(field, solid if filled else None, common, step)
 
     whole = every([1, 1, 1])
     compared = beyond_wall(whole, solid)
@@ -253,7 +256,7 @@ def grid_losses(
         if max(step) < k:
             return np.nan, np.nan, np.nan
         thinned = every(step)
-        delta = np.abs(thinned.refractivity(points) - values)
+        delta = np.abs(thinned.refractivity(whole.to_world(points)) - values)
         shift = np.linalg.norm(pixels_of(thinned) - through_whole, axis=1)
         furthest = np.fmax.reduce(shift)  # NaN only if no ray is found
         return float(delta.max()), float(np.sqrt(np.mean(delta**2))), float(furthest)
@@ -261,7 +264,7 @@ def grid_losses(
     losses = []
     for number, axes in enumerate(("x", "y", "z", "xyz")):
         report(number / 4.0)
-        twice, fourfold = change(axes, 2), change(axes, 4)
-        pixel = Convergence(twice[2], fourfold[2]) if pixels else None
-        losses.append(Loss(axes, twice[0], Convergence(twice[1], fourfold[1]), pixel))
-    return losses
+        second, fourth = change(axes, 2), change(axes, 4)
+        shift_px = Richardson(second[2], fourth[2]) if pixels else None
+        losses.append(Loss(axes, second[0], Richardson(second[1], fourth[1]), shift_px))
+    return tuple(losses)

@@ -1,145 +1,227 @@
-"""What a field file holds, whether it suits a scene, and whether its grid is fine enough."""
+"""What a field file holds, what it does to light, and whether its grid is fine enough."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.checks import FACES, LitLine, border_crossings, lit_line
+from virtual_sensor.imaging.checks import (
+    FACES,
+    JUMP_REFUSED_PX,
+    JUMP_TOLD_PX,
+    LitLine,
+    border_crossings,
+    lit_line,
+)
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, read_field_file
 from virtual_sensor.medium.netcdf_elements import number, open_netcdf, read_times, text, units_of
+from virtual_sensor.metrology.truth import FINE_PX
 from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.trace import trace
+from virtual_sensor.records import Record
 from virtual_sensor.studies.field_grid import Loss, Structure, grid_losses, narrowest_structures
 from virtual_sensor.studies.probes import probe_rays
+from virtual_sensor.studies.provenance import MadeWith, made_with
 
 Array = NDArray[np.float64]
 
 USUAL_SCENE = "hot_cylinder"
 """The scene that a field is tried on if none is named."""
 
+COARSE_PX = 0.1
+"""Error that a grid may cause: what a measurement must resolve; `FINE_PX` is what it can."""
+
+_ANGLE_STEP_MM = 2.0
+_INTERNAL = {"internal": True}
+
+
+class Border(IntEnum):
+    """Whether the jump of n at the field's border matters to light that enters there."""
+
+    SOUND = 0
+    TOLERABLE = 1
+    TOO_CLOSE = 2
+    UNKNOWN = 3
+
+
+class Grid(IntEnum):
+    """Whether the field's grid is fine enough."""
+
+    FINE = 0
+    FAIR = 1
+    TOO_COARSE = 2
+    TOO_FEW_NODES = 3
+    UNKNOWN = 4
+
 
 @dataclass(frozen=True)
-class Contents:
-    """What a field file says of itself.
-
-    Attributes
-    ----------
-    kind : str
-        "temperature", "density" or "refractivity".
-    size_bytes : int
-    attributes : dict
-        The file's own text: title, source, comment, history...
-    times_s : ndarray of shape (nt,) or None
-        Its instants; None without a time axis.
-    ambient_temperature_k : float
-        Of the surrounding air; 293.15 K unless a temperature's file says otherwise.
-    """
-
-    kind: str
-    size_bytes: int
-    attributes: dict[str, str]
-    times_s: Array | None
-    ambient_temperature_k: float
-
-
-@dataclass(frozen=True)
-class Face:
+class Face(Record):
     """A face of the field's box.
 
     Attributes
     ----------
     name : str
-        One of `checks.FACES`.
-    jump : float
+        "x-", "x+", ... "z+".
+    largest_jump : float
         Largest abs(n - n_ambient) on it.
-    crossed_jump : dict
-        The same where the "camera"'s and the "laser"'s light crosses it; empty if none does.
-    shift_px : dict
-        What it does there to the image, px.
+    laser_jump, camera_jump : float
+        The same where the laser's light and the camera's lines of sight cross it; nothing where
+        none does.
+    laser_shift_px, camera_shift_px : float
+        By how much refraction at that jump moves the image.
     """
 
     name: str
-    jump: float
-    crossed_jump: dict[str, float]
-    shift_px: dict[str, float]
+    largest_jump: float
+    laser_jump: float
+    camera_jump: float
+    laser_shift_px: float
+    camera_shift_px: float
 
     @property
-    def largest_px(self) -> float:
-        """Of both kinds of light; 0 if none crosses the face."""
-        return max(self.shift_px.values(), default=0.0)
+    def shift_px(self) -> float:
+        """The larger one; 0 if no light crosses the face."""
+        return float(np.nanmax([0.0, self.laser_shift_px, self.camera_shift_px]))
 
 
 @dataclass(frozen=True)
-class FieldInfo:
-    """All that is told of a field.
+class Light(Record):
+    """What the field does to the light of a scene.
 
     Attributes
     ----------
-    path : Path
-    contents : Contents
-    time_s : float or None
-        The instant looked at; None without a time axis.
-    wavelength_nm : float
-        At which a temperature or density becomes n - 1.
-    field : IndexField
-    solid : ndarray of bool of shape (nx, ny, nz) or None
-        The part, by the file or else by the scene.
-    faces : list of Face
-    structures : list of Structure
-    losses : list of Loss
-    scene : Scene or None
-        In this field; None if the field suits none.
-    line : LitLine or None
-        Where the scene's laser lights its part.
-    probe_y_mm : ndarray of shape (N,)
-        Positions of the scene's probe rays along the line; empty without a scene.
-    effect_px : ndarray of shape (N, 2) or None
-        By how much the field moves their pixels; NaN for those not found.
-    notes : tuple of str
-        What of the file is ignored; what is not in here, and why.
+    scene : Path
+    parameters : dict of str
+        Values of the scene's parameters.
+    laser_angle_mrad, camera_angle_mrad : float
+        Largest angle by which the field turns the laser's light and the camera's lines of sight on
+        their paths to the lit line.
+    largest_shift_px : float
+        Largest shift of what the camera sees of a probe ray, hot minus cold.
+    largest_shift_y_mm : float
+        Position of that probe ray along the line.
+    probe_y_mm : ndarray
+        Positions of the probe rays along the line.
+    shift_px : ndarray of shape (N, 2)
+        Shifts of their pixels (u, v), hot minus cold; nothing where a ray isn't found.
     """
 
-    path: Path
-    contents: Contents
-    time_s: float | None
-    wavelength_nm: float
-    field: IndexField
-    solid: NDArray[np.bool_] | None
-    faces: list[Face]
-    structures: list[Structure]
-    losses: list[Loss]
-    scene: Scene | None
-    line: LitLine | None
+    scene: Path
+    parameters: dict[str, str]
+    laser_angle_mrad: float
+    camera_angle_mrad: float
+    largest_shift_px: float
+    largest_shift_y_mm: float
     probe_y_mm: Array
-    effect_px: Array | None
+    shift_px: Array
+
+
+@dataclass(frozen=True)
+class FieldInfo(Record):
+    """What a field file holds, and what it does to light.
+
+    Attributes
+    ----------
+    file : Path
+    size_mb : float
+    quantity : str
+        "temperature", "density" or "refractivity".
+    attributes : dict of str
+        The file's own texts: title, source, comment, history...
+    times_s : ndarray or None
+        Its instants; None without a time axis.
+    time_s : float or None
+        The instant that the figures are of.
+    nodes : tuple of int
+        Along x, y, z.
+    spacing_mm : ndarray
+        Distance of nodes along x, y, z.
+    mirrored : tuple of bool
+        Whether the field is even about the plane through the first node of x, y, z.
+    box_mm : ndarray of shape (2, 3)
+        Lowest and highest corner, mirror images included.
+    wavelength_nm : float
+        At which a temperature or density becomes n - 1.
+    lowest_refractivity, highest_refractivity, ambient_refractivity : float
+        n - 1 at the nodes in the air, and of the surrounding air.
+    lowest_temperature_c, highest_temperature_c : float
+        That they imply, of an ideal gas at ambient pressure; nothing if they can't be air's.
+    ambient_temperature_c : float
+        20 degC unless a temperature's file says otherwise.
+    light : Light or None
+        None if the field suits no scene, or no probe ray is in the picture.
+    border : Border
+    faces : tuple of Face
+    grid : Grid
+    losses : tuple of Loss
+        What fewer nodes lose, along x, y, z and all together.
+    structures : tuple of Structure
+        The narrowest ones.
+    made_with : MadeWith
+    notes : tuple of str
+        What of the file is ignored; what is left out here, and why.
+    """
+
+    file: Path
+    size_mb: float
+    quantity: str
+    attributes: dict[str, str]
+    times_s: Array | None
+    time_s: float | None
+    nodes: tuple[int, ...]
+    spacing_mm: Array
+    mirrored: tuple[bool, ...]
+    box_mm: Array
+    wavelength_nm: float
+    lowest_refractivity: float
+    highest_refractivity: float
+    ambient_refractivity: float
+    lowest_temperature_c: float
+    highest_temperature_c: float
+    ambient_temperature_c: float
+    light: Light | None
+    border: Border
+    faces: tuple[Face, ...]
+    grid: Grid
+    losses: tuple[Loss, ...]
+    structures: tuple[Structure, ...]
+    made_with: MadeWith
     notes: tuple[str, ...]
+    # For pictures: the field, its solid nodes (nx, ny, nz), the scene in it and where it is lit.
+    field: IndexField = dataclasses.field(metadata=_INTERNAL, repr=False)
+    solid: NDArray[np.bool_] | None = dataclasses.field(metadata=_INTERNAL, repr=False)
+    scene: Scene | None = dataclasses.field(metadata=_INTERNAL, repr=False)
+    line: LitLine | None = dataclasses.field(metadata=_INTERNAL, repr=False)
 
     @property
-    def refractivity_range(self) -> tuple[float, float]:
-        """Lowest and highest n - 1 at the nodes in the air."""
-        nodes = self.field.nodes if self.solid is None else self.field.nodes[~self.solid]
-        return float(nodes.min()), float(nodes.max())
-
-    @property
-    def temperature_range_c(self) -> tuple[float, float] | None:
-        """Lowest and highest temperature that they imply, degC; None if they can't be air's."""
-        low, high = self.refractivity_range
-        if low <= 0.0 or self.field.ambient <= 0.0:
-            return None
-        coldest, hottest = self.temperature_c(np.array([high, low]))
-        return float(coldest), float(hottest)
+    def rough_axes(self) -> list[str]:
+        """Axes along which structures are as narrow as the grid, as far as that is seen."""
+        return [
+            loss.axes
+            for loss in self.losses[:-1]
+            if loss.shift_px and not loss.shift_px.converges and loss.shift_px.every_2nd > FINE_PX
+        ]
 
     def temperature_c(self, refractivity: Array) -> Array:
         """Temperature in degC of an ideal gas at ambient pressure with these n - 1."""
-        ratio = self.field.ambient / refractivity
-        return np.asarray(ratio * self.contents.ambient_temperature_k - 273.15)
+        return implied_temperature_c(
+            refractivity, self.ambient_refractivity, self.ambient_temperature_c
+        )
+
+
+def implied_temperature_c(refractivity: Array, ambient: float, ambient_c: float) -> Array:
+    """Temperature in degC of an ideal gas at ambient pressure with these n - 1."""
+    return np.asarray(ambient / refractivity * (ambient_c + 273.15) - 273.15)
 
 
 def field_info(
@@ -152,7 +234,7 @@ def field_info(
     camera: str | None = None,
     source: str | None = None,
 ) -> FieldInfo:
-    """Look at a field, by itself and as a scene's light sees it.
+    """Examine a field, by itself and with the light of a scene.
 
     Parameters
     ----------
@@ -165,7 +247,7 @@ def field_info(
     time_s : float, optional
         The instant, in s of flow time; the last by default.
     report : callable
-        Is told what is being done, and which fraction of the whole is.
+        Called with what is being done and the fraction done.
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
     camera, source : str, optional
@@ -179,17 +261,18 @@ def field_info(
     report("reading the field", 0.0)
     loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {})).only(camera, source)
     wavelength_nm = loaded.air.wavelength_nm
-    field = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
+    air = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
     if loaded.air.pose:
-        field = field.moved(loaded.air.pose)
+        air = air.moved(loaded.air.pose)
     contents = _contents(path)
-    if time_s is None and contents.times_s is not None:
-        time_s = float(contents.times_s[-1])
+    times_s = contents["times_s"]
+    if time_s is None and times_s is not None:
+        time_s = float(times_s[-1])
 
-    report("following the light", 0.1)
-    in_it = loaded.with_medium(field)
-    line, probes, effect, pixels, notes = None, np.zeros(0), None, None, [*field.notes]
-    if field.pose:
+    report("tracing light", 0.1)
+    in_it = loaded.with_medium(air)
+    line, pixels, light, notes = None, None, None, [*air.notes]
+    if air.pose:
         notes.append("the scene moves the field (to_world): boxes and cuts are of its own frame")
     try:
         line = lit_line(in_it)
@@ -198,41 +281,59 @@ def field_info(
             raise InputError(f"{path}: does not suit the scene: {error}") from None
         notes.append(f"left out: what it does to light; it does not suit a scene ({error})")
     if line:
-        probes = probe_rays(in_it, y_mm)
-        pixels = partial(searched_pixels, in_it, probes)
-        effect = pixels(field) - pixels(None)
-        if np.isnan(effect).all():
-            effect, pixels = None, None
-            notes.append("left out: the effect in px; none of the probe rays is in the picture")
+        probe_y_mm = probe_rays(in_it, y_mm)
+        pixels = partial(searched_pixels, in_it, probe_y_mm)
+        shift = pixels(air) - pixels(None)
+        if np.isnan(shift).all():
+            pixels = None
+            notes.append("left out: the shift in px; none of the probe rays is in the picture")
+        else:
+            light = _light(in_it, air, line, probe_y_mm, shift)
 
     solid = read_field_file(path, wavelength_nm, time_s=time_s).solid
     refilled = solid is not None
     if line and not refilled:
-        solid = inside_part(in_it, _node_places(field)).reshape(field.shape)
+        solid = inside_part(in_it, _node_places(air)).reshape(air.shape)
     if solid is None:
-        notes.append("left out: what is at the wall; neither the file nor a scene tells the solid")
-
-    def thinning(fraction: float) -> None:
-        report("thinning out the grid", 0.2 + 0.6 * fraction)
-
-    losses = grid_losses(field, solid, refilled, pixels, thinning)
-    structures = narrowest_structures(field, solid)
-    faces = _faces(field, in_it, line)
+        notes.append("left out: what is at the wall; neither the file nor a scene has the solid")
+    losses = grid_losses(
+        *(air, solid, refilled, pixels),
+        lambda fraction: report("comparing coarser grids", 0.2 + 0.6 * fraction),
+    )
+    faces = _faces(air, in_it, line)
+    nodes = air.nodes if solid is None else air.nodes[~solid]
+    low, high = float(nodes.min()), float(nodes.max())
+    coldest = hottest = np.nan
+    if low > 0.0 and air.ambient > 0.0:
+        ambient_c = contents["ambient_temperature_c"]
+        coldest, hottest = implied_temperature_c(np.array([high, low]), air.ambient, ambient_c)
     return FieldInfo(
-        path,
-        contents,
-        time_s,
-        wavelength_nm,
-        field,
-        solid,
-        faces,
-        structures,
-        losses,
-        in_it if line else None,
-        line,
-        probes,
-        effect,
-        tuple(notes),
+        file=path,
+        size_mb=path.stat().st_size / 1e6,
+        **contents,
+        time_s=time_s,
+        nodes=air.shape,
+        spacing_mm=air.spacing,
+        mirrored=air.mirror,
+        box_mm=air.box,
+        wavelength_nm=wavelength_nm,
+        lowest_refractivity=low,
+        highest_refractivity=high,
+        ambient_refractivity=air.ambient,
+        lowest_temperature_c=float(coldest),
+        highest_temperature_c=float(hottest),
+        light=light,
+        border=_border(faces) if line else Border.UNKNOWN,
+        faces=faces,
+        grid=_grid(losses[-1]),
+        losses=losses,
+        structures=narrowest_structures(air, solid),
+        made_with=made_with(in_it),
+        notes=tuple(notes),
+        field=air,
+        solid=solid,
+        scene=in_it if line else None,
+        line=line,
     )
 
 
@@ -246,38 +347,90 @@ def inside_part(scene: Scene, points_mm: Array) -> NDArray[np.bool_]:
     return by_rows(inside, points_mm, up)
 
 
-def _node_places(field: IndexField) -> Array:
+def _node_places(air: IndexField) -> Array:
     """World positions of all nodes, (nx * ny * nz, 3)."""
-    nodes = np.indices(field.shape).reshape(3, -1).T
-    return field.to_world(field.origin + nodes * field.spacing)
+    nodes = np.indices(air.shape).reshape(3, -1).T
+    return air.to_world(air.origin + nodes * air.spacing)
 
 
-def searched_pixels(scene: Scene, y_mm: Array, field: IndexField | None) -> Array:
+def searched_pixels(scene: Scene, y_mm: Array, air: IndexField | None) -> Array:
     """Pixels (N, 2) that see laser rays at y_mm (N,) through a field."""
-    return ray_search(scene.with_medium(field), y_mm, "newton").pixel
+    return ray_search(scene.with_medium(air), y_mm, "newton").pixel
 
 
-def _contents(path: Path) -> Contents:
-    """Read what a file says of itself; it is known to be a field's."""
+def _contents(path: Path) -> dict[str, Any]:
+    """Fields of `FieldInfo` that stand in a file; it is known to be a field's."""
     nc = open_netcdf(path)
-    kind = next(name for name in UNITS if name in nc.variables)
+    quantity = next(name for name in UNITS if name in nc.variables)
     ambient = AMBIENT_TEMPERATURE_K
-    if kind == "temperature":
-        offset, variable = units_of(nc, kind, UNITS[kind]), nc.variables[kind]
+    if quantity == "temperature":
+        offset, variable = units_of(nc, quantity, UNITS[quantity]), nc.variables[quantity]
         owner = variable if "ambient_temperature" in variable._attributes else nc
         ambient = number(owner, "ambient_temperature", ambient - offset) + offset
-    said = {name: text(nc, name) for name, v in nc._attributes.items() if isinstance(v, bytes)}
-    return Contents(kind, path.stat().st_size, said, read_times(nc, kind), ambient)
+    texts = {name: text(nc, name) for name, v in nc._attributes.items() if isinstance(v, bytes)}
+    return {
+        "quantity": quantity,
+        "attributes": texts,
+        "times_s": read_times(nc, quantity),
+        "ambient_temperature_c": ambient - 273.15,
+    }
 
 
-def _faces(field: IndexField, scene: Scene, line: LitLine | None) -> list[Face]:
-    """Find the jump at each face of the border, and its effect where light crosses it."""
-    crossings = border_crossings(field, scene.sensor, line) if line else {}
+def _light(
+    scene: Scene, air: IndexField, line: LitLine, probe_y_mm: Array, shift_px: Array
+) -> Light:
+    """What a field does to the light of a scene; some of the shifts (N, 2) are known."""
+    size = np.linalg.norm(shift_px, axis=1)
+    furthest = int(np.nanargmax(size))
+    angles = {}
+    for of, family in (("laser", scene.sensor.laser.family), ("camera", scene.sensor.camera)):
+        starts = family.origins(line.points_mm)
+        paths = line.points_mm - starts
+        length = np.linalg.norm(paths, axis=1)
+        bent = trace(air, starts, paths, length, _ANGLE_STEP_MM, "leapfrog")
+        turned = np.linalg.norm(bent.direction - paths / length[:, None], axis=1)
+        angles[of] = float(2e3 * np.arcsin(0.5 * turned.max()))
+    return Light(
+        scene=scene.path,
+        parameters=dict(scene.parameters),
+        laser_angle_mrad=angles["laser"],
+        camera_angle_mrad=angles["camera"],
+        largest_shift_px=float(size[furthest]),
+        largest_shift_y_mm=float(probe_y_mm[furthest]),
+        probe_y_mm=probe_y_mm,
+        shift_px=shift_px,
+    )
+
+
+def _faces(air: IndexField, scene: Scene, line: LitLine | None) -> tuple[Face, ...]:
+    """The jump at each face of the border, and its effect where light crosses it."""
+    crossings = border_crossings(air, scene.sensor, line) if line else {}
     faces = []
-    for index, (name, jump) in enumerate(zip(FACES, field.border_jump(), strict=True)):
-        here = {who: crossing.face == index for who, crossing in crossings.items()}
-        met = {who: mask for who, mask in here.items() if mask.any()}
-        jumps = {who: float(crossings[who].jump[mask].max()) for who, mask in met.items()}
-        shifts = {who: float(crossings[who].shift_px[mask].max()) for who, mask in met.items()}
-        faces.append(Face(name, float(jump), jumps, shifts))
-    return faces
+    for index, (name, jump) in enumerate(zip(FACES, air.border_jump(), strict=True)):
+        figures = {"laser": (np.nan, np.nan), "camera": (np.nan, np.nan)}
+        for of, crossing in crossings.items():
+            here = crossing.face == index
+            if here.any():
+                figures[of] = float(crossing.jump[here].max()), float(crossing.shift_px[here].max())
+        laser, camera = figures["laser"], figures["camera"]
+        faces.append(Face(name, float(jump), laser[0], camera[0], laser[1], camera[1]))
+    return tuple(faces)
+
+
+def _border(faces: tuple[Face, ...]) -> Border:
+    """By the limits at which a measurement has a note, and is refused."""
+    shift_px = max(face.shift_px for face in faces)
+    if shift_px <= JUMP_TOLD_PX:
+        return Border.SOUND
+    return Border.TOLERABLE if shift_px <= JUMP_REFUSED_PX else Border.TOO_CLOSE
+
+
+def _grid(together: Loss) -> Grid:
+    """By what the grid loses along all axes together."""
+    if together.shift_px is None:
+        return Grid.UNKNOWN
+    if np.isnan(together.shift_px.every_2nd):
+        return Grid.TOO_FEW_NODES
+    if together.shift_px.present <= FINE_PX:
+        return Grid.FINE
+    return Grid.FAIR if together.shift_px.present <= COARSE_PX else Grid.TOO_COARSE

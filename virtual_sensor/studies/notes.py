@@ -55,7 +55,7 @@ def coarse_grid(scene: Scene) -> list[str]:
         field, solid, lambda other: ray_search(scene.with_medium(other), y, "newton").pixel
     )
     name = file.name if file else "the field"
-    if np.isnan(loss.twice):
+    if np.isnan(loss.every_2nd):
         return [f"{name}: its grid has too few nodes to tell what is lost between them"]
     if loss.present <= FINE_PX:
         return []

@@ -1,0 +1,527 @@
+"""What a field file holds and does to light: console, picture and page."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import PowerNorm
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import printable
+from virtual_sensor.files import written_whole
+from virtual_sensor.imaging.checks import JUMP_REFUSED_PX, JUMP_TOLD_PX
+from virtual_sensor.metrology.truth import FINE_PX
+from virtual_sensor.records import write_json
+from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
+from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
+from virtual_sensor.reporting.style import SKY, VERMILION, colour
+from virtual_sensor.reporting.style import plain as plain_text
+from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.words import counted, in_words, listed
+from virtual_sensor.studies.field_info import COARSE_PX, Border, FieldInfo, Grid, inside_part
+
+Array = NDArray[np.float64]
+
+COMMAND = "field info"
+FILES = (
+    FileOf("*.png", "Cuts through the field, and what it does to light (-o)."),
+    FileOf("*.html", "Page with the same, the tables and the file's own texts (-o)."),
+    FileOf("*.json", "Every figure (--json).", FieldInfo),
+)
+
+_LEAST_PX = 1e-4  # as far as a march is good for
+_LONG_TEXT = 300
+_CUT_PX = 400  # along the longest side
+_GAMMA = 0.5  # of the colours, so that a plume is seen beside a far hotter wall
+_MARGIN = 0.06  # round the field, of its longest side
+_LIGHT_RAYS = 5  # drawn of the laser and of the camera
+_BORDER = "0.6"
+
+
+def page_beside(picture: Path) -> Path:
+    """The page that belongs to a picture's file."""
+    return picture.with_suffix(".html")
+
+
+def save(
+    info: FieldInfo, command: str, picture: Path | None = None, figures: Path | None = None
+) -> None:
+    """Write the picture with its page beside it, and the figures as JSON; each whole or not at all.
+
+    Raises
+    ------
+    InputError
+        If a file can't be written.
+    """
+    if picture:
+        drawn = draw(info)
+        html = page_html(page(info, drawn, command))
+        with ExitStack() as both:
+            image, text = (
+                both.enter_context(written_whole(path)) for path in (picture, page_beside(picture))
+            )
+            image.write_bytes(drawn.png)
+            text.write_text(html, encoding="utf-8", errors="backslashreplace")
+    if figures:
+        write_json(figures, info)
+
+
+# Words
+
+
+def lead(info: FieldInfo) -> str:
+    """What a reader wants to know first: what it does to light, and whether it can be trusted."""
+    said = _air(info)
+    if light := info.light:
+        angle = max(light.laser_angle_mrad, light.camera_angle_mrad)
+        said += (
+            f" turns the light of {light.scene.stem} by up to {angle:.2g} mrad, which shifts what"
+            f" the camera sees by up to {_pixels(light.largest_shift_px)} px"
+        )
+    border = f"The border is {info.border.name.lower().replace('_', ' ')}"
+    grid = {
+        Grid.FINE: f"the grid is fine enough for {FINE_PX:g} px",
+        Grid.FAIR: f"the grid is fine enough for {COARSE_PX:g} px, not for {FINE_PX:g} px",
+        Grid.TOO_COARSE: f"the grid is not fine enough for {COARSE_PX:g} px",
+        Grid.TOO_FEW_NODES: "the grid has too few nodes to be judged",
+        Grid.UNKNOWN: "whether the grid is fine enough is unknown without a scene's light",
+    }[info.grid]
+    verdict = grid[0].upper() + grid[1:] if info.border == Border.UNKNOWN else f"{border}; {grid}"
+    return f"{said}. {verdict}."
+
+
+def _air(info: FieldInfo) -> str:
+    if np.isnan(info.lowest_temperature_c):
+        return f"n - 1 of {info.lowest_refractivity:.3g} to {info.highest_refractivity:.3g}"
+    low, high = (f"{t:.0f}" for t in (info.lowest_temperature_c, info.highest_temperature_c))
+    return f"Air of {low} °C" if low == high else f"Air of {low} to {high} °C"
+
+
+def border_words(info: FieldInfo) -> str:
+    """Whether the field fades out early enough, in a sentence; "" if no light shows it."""
+    if info.border == Border.UNKNOWN:
+        return ""
+    worst = max(info.faces, key=lambda face: face.shift_px)
+    shift = f"The jump of n at {worst.name} moves the image by {_pixels(worst.shift_px)} px"
+    if info.border == Border.SOUND:
+        return (
+            "Border: sound. The jump of n where light enters moves the image by"
+            f" {_pixels(worst.shift_px)} px at most; from {JUMP_TOLD_PX:g} px on it would matter."
+        )
+    if info.border == Border.TOLERABLE:
+        return f"Border: tolerable. {shift}; every measurement in this field has a note of it."
+    return (
+        f"Border: too close. {shift}; above {JUMP_REFUSED_PX:g} px no measurement is made. Give a"
+        " field that reaches further out."
+    )
+
+
+def grid_words(info: FieldInfo) -> str:
+    """Whether the grid is fine enough, in a sentence or two."""
+    if info.grid == Grid.UNKNOWN:
+        return "Grid: unknown in px, as no scene's light passes through the field."
+    if info.grid == Grid.TOO_FEW_NODES:
+        return "Grid: unknown, as there are too few nodes along each axis to compare with fewer."
+    together = info.losses[-1].shift_px
+    assert together  # of a grid that is judged
+    error = f"interpolation between its nodes errs by {_pixels(together.present)} px"
+    words = {
+        Grid.FINE: f"Grid: fine enough for {FINE_PX:g} px; {error}.",
+        Grid.FAIR: f"Grid: fine enough for {COARSE_PX:g} px but not for {FINE_PX:g} px; {error}.",
+        Grid.TOO_COARSE: f"Grid: not fine enough for {COARSE_PX:g} px; {error}.",
+    }[info.grid]
+    if info.rough_axes:
+        words += (
+            f" Along {listed(info.rough_axes)} the error does not fall as the grid gets finer: the"
+            " field has structures as narrow as the grid, such as the kinks that linear"
+            " interpolation from a coarser mesh leaves, so this is an order of magnitude only."
+        )
+    return words
+
+
+def _pixels(shift: float) -> str:
+    """Two digits of a shift in px, as far as a march is good for."""
+    if np.isnan(shift):
+        return ""
+    return f"{shift:.2g}" if shift >= _LEAST_PX else f"< {_LEAST_PX:g}"
+
+
+# Tables
+
+
+def facts(info: FieldInfo) -> TextTable:
+    """What the file holds, under a short name each."""
+    planes = [
+        f"{axis} = {start:g}"
+        for axis, start, even in zip("xyz", info.field.origin, info.mirrored, strict=True)
+        if even
+    ]
+    box = zip("xyz", *info.box_mm, strict=True)
+    extent = ", ".join(f"{axis} {low:g} to {high:g}" for axis, low, high in box) + " mm"
+    times = "one instant, no time axis"
+    if info.times_s is not None:
+        first, last = info.times_s[0], info.times_s[-1]
+        times = f"{counted(len(info.times_s), 'instant')} from {first:g} to {last:g} s"
+        times += f"; all figures are of {info.time_s:g} s"
+    rows = [
+        ("file", f"{info.file}, {info.size_mb:.2f} MB, holds {info.quantity}"),
+        ("times", times),
+        (
+            "grid",
+            f"{' x '.join(map(str, info.nodes))} nodes (x, y, z),"
+            f" {' x '.join(f'{s:g}' for s in info.spacing_mm)} mm apart",
+        ),
+        ("extent", extent + (f", mirrored at {listed(planes)} mm" if planes else "")),
+        (
+            "n - 1",
+            f"{info.lowest_refractivity:.4g} to {info.highest_refractivity:.4g} in the air, ambient"
+            f" {info.ambient_refractivity:.4g}, at {info.wavelength_nm:g} nm",
+        ),
+    ]
+    if not np.isnan(info.lowest_temperature_c):
+        rows.append(
+            (
+                "temperature",
+                f"{info.lowest_temperature_c:.0f} to {info.highest_temperature_c:.0f} °C (of an"
+                f" ideal gas at ambient pressure), ambient {info.ambient_temperature_c:g} °C",
+            )
+        )
+    if light := info.light:
+        rows += [
+            (
+                "shift",
+                f"up to {_pixels(light.largest_shift_px)} px, hot minus cold, of what the camera of"
+                f" {light.scene.stem} sees of the probe rays; at y = {light.largest_shift_y_mm:g}"
+                " mm",
+            ),
+            (
+                "angle",
+                f"the laser's light is turned by up to {light.laser_angle_mrad:.2g} mrad, the"
+                f" camera's lines of sight by up to {light.camera_angle_mrad:.2g} mrad",
+            ),
+        ]
+    return TextTable(("field", ""), tuple((name, printable(words)) for name, words in rows))
+
+
+def attributes(info: FieldInfo) -> TextTable:
+    """The file's own texts; long ones are cut."""
+    rows = tuple(
+        (printable(name), printable(_cut(words))) for name, words in info.attributes.items()
+    )
+    return TextTable(("attribute", "text in the file"), rows)
+
+
+def _cut(words: str) -> str:
+    words = " ".join(words.split())
+    return words if len(words) <= _LONG_TEXT else f"{words[:_LONG_TEXT]} ... ({len(words)} letters)"
+
+
+def border_table(info: FieldInfo) -> TextTable:
+    """Jump of n at each face of the border, and by how much light that crosses it moves."""
+    rows = []
+    for face in info.faces:
+        crossing = {
+            "laser": (face.laser_jump, face.laser_shift_px),
+            "camera": (face.camera_jump, face.camera_shift_px),
+        }
+        met = {of: figures for of, figures in crossing.items() if not np.isnan(figures[0])}
+        jumps = ", ".join(f"{jump:.1e}" for jump, _ in met.values())
+        shifts = ", ".join(f"{of} {_pixels(shift)} px" for of, (_, shift) in met.items())
+        rows.append((face.name, f"{face.largest_jump:.1e}", jumps, shifts))
+    head = ("face", "largest jump of n", "where light enters", "moves the image by")
+    return TextTable(head, tuple(rows), "Jump of n at the field's border")
+
+
+def structure_table(info: FieldInfo) -> TextTable:
+    """The narrowest structures, in mm and nodes."""
+    rows = [
+        structure.to_dict()
+        | {
+            "where": "at the wall" if structure.at_wall else "in free air",
+            "peak": "({:g}, {:g}, {:g})".format(*structure.peak_mm),
+        }
+        for structure in info.structures
+    ]
+    columns = (
+        Column("axis", "along"),
+        Column("where"),
+        Column("half_width_mm", "half width, mm", "{:.2f}"),
+        Column("half_width_nodes", "in nodes", "{:.1f}"),
+        Column("peak", "peak at, mm"),
+    )
+    return text_table(rows, columns, "Narrowest structures")
+
+
+def grid_table(info: FieldInfo) -> TextTable:
+    """What fewer nodes would change, and by how much the present grid errs."""
+    in_px = info.light is not None
+    rows = []
+    for loss in info.losses:
+        found = loss.shift_px if in_px else loss.rms_refractivity
+        assert found  # with light, there is a shift
+        shape = _pixels if in_px else lambda value: in_words(value, "{:.1e}", "")
+        names = ("every_2nd", "every_4th", "present")
+        rows.append(
+            {"axes": loss.axes, "order": found.order}
+            | {name: shape(getattr(found, name)) for name in names}
+        )
+    columns = (
+        Column("axes", "nodes along"),
+        Column("every_2nd", "every 2nd"),
+        Column("every_4th", "every 4th"),
+        Column("order", "order", "{:.1f}"),
+        Column("present", "all (extrapolated)"),
+    )
+    of = "of the probe rays, px" if in_px else "of n - 1, rms in free air"
+    return text_table(rows, columns, f"Error {of}, by the nodes that are used")
+
+
+def tables(info: FieldInfo) -> list[TextTable]:
+    """All of them, for the console; those that would be empty are left out."""
+    found = (facts, attributes, border_table, structure_table, grid_table)
+    return [table for table in (make(info) for make in found) if table.rows]
+
+
+def verdicts(info: FieldInfo) -> list[str]:
+    """Whether the border and the grid are sound, in a sentence or two each."""
+    return [words for words in (border_words(info), grid_words(info)) if words]
+
+
+# Page
+
+
+def page(info: FieldInfo, picture: Picture, command: str) -> Page:
+    """The page: what the field does to light, the cuts, the grid, and what the file says."""
+    light: list[Content] = [border_words(info)] if info.line else []
+    if info.light:
+        given = info.light.parameters
+        rays = text_table(
+            [
+                {"y_mm": y, "shift_u_px": u, "shift_v_px": v}
+                for y, (u, v) in zip(info.light.probe_y_mm, info.light.shift_px, strict=True)
+            ],
+            (Column("y_mm"), Column("shift_u_px", "along u, px"), Column("shift_v_px", "v, px")),
+            "Shift of the probe rays' pixels, hot minus cold",
+        )
+        settings = TextTable(("parameter", "value"), tuple(given.items()))
+        light = [
+            replace(picture, panels=picture.panels[3:]),
+            *light,
+            Details("Probe rays", (rays,)),
+            Details(f"Parameters of {info.light.scene}", (settings,)),
+        ]
+    long = [
+        Details(name, (words,)) for name, words in info.attributes.items() if _cut(words) != words
+    ]
+    sections = [
+        Section("What it does to light", *light, border_table(info)),
+        Section("The air", replace(picture, panels=picture.panels[:3])),
+        Section(
+            "Is the grid fine enough?",
+            grid_words(info),
+            grid_table(info),
+            *([structure_table(info)] if info.structures else []),
+            "The error of the simulation's own mesh is not among these figures: a finer simulation"
+            " shows it (virtual-sensor field convergence).",
+        ),
+        Section("The file", facts(info), *([attributes(info)] if info.attributes else []), *long),
+    ]
+    return Page(
+        title=f"Field {info.file.name}",
+        lead=lead(info),
+        sections=tuple(sections),
+        command=command,
+        made_with=info.made_with.to_dict(),
+        notes=info.notes,
+    )
+
+
+# Picture
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A plane of the field.
+
+    Attributes
+    ----------
+    across, up, normal : int
+        Axes of the field that run along the picture's edges and out of it.
+    place_mm : float
+        Along the normal.
+    side_mm, rise_mm : ndarray of shape (W,) and (H,)
+    refractivity : ndarray of shape (H, W)
+        n - 1.
+    solid : ndarray of bool of shape (H, W)
+    """
+
+    across: int
+    up: int
+    place_mm: float
+    side_mm: Array
+    rise_mm: Array
+    refractivity: Array
+    solid: NDArray[np.bool_]
+
+    @property
+    def normal(self) -> int:
+        """The axis that the plane is square to."""
+        return 3 - self.across - self.up
+
+
+def draw(info: FieldInfo) -> Picture:
+    """Cuts x = 0, y = 0 (or through the middle) and a level one; the shift of the probe rays."""
+    low, high = info.box_mm
+    middle = np.where((low < 0.0) & (high > 0.0), 0.0, 0.5 * (low + high))
+    cuts = [
+        make_cut(info, 1, 2, middle[0]),
+        make_cut(info, 0, 2, middle[1]),
+        make_cut(info, 0, 1, level_mm(info)),
+    ]
+    celsius = info.quantity != "refractivity" and not np.isnan(info.lowest_temperature_c)
+    of = "temperature" if celsius else "n - 1"
+    panels = []
+    for cut in cuts:
+        name = "xyz"[cut.normal]
+        place = f"{name} = {cut.place_mm:.3g} mm"
+        panels.append(
+            Panel(
+                f"{of[0].upper() if celsius else of[0]}{of[1:]} at {place}",
+                partial(_draw_cut, info=info, cut=cut, celsius=celsius),
+                f"Cut through the field at {place}, coloured by {of}: {_air(info)}"
+                + (", with the laser's light and the camera's lines of sight." * bool(info.line)),
+                height=2 if cut.normal != 2 else 1,
+            )
+        )
+    if light := info.light:
+        panels.append(
+            Panel(
+                "Shift of the image by the air",
+                partial(_draw_shift, info=info),
+                "Shift of the probe rays' pixels over their place along the line, up to"
+                f" {_pixels(light.largest_shift_px)} px.",
+            )
+        )
+    instant = "" if info.time_s is None else f", flow time {info.time_s:g} s"
+    return draw_picture(f"{plain_text(info.file.name)}{instant}: {lead(info)}", panels, columns=3)
+
+
+def level_mm(info: FieldInfo) -> float:
+    """Height of the level cut: a quarter of the height from the part's top to the field's."""
+    floor, top = info.box_mm[:, 2]
+    if info.solid is not None and info.solid.any():
+        highest = np.flatnonzero(info.solid.any(axis=(0, 1)))[-1]
+        floor = info.field.origin[2] + highest * info.field.spacing[2]
+    return float(floor + 0.25 * (top - floor))
+
+
+def make_cut(info: FieldInfo, across: int, up: int, place_mm: float) -> Cut:
+    """Evaluate a field in a plane across its whole box, mirror images included."""
+    low, high = info.box_mm
+    step = (high - low).max() / _CUT_PX
+    side, rise = (
+        np.linspace(low[i], high[i], int((high[i] - low[i]) / step) + 2) for i in (across, up)
+    )
+    points = np.full((len(rise), len(side), 3), place_mm)
+    points[..., across], points[..., up] = side, rise[:, None]
+    flat = points.reshape(-1, 3)
+    n, solid = info.field.refractivity(info.field.to_world(flat)), _solid(info, flat)
+    shape = points.shape[:2]
+    return Cut(across, up, place_mm, side, rise, n.reshape(shape), solid.reshape(shape))
+
+
+def _solid(info: FieldInfo, points_mm: Array) -> NDArray[np.bool_]:
+    """Which points of the field's frame are solid: by the scene's part, else the nearest node."""
+    field = info.field
+    if info.scene:
+        return inside_part(info.scene, field.to_world(points_mm))
+    if info.solid is None:
+        return np.zeros(len(points_mm), bool)
+    offset = points_mm - field.origin
+    node = np.rint(np.where(field.mirror, np.abs(offset), offset) / field.spacing).astype(int)
+    return np.asarray(info.solid[tuple(np.clip(node, 0, np.array(field.shape) - 1).T)])
+
+
+def _draw_cut(axes: Axes, info: FieldInfo, cut: Cut, celsius: bool) -> None:
+    """A cut in colours, with the solid, the field's border, and straight light."""
+    low, high = info.box_mm
+
+    def shown(refractivity: Array) -> Array:
+        return info.temperature_c(refractivity) if celsius else 1e5 * refractivity
+
+    ends = shown(np.array([info.lowest_refractivity, info.highest_refractivity]))
+    norm = PowerNorm(_GAMMA if celsius else 1.0, *sorted(map(float, ends)))
+    drawn = axes.pcolormesh(
+        cut.side_mm,
+        cut.rise_mm,
+        shown(cut.refractivity),
+        cmap="inferno" if celsius else "inferno_r",  # warm air is bright
+        norm=norm,
+        shading="nearest",
+        rasterized=True,
+    )
+    ticks = norm.inverse(np.linspace(0.0, 1.0, 5))
+    flat = cut.normal == 2
+    bar = axes.figure.colorbar(
+        drawn, ax=axes, ticks=ticks, location="bottom" if flat else "right", shrink=0.8
+    )
+    bar.set_ticklabels([f"{tick:.0f}" if celsius else f"{tick:.4g}" for tick in ticks])
+    bar.set_label("°C" if celsius else "$10^5\\,(n-1)$")
+    keys: list[Any] = [Line2D([], [], color=_BORDER, ls="--", lw=1.5, label="border")]
+    if cut.solid.any():
+        where = cut.side_mm, cut.rise_mm, cut.solid
+        axes.contourf(*where, levels=[0.5, 1.5], colors=["0.75"], hatches=["////"])
+        axes.contour(*where, levels=[0.5], colors="k", linewidths=1.0)
+        keys.append(Patch(fc="0.75", ec="k", hatch="////", label="solid"))
+    edges = [cut.across, cut.up]
+    box = (float(low[cut.across]), float(low[cut.up])), *map(float, (high - low)[edges])
+    axes.add_patch(Rectangle(*box, fill=False, ls="--", ec=_BORDER, lw=1.5))
+    keys += _draw_light(axes, info, cut)
+    margin = _MARGIN * (high - low).max()
+    axes.set_xlim(low[cut.across] - margin, high[cut.across] + margin)
+    axes.set_ylim(low[cut.up] - margin, high[cut.up] + margin)
+    axes.set_aspect("equal")
+    axes.grid(visible=False)
+    axes.set(xlabel=f"{'xyz'[cut.across]} in mm", ylabel=f"{'xyz'[cut.up]} in mm")
+    axes.figure.legend(handles=keys, loc="outside lower center", ncols=4)
+
+
+def _draw_light(axes: Axes, info: FieldInfo, cut: Cut) -> list[Any]:
+    """Straight light to the lit line, as seen along the cut's normal; gives its key."""
+    if not (info.scene and info.line):
+        return []
+    sensor, line = info.scene.sensor, info.line
+    chosen = np.unique(np.linspace(0, len(line.y_mm) - 1, _LIGHT_RAYS).astype(int))
+    ends = line.points_mm[chosen]
+    for of, family in (("laser", sensor.laser.family), ("camera", sensor.camera)):
+        paths = np.stack([info.field.to_local(place) for place in (family.origins(ends), ends)])
+        for shade, width in (("white", 2.4), (colour(of), 1.3)):  # seen on bright and dark
+            axes.plot(paths[..., cut.across], paths[..., cut.up], color=shade, lw=width)
+        if cut.normal == 2:
+            along = paths[1] - paths[0]
+            share = (cut.place_mm - paths[0, :, 2]) / along[:, 2]
+            through = paths[0] + share[:, None] * along
+            axes.plot(through[:, 0], through[:, 1], "o", ms=5, mec="white", color=colour(of))
+    mark = {"marker": "o", "ms": 5} if cut.normal == 2 else {}  # where it passes this level
+    words = {"laser": "laser, straight", "camera": "camera, straight"}
+    return [Line2D([], [], color=colour(of), label=text, **mark) for of, text in words.items()]
+
+
+def _draw_shift(axes: Axes, info: FieldInfo) -> None:
+    """Shift of the probe rays' pixels over their place along the line."""
+    assert info.light
+    y, shift = info.light.probe_y_mm, info.light.shift_px
+    axes.axhline(0.0, color="0.4", lw=0.8)
+    for i, (name, shade, marker) in enumerate((("u", SKY, "s"), ("v", VERMILION, "o"))):
+        axes.plot(y, shift[:, i], marker + "-", color=shade, label=f"along {name}")
+    axes.set(xlabel="y of the probe ray in mm", ylabel="hot minus cold in px")
+    axes.figure.legend(loc="outside lower center", ncols=2)
