@@ -19,10 +19,10 @@ def measured(
     bound_px = chosen.pop("bound_px", 0.0)
     um = 22.0 * error_px if panel != "lines" else np.nan
     values = (error_px, 3.0 * error_px, um, time_s, 1000, failed)
-    colour = "tabulated" if name == "tabulated" else "marched"
+    kind = "tabulated" if name == "tabulated" else "marched"
     more = {"variant": "llvm"}
     words = "float64, say"
-    return Measured(panel, task, name, colour, chosen, more, *values, words, bound_px, note=NASTY)
+    return Measured(panel, task, name, kind, chosen, more, *values, words, bound_px, note=NASTY)
 
 
 def failures():
@@ -73,5 +73,5 @@ def chart():
         *power("frame, samples", {1.0: 0.5, 4.0: 1.5}, f"about {NASTY}"),
         *power("frame, nodes", {1.0: 0.5}),
     )
-    machine = Machine("today", f"an {NASTY} abacus", "2 of 2", "none", 0.1, made_with(), "9 MB")
-    return Chart(with_fronts(rows), scalings, failures(), machine, (f"a note {NASTY}",), 12.0)
+    machine = Machine("today", f"an {NASTY} abacus", 2, 2, "none", 0.1, made_with())
+    return Chart(with_fronts(rows), scalings, failures(), 9.0, machine, (f"a note {NASTY}",), 12.0)

@@ -116,7 +116,7 @@ def error_in_words(px: float) -> str:
     """An error with two digits."""
     if not np.isfinite(px):
         return "unknown"
-    return f"{px:.2g} px" if px >= 1e-4 or px == 0.0 else f"{px:.0e} px".replace("e-0", "e-")
+    return f"{px:.2g} px" if px >= 1e-4 or px == 0.0 else f"{px:.1e} px".replace("e-0", "e-")
 
 
 def _micrometres(um: float) -> str:
@@ -244,12 +244,12 @@ def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
         series[(each.name, *words)].append(each)  # they differ in numbers only
     for line in series.values():
         times, errors = [m.time_s for m in line], [_error(m) for m in line]
-        axes.plot(times, errors, color=looks[_kind(line[0])][0], lw=0.8, alpha=0.4)
+        axes.plot(times, errors, color=looks[_called(line[0])][0], lw=0.8, alpha=0.4)
     best = enough(measured)
     if best:
         axes.plot(best.time_s, _error(best), "o", ms=19, mfc="none", mec=_ENOUGH, mew=2.5)
     for each in shown:
-        colour, marker = looks[_kind(each)]
+        colour, marker = looks[_called(each)]
         face, edge = (colour, "black") if each.on_front else ("white", colour)
         look = {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
         axes.plot(each.time_s, _error(each), marker=marker, mfc=face, mec=edge, mew=1.0, **look)
@@ -267,19 +267,19 @@ def _error(measured: Measured) -> float:
     return max(measured.rms_px, _SMALLEST_PX)
 
 
-def _kind(measured: Measured) -> str:
-    """What a legend calls a configuration: its method; on the GPU, a kind apart."""
+def _called(measured: Measured) -> str:
+    """What a legend calls a configuration: its method, and whether it is on the GPU."""
     name = method_in_words(measured.name)
     return f"{name}, GPU" if "variant" in measured.chosen else name
 
 
 def _looks(measured: Sequence[Measured]) -> dict[str, tuple[str, str]]:
-    """Colour and marker of each kind: the colour says what it is a variety of on every page."""
-    by_colour = colours(list(dict.fromkeys(m.colour for m in measured)))
-    kinds = {_kind(m): by_colour[m.colour] for m in measured}
+    """Colour and marker of each method: the colour is that of its kind on every page."""
+    by_kind = colours(list(dict.fromkeys(m.kind for m in measured)))
+    names = {_called(m): by_kind[m.kind] for m in measured}
     return {
-        kind: (colour, MARKERS[number % len(MARKERS)])
-        for number, (kind, colour) in enumerate(kinds.items())
+        name: (colour, MARKERS[number % len(MARKERS)])
+        for number, (name, colour) in enumerate(names.items())
     }
 
 
@@ -355,8 +355,8 @@ def _label(axes: Axes, words: str, px: float, x: float, colour: str) -> None:
 
 def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
     handles = [
-        Line2D([], [], color=colour, marker=marker, ls="none", mfc="white", ms=6, label=kind)
-        for kind, (colour, marker) in _looks(measured).items()
+        Line2D([], [], color=colour, marker=marker, ls="none", mfc="white", ms=6, label=name)
+        for name, (colour, marker) in _looks(measured).items()
     ]
     axes.legend(handles=handles, fontsize=9.5, handletextpad=0.1, labelspacing=0.2, **place)
 
@@ -412,6 +412,8 @@ class Summary(Record):
         By panel, the Pareto fronts of its tasks, the fastest first.
     exponents : dict
         By what is varied, the power of the size with which the time grows.
+    frame_memory_mb : float
+        Peak memory of a process that renders a frame; null where no frames were asked for.
     machine : Machine
         What it was measured on.
     notes : tuple of str
@@ -423,6 +425,7 @@ class Summary(Record):
     enough: dict[str, Measured | None]
     fronts: dict[str, tuple[Measured, ...]]
     exponents: dict[str, float]
+    frame_memory_mb: float
     machine: Machine
     notes: tuple[str, ...]
     time_s: float
@@ -435,6 +438,7 @@ def summary(chart: Chart) -> Summary:
         {panel: enough(chart.of(panel, names[0])) for panel, names in tasks.items()},
         {p: tuple(m for t in names for m in chart.front(p, t)) for p, names in tasks.items()},
         {each.name: each.exponent for each in chart.scalings},
+        chart.frame_memory_mb,
         chart.machine,
         chart.notes,
         chart.time_s,
@@ -628,13 +632,13 @@ def page(chart: Chart, picture: Picture, command: str) -> Page:
     sections.append(Section("Where methods fail", _FAIL, f"Made by {made_by()}.", *failed))
     if chart.scalings:
         table = scaling_table(chart.scalings)
-        memory = f"Peak memory of a frame: {chart.machine.frame_memory}."
+        memory = f"Peak memory of a process that renders a frame: {chart.frame_memory_mb:.0f} MB."
         sections.append(Section("How time and memory grow", _GROW, table, memory))
     files = Listing(tuple(Link(f"{f.pattern}: {f.words}", f.pattern) for f in _written(chart)))
     sections.append(Section("How it was measured", *_HOW))
     sections.append(Section("Files", files))
     made = chart.machine.to_dict() | chart.machine.made_with.to_dict()
-    del made["made_with"], made["frame_memory"]
+    del made["made_with"]
     made["time of the chart"] = time_in_words(chart.time_s)
     title = "Speed against accuracy"
     return Page(title, headline(chart), tuple(sections), command, made, chart.notes)

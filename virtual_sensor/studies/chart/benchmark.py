@@ -37,8 +37,8 @@ class Configuration:
     ----------
     name : str
         Of the method: "leapfrog", "tabulated", "newton", "gaussian".
-    colour : str
-        What it is a variety of, by `reporting.style`: its transport, its detector.
+    kind : str
+        What the method is a variety of: its transport, its search, its detector.
     prepare : callable
         Makes ready what need not be timed, and returns the work: a function of nothing that
         evaluates all that it computes.
@@ -53,7 +53,7 @@ class Configuration:
     """
 
     name: str
-    colour: str
+    kind: str
     prepare: Callable[[], Callable[[], Any]]
     chosen: dict[str, Any] = field(default_factory=dict)
     defaults: dict[str, Any] = field(default_factory=dict)
@@ -120,8 +120,8 @@ class Measured(Record):
         What was done: errors of one task compare, those of others do not.
     name : str
         Of the method.
-    colour : str
-        What the method is a variety of: its transport or its detector.
+    kind : str
+        What the method is a variety of: its transport, its search, its detector.
     chosen : dict
         The settings that tell it from others of its name.
     defaults : dict
@@ -151,7 +151,7 @@ class Measured(Record):
     panel: str
     task: str
     name: str
-    colour: str
+    kind: str
     chosen: dict[str, Any]
     defaults: dict[str, Any]
     rms_px: float
@@ -192,7 +192,7 @@ def measure(panel: str, task: Task, configuration: Configuration, runs: int = 5)
         panel,
         task.name,
         configuration.name,
-        configuration.colour,
+        configuration.kind,
         configuration.chosen,
         configuration.defaults,
         rms(score.error_px),

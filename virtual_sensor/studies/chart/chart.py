@@ -74,6 +74,8 @@ class Chart(Record):
         How times grow with the size of the work, point by point.
     failures : Failures
         Where methods fail, as it comes with this version.
+    frame_memory_mb : float
+        Peak memory of a process that renders a frame; NaN where no frames were asked for.
     machine : Machine
         What it was measured on.
     notes : tuple of str
@@ -85,6 +87,7 @@ class Chart(Record):
     measured: tuple[Measured, ...]
     scalings: tuple[Scaling, ...]
     failures: Failures
+    frame_memory_mb: float
     machine: Machine
     notes: tuple[str, ...]
     time_s: float
@@ -143,7 +146,7 @@ def chart(
     """
     chosen = check_panels(panels)
     began = time.perf_counter()
-    found, notes, scalings = machine(), list[str](), list[Scaling]()
+    found, notes, scalings, memory_mb = machine(), list[str](), list[Scaling](), float("nan")
     if quick:
         notes.append("quick: few configurations on small tasks, which show that all works")
     measured = measure_panels(chosen, quick, lambda stage, done: report(stage, 0.9 * done))
@@ -154,15 +157,20 @@ def chart(
         scalings += scaling.by_samples(measured)
         scalings += scaling.by_field(lambda stage, part: report(stage, 0.9 + 0.06 * part), quick)
         report("the memory of a frame", 0.96)
-        found = replace(found, frame_memory=scaling.peak_memory(quick))
+        memory_mb = scaling.frame_memory_mb(quick)
     if engine.activate().backend == "llvm" and cuda_found():
         report("the same on the GPU", 0.97)
         more, words = on_gpu([name for name in chosen if PANELS[name].on_gpu], quick)
         measured += more
         notes += words
-    seconds = time.perf_counter() - began
     return Chart(
-        with_fronts(measured), tuple(scalings), failures(chosen), found, tuple(notes), seconds
+        with_fronts(measured),
+        tuple(scalings),
+        failures(chosen),
+        memory_mb,
+        found,
+        tuple(notes),
+        time.perf_counter() - began,
     )
 
 

@@ -24,34 +24,34 @@ class Machine(Record):
         When it was asked.
     processor : str
         Its name.
-    cores : str
-        How many can be used, of how many.
+    cores, usable_cores : int
+        That it has, and that this process may use.
     system : str
         Operating system.
     load : float
         Processes that wanted a core in the minute before; NaN where the system doesn't say.
     made_with : MadeWith
         Engine and versions.
-    frame_memory : str
-        Peak memory of a frame, where it was measured.
     """
 
     date: str
     processor: str
-    cores: str
+    cores: int
+    usable_cores: int
     system: str
     load: float
     made_with: MadeWith
-    frame_memory: str = ""
 
 
 def machine() -> Machine:
     """What this process runs on."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    cores = os.cpu_count() or 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else cores
     return Machine(
         date=datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
         processor=_processor(),
-        cores=f"{usable} usable of {os.cpu_count()}",
+        cores=cores,
+        usable_cores=usable,
         system=platform.platform(),
         load=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
         made_with=made_with(),

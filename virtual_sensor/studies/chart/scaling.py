@@ -139,12 +139,10 @@ def by_field(report: Report, quick: bool = False) -> list[Scaling]:
     return found
 
 
-def peak_memory(quick: bool = False) -> str:
-    """Peak memory of a frame, in words."""
+def frame_memory_mb(quick: bool = False) -> float:
+    """Peak memory, MB, of a process that renders one frame."""
     film, spp = (QUICK_FILM_PX, 4) if quick else (FILM_PX, _MEMORY_SPP)
-    megabytes = peak_memory_mb(film, spp)
-    frame = f"{film} x {film} px with {spp} samples per pixel"
-    return f"{megabytes:.0f} MB, of {frame}, in a process of its own"
+    return peak_memory_mb(film, spp)
 
 
 def peak_memory_mb(film_px: int, spp: int) -> float:

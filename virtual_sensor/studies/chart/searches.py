@@ -68,7 +68,7 @@ def tasks(quick: bool = False) -> Iterator[Task]:
 
 def _configuration(
     name: str,
-    colour: str,
+    kind: str,
     scene: Scene,
     y_mm: Array,
     method: str,
@@ -82,7 +82,7 @@ def _configuration(
     used = {key: value for key, value in options.items() if key != "march"}
     return Configuration(
         name,
-        colour,
+        kind,
         lambda: lambda: find(y_mm),
         defaults=used | _march(options.get("march")),
         warm_up=lambda: find(y_mm[:_WARM_UP]),
