@@ -5,6 +5,7 @@ import pytest
 from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
+from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.studies.chart import detectors, searches
 from virtual_sensor.studies.chart.benchmark import measure_all
 
@@ -55,5 +56,6 @@ def test_detectors_know_their_truth_and_their_bound():
 def test_lines_are_drawn_as_the_tests_draw_them():
     """With the error function over the pixel's edges, written twice."""
     centre = np.linspace(30.0, 31.0, 7)
-    drawn = detectors.gaussian_lines(centre, 1.3, 64, 5.0)
+    peak = 5.0 * np.sqrt(2.0 * np.pi) * 1.3
+    drawn = peak * line_shares(centre, 1.3, 64)[0]
     np.testing.assert_allclose(drawn, line_image(centre, 1.3, 5.0), atol=1e-12)

@@ -21,8 +21,6 @@ from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 from virtual_sensor.studies.measure import searched_line
 from virtual_sensor.studies.trial.images import STATED, Condition, drawn_line
 
-Array = NDArray[np.float64]
-
 SCENE = "hot_cylinder"
 
 _WIDTHS_PX, _PEAKS_ELECTRONS = (0.7, 1.5, 3.0, 6.0), (5_000.0, 200.0)
@@ -64,15 +62,8 @@ def _noisy(condition: Condition, columns: int) -> Task:
 def _noiseless(width_px: float, columns: int) -> Task:
     """A drawn line in numbers that are exact but for float32."""
     row = np.random.default_rng(7).uniform(-2.0, 2.0, columns) + _HEIGHT_PX / 2.0
-    image = gaussian_lines(row, width_px).astype(np.float32)
+    image = line_shares(row, width_px, _HEIGHT_PX)[0].astype(np.float32)
     return _task(f"line of sigma {width_px:g} px, no noise", _DRAWN, image, TrueLine.of_rows(row))
-
-
-def gaussian_lines(
-    centre: Array, sigma: float | Array, height: int = _HEIGHT_PX, amplitude: float | Array = 1.0
-) -> Array:
-    """Image (height, W) of Gaussian lines at rows `centre` (W,), integrated over each pixel."""
-    return amplitude * np.sqrt(2.0 * np.pi) * sigma * line_shares(centre, sigma, height)[0]
 
 
 def _frame(film_px: int) -> Task:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -40,31 +39,13 @@ _NAMES = {"spp": "samples_per_pixel", "step": "step_mm", "tolerance": "tolerance
 """What scene parameters are called among results."""
 
 
-@dataclass(frozen=True)
-class Reference:
-    """The line's centres as they should be, in some columns.
-
-    Attributes
-    ----------
-    scene : Scene
-        That they were rendered from.
-    line : TrueLine
-    words : str
-        How they were made.
-    """
-
-    scene: Scene
-    line: TrueLine
-    words: str
-
-
-def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any) -> Reference:
-    """Render the line in float64 by marched rays, in windows at its ends and between.
+def _reference(film_px: int, spp: int, step_mm: float) -> tuple[Scene, TrueLine, str]:
+    """The line by marched rays in float64, in windows at its ends and between; and that in words.
 
     The whole line would take minutes, and shows no more than these windows do.
     """
     best = {"transport": "marched", "method": "rk4", "precision": "double", "step": step_mm}
-    scene = load_scene(SCENE, width=film_px, height=film_px, spp=spp, **(best | settings))
+    scene = load_scene(SCENE, width=film_px, height=film_px, spp=spp, **best)
     half = 0.5 * scene.sensor.laser.length_mm
     seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
@@ -77,7 +58,7 @@ def reference(film_px: int, spp: int = 64, step_mm: float = 1.0, **settings: Any
     line = line_centres(image)
     row = np.where(inside & (line.status == Status.OK), line.row, np.nan)
     words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples per pixel"
-    return Reference(scene, TrueLine.of_rows(row), words)
+    return scene, TrueLine.of_rows(row), words
 
 
 def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
@@ -92,13 +73,13 @@ def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
 def tasks(quick: bool = False) -> Iterator[Task]:
     """A frame lit by the laser alone, and one of which each pixel is lit."""
     film_px = QUICK_FILM_PX if quick else FILM_PX
-    truth = reference(film_px, *(4, 2.0) if quick else ())
+    scene, truth, words = _reference(film_px, *(4, 2.0) if quick else (64, 1.0))
 
     def score(image: NDArray[np.float32]) -> Score:
-        errors = compare_line(line_centres(image), truth.line)
+        errors = compare_line(line_centres(image), truth)
         lost, columns = errors.lost.size, errors.expected
         note = f"{lost} of {columns} columns lost" if lost else ""
-        um = error_um(truth.scene.sensor, errors)
+        um = error_um(scene.sensor, errors)
         return Score(errors.error_px, um, int(lost > _LOST * columns), note)
 
     def task(
@@ -107,7 +88,7 @@ def tasks(quick: bool = False) -> Iterator[Task]:
         film = {"width": film_px, "height": film_px}
         found = [_configuration(partial(load, **film), film, choice) for choice in choices]
         found += [_direct(partial(load, **film), film, spp) for spp in spps]
-        return Task(f"{name}, {film_px} x {film_px} px", truth.words, 1, score, found)
+        return Task(f"{name}, {film_px} x {film_px} px", words, 1, score, found)
 
     few = (4,) if quick else (1, 4, 16)
     yield task("a frame of the laser line", partial(load_scene, SCENE), settings(quick), few)
