@@ -31,7 +31,7 @@ def main(
     if reproduced:
         report = reproduced / "report"
         replace("<!-- table: statements -->\n", report / "statements.md", HERE / "reproduction.md")
-        shutil.copy(report / "figure_7_widened.png", HERE / "figure_7.png")
+        shutil.copy(report / "figure_7.png", HERE / "figure_7.png")
     if charted:
         replace("<!-- table: chart -->\n", charted / "front.md", HERE / "speed_accuracy.md")
         shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")

@@ -1,21 +1,18 @@
 """The scanned cylinder: against scenes loaded for each line, and against its own words."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.metrology.cylinder_fit import FitStatus
 from virtual_sensor.optics.eikonal import March
-from virtual_sensor.studies.reproduction.curves import Setting
+from virtual_sensor.records import write_csv
 from virtual_sensor.studies.reproduction.reconstruction import (
-    columns,
     fit_section,
+    fitted_cylinders,
     reconstruct,
-    told,
 )
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.studies.reproduction.settings import Setting
 
 ALONG = (-60.0, -20.0, 40.0)
 RAYS = 41
@@ -88,7 +85,7 @@ def test_a_reconstruction_repeats(scanned):
 def test_the_table_holds_every_fit(scanned, tmp_path):
     """Rationale: what the sentence says must be found in the file, cold and hot, arc by arc."""
     results = {Setting("resolved", 1250.0, beta): r for beta, r in scanned.items()}
-    write_csv(tmp_path / "fits.csv", columns(results))
+    write_csv(tmp_path / "fits.csv", fitted_cylinders(results))
     table = np.genfromtxt(tmp_path / "fits.csv", delimiter=",", names=True, dtype=None)
     assert len(table) == 2 * 3 * 2
     row = table[(table["beta_deg"] == 0) & (table["arc_mm"] == 8) & (table["state"] == "hot")]
@@ -100,42 +97,6 @@ def test_the_table_holds_every_fit(scanned, tmp_path):
     assert row["axis_z_um"] == pytest.approx(expected.axis_shift_um[1, 1, 1], rel=1e-8)
     assert row["status"] == "fitted"
     assert np.isnan(table["hot_minus_cold_um"][table["state"] == "cold"]).all()
-
-
-def made_up(result, error_um, low_um, high_um):
-    """The same reconstruction with another hot radius and interval on the widest arc."""
-    radius, interval = result.radius_mm.copy(), result.interval_mm.copy()
-    radius[-1, 1] = 13.5 + 1e-3 * error_um
-    interval[-1, 1] = 13.5 + 1e-3 * np.array([low_um, high_um])
-    return dataclasses.replace(result, radius_mm=radius, interval_mm=interval)
-
-
-@pytest.mark.parametrize(
-    ("error_um", "bounds_um", "verdict"),
-    [
-        (-90.5, (-100.0, -81.0), "it measures too small"),
-        (90.5, (81.0, 100.0), "it measures too large"),
-        (3.0, (-4.0, 10.0), "neither small nor large for sure"),
-        (np.nan, (np.nan, np.nan), "not every fit came to an end"),
-    ],
-)
-def test_the_sentence_follows_the_numbers(scanned, error_um, bounds_um, verdict):
-    """Rationale: the answer is computed at each run, with its sign, its size and its interval."""
-    results = {
-        Setting("resolved", 900.0, 0.0): made_up(scanned[0.0], error_um, *bounds_um),
-        Setting("resolved", 900.0, 20.0): made_up(scanned[20.0], 7.3, 7.0, 8.0),
-        Setting("blurred", 1250.0, 0.0): made_up(scanned[0.0], -33.0, -44.0, -22.0),
-    }
-    first, second = told(results).split("  ")
-    assert first.startswith("In resolved air, from beta = 0 deg, the hot cylinder's")
-    assert f"off by {error_um:+.1f} µm at 900 °C".replace("+nan", "(no fit)") in first
-    between = f"95 % between {bounds_um[0]:+.1f} and {bounds_um[1]:+.1f} µm"
-    assert between.replace("+nan", "(no fit)") in first
-    assert verdict in first
-    assert first.endswith("from beta = 20 deg by +7.3 µm.")
-    assert "In blurred air" in second
-    assert "off by -33.0 µm at 1250 °C" in second
-    assert "it measures too small" in second
 
 
 def test_a_section_is_fitted_with_its_direction_held():

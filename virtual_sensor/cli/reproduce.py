@@ -10,8 +10,10 @@ from virtual_sensor.cli.shared import (
     FINISHED_STAYS,
     Definitions,
     Scheduler,
+    command_line,
     console,
     definitions,
+    print_end,
     print_notes,
     reporting,
 )
@@ -35,15 +37,14 @@ def reproduce(
 
     Figures 6, 7, 9, 10(b) and 11 by ray search and by rendered frames, through the air as simulated
     and through air as broad as the paper's; and what the paper could not do: whole lines, all
-    poses, a dense reconstruction. What is finished is kept: stopped or killed, the same command
-    goes on.
+    poses, a dense reconstruction. Finished work stays: stopped or killed, the same command goes on.
     """
     from virtual_sensor.reporting.measure import save as save_case
-    from virtual_sensor.studies.reproduction.report import PAGE, save_reproduction
+    from virtual_sensor.reporting.reproduction import cylinder_sentences, save
+    from virtual_sensor.reporting.words import heading, in_words
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
-    from virtual_sensor.studies.tables import in_words
 
-    with reporting("reading what is kept", FINISHED_STAYS) as report:
+    with reporting("reading what is finished", FINISHED_STAYS) as report:
         result = run(
             output,
             save_case,
@@ -52,19 +53,17 @@ def reproduce(
             lambda stage, fraction: report(stage, 0.93 * fraction),
         )
         report("drawing and writing", 0.93)
-        figures = save_reproduction(result, output)
+        save(result, output, command_line())
         report("done", 1.0)
-    table = Table("air", "", f"of {figures['statements']} statements borne out")
-    for air, number in figures["borne out"].items():
-        table.add_row(air, figures["airs"][air], str(number))
+    summary = result.summary
+    table = Table("air", "", f"of {summary.statements} statements borne out")
+    for air, number in summary.met.items():
+        table.add_row(air, summary.airs[air], str(number))
     console.print(table)
-    for name, value in figures["rendered minus searched, px"].items():
-        console.print(f"  rendered minus searched, {name}: {in_words(value)} px")
-    for line in figures["cylinder fit"]:
+    for name, value in vars(summary.rendered_minus_searched).items():
+        console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
+    for line in cylinder_sentences(result.reconstructions):
         console.print(f"  {line}", soft_wrap=True)
-    print_notes(figures["notes"])
-    console.print(
-        f"{figures['measured now']} of {len(result.measured['status'])} cases measured now,"
-        f" {figures['seconds']:.0f} s; look at {output / 'report' / PAGE} first",
-        soft_wrap=True,
-    )
+    print_notes(summary.notes)
+    console.print(f"{summary.made_now} of {summary.cases} cases measured now")
+    print_end(output, "report/report.html")

@@ -18,7 +18,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 from virtual_sensor.records import Described, Record, documented
 from virtual_sensor.reporting.tables import TextTable
 
-_AXES = {f"_{axis}" for axis in "xyzuv"}
+_AXES = {f"_{axis}" for axis in (*"xyzuv", "norm")}
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
     parts = [
         "# Data dictionary\n\nEvery file that a command writes, with its columns, keys and layers."
         " Names end with their unit. CSV columns of vectors end with their axis: `point_mm` is"
-        " `point_mm_x`, `point_mm_y`, `point_mm_z`, and `pixel` is `pixel_u`, `pixel_v`. A key of a"
+        " `point_mm_x`, `point_mm_y`, `point_mm_z`, and `pixel` is `pixel_u`, `pixel_v`;"
+        " `_norm` is a vector's length. A key of a"
         " nested object is written with dots; what has no answer is an empty cell, or `null`.\n"
     ]
     for command, written in files.items():

@@ -41,6 +41,13 @@ COLOURS = {
     # searches
     "paper": PURPLE,
     "newton": BLUE,
+    # components of differences, in space and on the sensor
+    "x": YELLOW,
+    "y": SKY,
+    "z": GREEN,
+    "u": SKY,
+    "v": GREEN,
+    "norm": BLACK,
     # airs of the reproduction
     "resolved": BLUE,
     "blurred": ORANGE,

@@ -10,73 +10,56 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from virtual_sensor.studies.measure import Report
-from virtual_sensor.studies.reproduction.curves import BLURRED, WIDENED, Setting, searched
-from virtual_sensor.studies.reproduction.numbers import STATED
-from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM, SCAN, Broadening, Scenes
+from virtual_sensor.studies.reproduction.curves import SEARCHED, Curves, searched
+from virtual_sensor.studies.reproduction.paper import FITTED
+from virtual_sensor.studies.reproduction.settings import (
+    BLURRED,
+    NINE_RAYS_MM,
+    SCAN,
+    WIDENED,
+    Broadening,
+    Scenes,
+    Setting,
+)
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Family:
-    """One way to broaden.
-
-    Attributes
-    ----------
-    air : str
-        BLURRED or WIDENED.
-    unit : str
-        Of its parameter.
-    tried : tuple of float
-        First looked at, before the least cost among them is refined.
-    of : callable
-        The broadening of a parameter.
-    """
-
-    air: str
-    unit: str
-    tried: tuple[float, ...]
-    of: Callable[[float], Broadening]
-
 
 WIDEN = 2.75
 """A plume widened so much and then blurred also keeps the paper's *orders*, which no blur alone
 does; found by trying factors from 1 to 3.5 (docs/reproduction.md)."""
 
-FAMILIES = {
-    BLURRED: Family(BLURRED, "mm", (4.0, 6.0, 8.0, 10.0), lambda s: Broadening(s)),
-    WIDENED: Family(WIDENED, "mm", (4.0, 6.0, 8.0, 10.0), lambda s: Broadening(s, WIDEN)),
+FAMILIES: dict[str, Callable[[float], Broadening]] = {
+    BLURRED: lambda blur_mm: Broadening(blur_mm),
+    WIDENED: lambda blur_mm: Broadening(blur_mm, WIDEN),
 }
-FINENESS = 0.1
-"""A fitted parameter is rounded to so much: the paper's numbers have one or two digits."""
+"""The broadening of an air by its one parameter, a blur in mm."""
+TRIED_MM = (4.0, 6.0, 8.0, 10.0)
+"""First looked at, before the least cost among them is refined."""
+STEP_MM = 0.1
+"""A fitted parameter is rounded to it: the paper's numbers have one or two digits."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A broadening fitted to the paper's numbers.
+    """A broadening fitted to the J numbers of `paper.FITTED`.
 
     Attributes
     ----------
-    air, unit : str
-        Of the family.
-    tried, cost : ndarray of shape (K,)
-        Parameters that were looked at, ascending, and the sum of squares of relative residuals.
-    fitted : float
-        The parameter of least cost, rounded to `FINENESS`.
-    names, kind : tuple of J str
-        The numbers, as `numbers.STATED` has them.
-    paper, ours, resolved, residual : ndarray of shape (J,)
-        The paper's, ours at `fitted` and in the air as simulated, and relative differences of ours.
+    air : str
+        BLURRED or WIDENED.
+    tried_mm, cost : ndarray of shape (K,)
+        Blurs that were looked at, ascending, and the sum of squares of relative residuals.
+    fitted_mm : float
+        The blur of least cost, rounded to `STEP_MM`.
+    ours, resolved, residual : ndarray of shape (J,)
+        Our numbers at `fitted_mm` and in the air as simulated, and relative differences of the
+        former from the paper's.
     """
 
     air: str
-    unit: str
-    tried: Array
+    tried_mm: Array
     cost: Array
-    fitted: float
-    names: tuple[str, ...]
-    kind: tuple[str, ...]
-    paper: Array
+    fitted_mm: float
     ours: Array
     resolved: Array
     residual: Array
@@ -84,59 +67,52 @@ class Fit:
     @property
     def broadening(self) -> Broadening:
         """What was fitted."""
-        return FAMILIES[self.air].of(self.fitted)
+        return FAMILIES[self.air](self.fitted_mm)
 
 
-def fit_broadening(
-    scenes: Scenes, family: Family, report: Report = lambda stage, fraction: None
-) -> Fit:
-    """Fit one parameter: bracket the least cost, refine it by a bounded search, round it.
+def fit_broadening(scenes: Scenes, air: str, report: Report = lambda stage, fraction: None) -> Fit:
+    """Fit the blur: bracket the least cost, refine it by a bounded search, round it.
 
     The cost is the sum of squared relative residuals; a bound that is kept adds nothing.
     """
-    looked_at: dict[float, Array] = {}
-    expected = len(family.tried) + 5
+    numbers: dict[float, Array] = {}
+    broadened, expected = FAMILIES[air], len(TRIED_MM) + 5
 
-    def cost(parameter: float) -> float:
-        if parameter not in looked_at:
-            report(f"fitting {family.air} air", min(0.99, len(looked_at) / expected))
-            looked_at[parameter] = stated(scenes, family.of(parameter))
-            scenes.forget(family.of(parameter))
-        return float(np.sum(_residuals(looked_at[parameter]) ** 2))
+    def cost(blur_mm: float) -> float:
+        if blur_mm not in numbers:
+            report(f"fitting {air} air", min(0.99, len(numbers) / expected))
+            numbers[blur_mm] = stated(scenes, broadened(blur_mm))
+            scenes.forget(broadened(blur_mm))
+        return float(np.sum(_residuals(numbers[blur_mm]) ** 2))
 
-    least = int(np.argmin([cost(p) for p in family.tried]))
-    low, high = family.tried[max(least - 1, 0)], family.tried[min(least + 1, len(family.tried) - 1)]
-    found = minimize_scalar(
-        cost, bounds=(low, high), method="bounded", options={"xatol": FINENESS, "maxiter": 5}
-    )
-    fitted = round(float(found.x) / FINENESS) * FINENESS
-    fitted = float(f"{fitted:.6g}")
+    least = int(np.argmin([cost(blur) for blur in TRIED_MM]))
+    bounds = TRIED_MM[max(least - 1, 0)], TRIED_MM[min(least + 1, len(TRIED_MM) - 1)]
+    options = {"xatol": STEP_MM, "maxiter": 5}
+    found = minimize_scalar(cost, bounds=bounds, method="bounded", options=options)
+    fitted = float(f"{round(float(found.x) / STEP_MM) * STEP_MM:.6g}")
     cost(fitted)
-    ours = looked_at[fitted]
-    tried = np.array(sorted(looked_at))
+    tried = sorted(numbers)
     return Fit(
-        family.air,
-        family.unit,
-        tried,
-        np.array([cost(float(p)) for p in tried]),
+        air,
+        np.array(tried),
+        np.array([cost(blur) for blur in tried]),
         fitted,
-        tuple(f"{s.name}, {s.unit}" for s in STATED),
-        tuple(s.kind.value for s in STATED),
-        np.array([s.paper for s in STATED]),
-        ours,
+        numbers[fitted],
         stated(scenes, Broadening()),
-        _residuals(ours),
+        _residuals(numbers[fitted]),
     )
 
 
-def stated(scenes: Scenes, broadening: Broadening) -> Array:
-    """Our values of the stated numbers in some air; shape (J,)."""
-    curves = {}
-    for pose in {(s.temperature_c, s.beta_deg) for s in STATED}:
-        scene = scenes.scene(*pose, broadening)
-        curves[pose] = searched(scene, Setting("", *pose), NINE_RAYS_MM, SCAN, helper=False)
-    return np.array([s.ours(curves[s.temperature_c, s.beta_deg]) for s in STATED])
+def stated(scenes: Scenes, broadening: Broadening, air: str = "") -> Array:
+    """Our values of the paper's numbers in some air; shape (J,)."""
+    quantities = [statement.of for statement in FITTED if statement.of]
+    nine = {}
+    for temperature_c, beta_deg in {(q.temperature_c, q.beta_deg) for q in quantities}:
+        scene = scenes.scene(temperature_c, beta_deg, broadening)
+        setting = Setting(air, temperature_c, beta_deg)
+        nine[setting, SEARCHED] = searched(scene, setting, NINE_RAYS_MM, SCAN, paper=False)
+    return np.array([q.values(Curves(nine), air).item() for q in quantities])
 
 
 def _residuals(ours: Array) -> Array:
-    return np.array([s.residual(value) for s, value in zip(STATED, ours, strict=True)])
+    return np.array([s.residual(value) for s, value in zip(FITTED, ours, strict=True)])

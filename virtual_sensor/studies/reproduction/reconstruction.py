@@ -7,7 +7,7 @@ make a hot cylinder measure too small?
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,9 +28,8 @@ from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.poses import Pose
-from virtual_sensor.studies.reproduction.curves import Setting
-from virtual_sensor.studies.reproduction.settings import SCAN
-from virtual_sensor.studies.tables import status_names
+from virtual_sensor.records import Table, status_names
+from virtual_sensor.studies.reproduction.settings import SCAN, Setting
 
 Array = NDArray[np.float64]
 
@@ -103,10 +102,76 @@ class Reconstruction:
         across = np.hypot(self.axis_direction[..., 1], self.axis_direction[..., 2])
         return 1e3 * np.arctan2(across, np.abs(self.axis_direction[..., 0]))
 
+    def radial_residual_um(self, state: int) -> Array:
+        """Distance (K,) of the points from the cylinder through the widest arc, mean of all lines.
+
+        Positive outside; NaN where no line has a point or nothing was fitted.
+        """
+        points = self.points_mm[state] - self.axis_point_mm[-1, state]
+        axis = self.axis_direction[-1, state]
+        across = points - (points @ axis)[:, None] * axis
+        residual = UM_PER_MM * (np.linalg.norm(across, axis=1) - self.radius_mm[-1, state])
+        by_line = residual.reshape(len(self.along_mm), len(self.y_mm))
+        known = np.isfinite(by_line)
+        total = np.where(known, by_line, 0.0).sum(axis=0)
+        return np.asarray(total / np.where(known.any(axis=0), known.sum(axis=0), np.nan))
+
+
+@dataclass(frozen=True)
+class FittedCylinders(Table):
+    """Cylinders fitted to scans: a row for each setting, arc and state.
+
+    Attributes
+    ----------
+    air : sequence of str
+        resolved, blurred or widened.
+    temperature_c, beta_deg : sequence of float
+        Temperature of the cylinder; turn of the sensor, 0 from above.
+    state : sequence of str
+        cold or hot.
+    arc_mm : sequence of float
+        Rays of at most this abs(y) took part.
+    points : sequence of int
+        How many points took part.
+    status : sequence of str
+        How the fit ended.
+    radius_mm : sequence of float
+        The fitted radius.
+    radius_error_um : sequence of float
+        Fitted minus true radius.
+    radius_error_low_um, radius_error_high_um : sequence of float
+        Bounds of the same, 95 %.
+    hot_minus_cold_um : sequence of float
+        Hot minus cold radius error; of hot rows.
+    residual_std_um : sequence of float
+        Standard deviation of the points' distances from the fitted cylinder.
+    axis_y_um, axis_z_um : sequence of float
+        Fitted minus true axis, in the middle of the points.
+    tilt_mrad : sequence of float
+        Angle between the fitted and the true axis.
+    """
+
+    air: Sequence[str]
+    temperature_c: Sequence[float]
+    beta_deg: Sequence[float]
+    state: Sequence[str]
+    arc_mm: Sequence[float]
+    points: Sequence[int]
+    status: Sequence[str]
+    radius_mm: Sequence[float]
+    radius_error_um: Sequence[float]
+    radius_error_low_um: Sequence[float]
+    radius_error_high_um: Sequence[float]
+    hot_minus_cold_um: Sequence[float]
+    residual_std_um: Sequence[float]
+    axis_y_um: Sequence[float]
+    axis_z_um: Sequence[float]
+    tilt_mrad: Sequence[float]
+
 
 @dataclass(frozen=True)
 class _Moved:
-    """What a search needs of a scene, with the sensor elsewhere: nothing is loaded anew."""
+    """What a search needs of a scene, with the sensor elsewhere: nothing is loaded again."""
 
     sensor: SensorModel
     field: Any
@@ -230,80 +295,28 @@ def _moved(sensor: SensorModel, along_mm: float) -> SensorModel:
     )
 
 
-def columns(results: Mapping[Setting, Reconstruction]) -> dict[str, ArrayLike]:
-    """A tidy table, for `tables.write_csv`: one row for each setting, arc and state."""
-    rows: list[dict[str, Any]] = []
+def fitted_cylinders(results: Mapping[Setting, Reconstruction]) -> FittedCylinders:
+    """One row for each setting, arc and state."""
+    rows: list[tuple[Any, ...]] = []
     for setting, r in results.items():
         error, bounds, shift, tilt = r.error_um, r.interval_um, r.axis_shift_um, r.tilt_mrad
         rows += [
-            {
-                "air": setting.air,
-                "temperature_c": setting.temperature_c,
-                "beta_deg": setting.beta_deg,
-                "state": STATES[i[1]],
-                "arc_mm": r.arc_mm[i[0]],
-                "points": r.count[i],
-                "status": status_names(r.status[i], FitStatus)[0],
-                "radius_mm": r.radius_mm[i],
-                "radius_error_um": error[i],
-                "radius_error_low_um": bounds[i][0],
-                "radius_error_high_um": bounds[i][1],
-                "hot_minus_cold_um": error[i] - error[i[0], 0] if i[1] else np.nan,
-                "residual_std_um": r.residual_std_um[i],
-                "axis_y_um": shift[i][0],
-                "axis_z_um": shift[i][1],
-                "tilt_mrad": tilt[i],
-            }
+            (
+                setting.air,
+                setting.temperature_c,
+                setting.beta_deg,
+                STATES[i[1]],
+                r.arc_mm[i[0]],
+                r.count[i],
+                status_names(r.status[i], FitStatus)[0],
+                r.radius_mm[i],
+                error[i],
+                *bounds[i],
+                error[i] - error[i[0], 0] if i[1] else np.nan,
+                r.residual_std_um[i],
+                *shift[i],
+                tilt[i],
+            )
             for i in np.ndindex(r.radius_mm.shape)
         ]
-    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
-
-
-def told(results: Mapping[Setting, Reconstruction]) -> str:
-    """Does a hot cylinder measure too small?  The answer, from the widest arc of each scan."""
-    sentences = []
-    for air in dict.fromkeys(setting.air for setting in results):
-        mine = {s: r for s, r in results.items() if s.air == air}
-        poses = sorted({s.beta_deg for s in mine})
-        at = {s: float(r.error_um[-1, 1]) for s, r in mine.items()}
-        first = sorted(s for s in mine if s.beta_deg == poses[0])
-        errors = _listed([_signed(at[s]) for s in first])
-        hottest = mine[first[-1]]
-        low, high = hottest.interval_um[-1, 1]
-        spread = hottest.residual_std_um[-1, 1]
-        words = (
-            f"In {air} air, from beta = {poses[0]:g} deg, the hot cylinder's fitted radius is off"
-            f" by {errors} µm at {_listed([f'{s.temperature_c:g}' for s in first])} °C (at"
-            f" {first[-1].temperature_c:g} °C 95 % between {_signed(low)} and {_signed(high)} µm,"
-            f" residual standard deviation {spread:.1f} µm): {_verdict(mine, first)}"
-        )
-        if len(hottest.arc_mm) > 1:
-            arcs = _listed([f"{a:g}" for a in hottest.arc_mm[:-1]])
-            there = _listed([_signed(e) for e in hottest.error_um[:-1, 1]])
-            words += f"; of abs(y) up to {arcs} mm alone it is off by {there} µm"
-        others = [replace(first[-1], beta_deg=b) for b in poses[1:]]
-        if others := [s for s in others if s in at]:
-            words += (
-                f"; from beta = {_listed([f'{s.beta_deg:g}' for s in others])} deg by"
-                f" {_listed([_signed(at[s]) for s in others])} µm"
-            )
-        sentences.append(words + ".")
-    return "  ".join(sentences)
-
-
-def _verdict(results: Mapping[Setting, Reconstruction], settings: Sequence[Setting]) -> str:
-    """Whether these radii are too small, by their intervals."""
-    bounds = np.array([results[s].interval_um[-1, 1] for s in settings])
-    if np.isnan(bounds).any():
-        return "not every fit came to an end"
-    if (bounds < 0.0).all():
-        return "it measures too small"
-    return "it measures too large" if (bounds > 0.0).all() else "neither small nor large for sure"
-
-
-def _signed(value: float) -> str:
-    return "(no fit)" if np.isnan(value) else f"{value:+.1f}"
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1])] * (len(words) > 1) + list(words[-1:]))
+    return FittedCylinders(*zip(*rows, strict=True))

@@ -3,60 +3,207 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.optics.surfaces import Cylinder
-from virtual_sensor.studies.finished_cases import own_folder
+from virtual_sensor.records import Record, Table
+from virtual_sensor.studies.finished_cases import find_or_make, own_folder
 from virtual_sensor.studies.measure import Report
-from virtual_sensor.studies.reproduction.beta_map import BetaMap
-from virtual_sensor.studies.reproduction.broadening_fit import Fit
+from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.reproduction.broadening_fit import FAMILIES, Fit, fit_broadening
 from virtual_sensor.studies.reproduction.curves import (
-    BLURRED,
     DOTS,
     LINE,
-    RESOLVED,
     SEARCHED,
-    WIDENED,
     Curve,
     Curves,
-    Setting,
     from_dots,
     from_line,
     read_columns,
+    searched,
 )
-from virtual_sensor.studies.reproduction.pieces import Shelf, fits, maps, rays, reconstructions
-from virtual_sensor.studies.reproduction.reconstruction import Reconstruction, fit_section
+from virtual_sensor.studies.reproduction.paper import Verdict, judge
+from virtual_sensor.studies.reproduction.reconstruction import (
+    FittedCylinders,
+    Reconstruction,
+    fit_section,
+    fitted_cylinders,
+    reconstruct,
+)
 from virtual_sensor.studies.reproduction.settings import (
+    ALL_BETAS_DEG,
     BETAS_DEG,
+    BLURRED,
     DOT_RADIUS_MM,
+    LINE_MM,
     NINE_DOTS,
     NINE_RAYS_MM,
+    RESOLVED,
+    SCAN,
     SCENE,
     TEMPERATURES_C,
+    WIDENED,
     Broadening,
     Scenes,
+    Setting,
     settings,
 )
-from virtual_sensor.studies.reproduction.statements import Verdict, judge
 from virtual_sensor.studies.sweep import CaseStatus, Finished, Save, cases, run
-from virtual_sensor.studies.sweep_table import table
+from virtual_sensor.studies.sweep_table import SweepTable, table
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
 
 MARK = "REPRODUCTION.txt"
 _MARK_TEXT = """\
-The folder of a `virtual-sensor reproduce`. report/ holds the results, measurements/ a sweep, kept/
-what was searched. What is finished is kept under a hash of all that went into it: the same command
-makes only what is missing.
+The folder of a `virtual-sensor reproduce`. report/ holds the results, measurements/ a sweep,
+searches/ what was searched. What is finished lies under a hash of all that went into it: the same
+command makes only what is missing.
 """
-
 OPEN = ("spp", "step", "method", "precision")
 """Parameters that a user may set: all others are the paper's, whose numbers hold for its sensor."""
+SCANS = (
+    *(Setting(RESOLVED, t, 0.0) for t in TEMPERATURES_C),
+    *(Setting(RESOLVED, TEMPERATURES_C[-1], b) for b in BETAS_DEG[1:]),
+    *(Setting(air, TEMPERATURES_C[-1], 0.0) for air in (BLURRED, WIDENED)),
+)
+"""What is reconstructed densely."""
+
+
+@dataclass(frozen=True)
+class Lines(Table):
+    """The whole laser line, searched: a row for each ray of each setting.
+
+    Attributes
+    ----------
+    air : sequence of str
+        resolved, blurred or widened.
+    temperature_c, beta_deg : sequence of float
+        Temperature of the cylinder; turn of the sensor, 0 from above.
+    y_mm : ndarray of shape (N,)
+        Position along the laser line.
+    measured_shift_um : ndarray of shape (N, 3)
+        B_m - A_m: hot minus cold measured point.
+    measured_shift_um_norm : ndarray of shape (N,)
+        Its length.
+    pixel_shift_px : ndarray of shape (N, 2)
+        Hot minus cold pixel.
+    """
+
+    air: Sequence[str]
+    temperature_c: Sequence[float]
+    beta_deg: Sequence[float]
+    y_mm: Array
+    measured_shift_um: Array
+    measured_shift_um_norm: Array
+    pixel_shift_px: Array
+
+
+@dataclass(frozen=True)
+class RenderedSections(Table):
+    """Cylinders through rendered lines, their axis' direction held: a row for each frame.
+
+    Attributes
+    ----------
+    air : sequence of str
+        resolved, blurred or widened.
+    temperature_c, beta_deg : sequence of float
+        Temperature of the cylinder; turn of the sensor, 0 from above.
+    state : sequence of str
+        cold or hot.
+    points : sequence of int
+        How many points took part.
+    radius_mm : sequence of float
+        The fitted radius.
+    radius_error_um : sequence of float
+        Fitted minus true radius.
+    radius_error_low_um, radius_error_high_um : sequence of float
+        Bounds of the same, 95 %.
+    residual_std_um : sequence of float
+        Standard deviation of the points' distances from the fitted cylinder.
+    """
+
+    air: Sequence[str]
+    temperature_c: Sequence[float]
+    beta_deg: Sequence[float]
+    state: Sequence[str]
+    points: Sequence[int]
+    radius_mm: Sequence[float]
+    radius_error_um: Sequence[float]
+    radius_error_low_um: Sequence[float]
+    radius_error_high_um: Sequence[float]
+    residual_std_um: Sequence[float]
+
+
+@dataclass(frozen=True)
+class Agreement(Record):
+    """Rendered minus searched, largest of all cases.
+
+    Attributes
+    ----------
+    line_rms_px : float
+        Rms of a line across itself.
+    dots_u_px, dots_v_px : float
+        Of dots, along and across the line.
+    figures_px : float
+        Distance of a dot from the searched ray that it is drawn beside, larger of u and v.
+    """
+
+    line_rms_px: float
+    dots_u_px: float
+    dots_v_px: float
+    figures_px: float
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """What a reproduction comes to.
+
+    Attributes
+    ----------
+    statements : int
+        How many statements of the paper are judged.
+    met : dict of int
+        How many of them each air bears out.
+    not_met : dict of sequence of str
+        Those that it does not.
+    airs : dict of str
+        What was done to each air.
+    rendered_minus_searched : Agreement
+        How well rendered frames and ray search agree.
+    paths_minus_whole_px : float
+        Largest difference of the sum of the separated paths from the pixel's shift.
+    made_now : int
+        Cases that were measured now; the others were finished before.
+    cases : int
+        All of them.
+    time_s : float
+        That it took.
+    notes : sequence of str
+        What the reader should know besides.
+    made_with : MadeWith
+        Engine and versions.
+    """
+
+    statements: int
+    met: dict[str, int]
+    not_met: dict[str, list[str]]
+    airs: dict[str, str]
+    rendered_minus_searched: Agreement
+    paths_minus_whole_px: float
+    made_now: int
+    cases: int
+    time_s: float
+    notes: tuple[str, ...]
+    made_with: MadeWith
 
 
 @dataclass(frozen=True)
@@ -70,31 +217,26 @@ class Reproduction:
     fits : dict
         How it was found, by air.
     curves : Curves
-    maps : dict
-        Of all poses, by air.
     reconstructions : dict
         Dense scans of the cylinder, searched, by setting.
-    sections : dict
-        Columns of a table: the cylinders fitted to each rendered line.
-    measured : dict
+    cylinders : FittedCylinders
+        What was fitted to them.
+    sections : RenderedSections
+    measured : SweepTable
         The sweep's table: one row for each rendered case.
     verdicts : list of Verdict
-    made : int
-        Cases that were measured now; the others had been kept.
-    seconds : float
-        That it took.
+    summary : Summary
     """
 
     airs: dict[str, Broadening]
     fits: dict[str, Fit]
     curves: Curves
-    maps: dict[str, BetaMap]
     reconstructions: dict[Setting, Reconstruction]
-    sections: dict[str, list[Any]]
-    measured: dict[str, Any]
+    cylinders: FittedCylinders
+    sections: RenderedSections
+    measured: SweepTable
     verdicts: list[Verdict]
-    made: int
-    seconds: float
+    summary: Summary
 
 
 def reproduce(
@@ -104,7 +246,7 @@ def reproduce(
     scheduler: str | None = None,
     report: Report = lambda stage, fraction: None,
 ) -> Reproduction:
-    """Remake section 5 of Beermann et al. 2018 in a folder, or go on with what is kept there.
+    """Remake section 5 of Beermann et al. 2018 in a folder, or go on with what is finished there.
 
     Parameters
     ----------
@@ -117,7 +259,7 @@ def reproduce(
     scheduler : str, optional
         Of a Dask cluster for the rendered cases, as in `sweep.run`.
     report : callable
-        Told what is being done, and which fraction of the whole is.
+        Called with what is being done, and which fraction of the whole is.
 
     Raises
     ------
@@ -133,41 +275,101 @@ def reproduce(
             " measure or sweep take any"
         )
     scenes = Scenes(given)
-    scenes.pose(0.0)  # what can't be loaded is told before anything is written
+    scenes.pose(0.0)  # what can't be loaded is refused before anything is written
     own_folder(folder, MARK, _MARK_TEXT)
-    shelf = Shelf(folder.absolute() / "kept", scenes)
+    searches = Searches(folder.absolute() / "searches", scenes)
 
     def part(first: float, last: float) -> Report:
         return lambda stage, fraction: report(stage, first + (last - first) * fraction)
 
-    found = fits(shelf, part(0.0, 0.1))
-    airs = {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in found.items()}
+    fits = searches.fits(part(0.0, 0.1))
+    airs = {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in fits.items()}
     finished = _measure(folder / "measurements", save, given, airs, scheduler, part(0.1, 0.88))
-    nine = rays(shelf, airs, False, part(0.88, 0.92))
-    whole = rays(shelf, airs, True, part(0.92, 0.95))
-    all_poses = maps(shelf, airs, part(0.95, 0.97))
-    scans = reconstructions(shelf, airs, SCANS, part(0.97, 1.0))
-    curves = Curves(_all_ways(nine, finished), whole)
+    nine = searches.curves("nine_rays", airs, settings, part(0.88, 0.92), whole_line=False)
+    whole = searches.curves("line", airs, settings, part(0.92, 0.95))
+    poses = searches.curves("all_poses", airs, all_poses, part(0.95, 0.97))
+    scans = searches.reconstructions(airs, SCANS, part(0.97, 1.0))
+    curves = Curves(_with_rendered(nine, finished), whole, poses)
+    verdicts = judge(curves)
+    measured = table(list(finished.values()), folder / "measurements")
+    made_now = sum(not end.already_there for end in finished.values())
     return Reproduction(
         airs,
-        found,
+        fits,
         curves,
-        all_poses,
         scans,
-        _sections(finished, shelf.scenes),
-        dict(table(list(finished.values()), folder / "measurements").columns()),
-        judge(curves, list(airs)),
-        sum(not end.already_there for end in finished.values()),
-        time.perf_counter() - started,
+        fitted_cylinders(scans),
+        _sections(finished, scenes),
+        measured,
+        verdicts,
+        summarise(airs, curves, measured, verdicts, made_now, time.perf_counter() - started),
     )
 
 
-SCANS = (
-    *(Setting(RESOLVED, t, 0.0) for t in TEMPERATURES_C),
-    *(Setting(RESOLVED, TEMPERATURES_C[-1], b) for b in BETAS_DEG[1:]),
-    *(Setting(air, TEMPERATURES_C[-1], 0.0) for air in (BLURRED, WIDENED)),
-)
-"""What is reconstructed densely."""
+def all_poses(air: str) -> list[Setting]:
+    """The hottest cylinder from above to the side, for which the paper has three poses."""
+    return [Setting(air, TEMPERATURES_C[-1], float(beta)) for beta in ALL_BETAS_DEG]
+
+
+def lines(curves: Mapping[Setting, Curve]) -> Lines:
+    """Rays of whole lines as a table, setting by setting."""
+    rays = {setting: curve.rays() for setting, curve in curves.items()}
+    counts = [len(each.y_mm) for each in rays.values()]
+    moved = np.concatenate([each.measured_shift_um for each in rays.values()])
+    return Lines(
+        air=np.repeat([s.air for s in rays], counts).tolist(),
+        temperature_c=np.repeat([s.temperature_c for s in rays], counts).tolist(),
+        beta_deg=np.repeat([s.beta_deg for s in rays], counts).tolist(),
+        y_mm=np.concatenate([each.y_mm for each in rays.values()]),
+        measured_shift_um=moved,
+        measured_shift_um_norm=euclidean(moved),
+        pixel_shift_px=np.concatenate([each.pixel_shift_px for each in rays.values()]),
+    )
+
+
+def summarise(
+    airs: Mapping[str, Broadening],
+    curves: Curves,
+    measured: SweepTable,
+    verdicts: Sequence[Verdict],
+    made_now: int,
+    time_s: float,
+) -> Summary:
+    """What the reproduction comes to."""
+
+    def worst(*names: str) -> float:
+        return float(np.fmax.reduce(np.concatenate([getattr(measured, name) for name in names])))
+
+    apart = [
+        np.abs(getattr(curve, name) - getattr(curves.nine[setting, SEARCHED], name)).max()
+        for (setting, method), curve in curves.nine.items()
+        for name in ("pixel_cold", "pixel_hot")
+        if method == DOTS
+    ]
+    found = [curve for (_, method), curve in curves.nine.items() if method == SEARCHED]
+    not_met = {air: [v.statement.claim for v in verdicts if not v.found[air].met] for air in airs}
+    return Summary(
+        statements=len(verdicts),
+        met={air: len(verdicts) - len(not_met[air]) for air in airs},
+        not_met=not_met,
+        airs={air: str(broadening) for air, broadening in airs.items()},
+        rendered_minus_searched=Agreement(
+            line_rms_px=worst("cold_line_rms_px", "hot_line_rms_px"),
+            dots_u_px=worst("cold_dots_largest_u_px", "hot_dots_largest_u_px"),
+            dots_v_px=worst("cold_dots_largest_v_px", "hot_dots_largest_v_px"),
+            figures_px=float(max(apart)),
+        ),
+        paths_minus_whole_px=float(max(np.abs(c.rays().paths_minus_whole_px).max() for c in found)),
+        made_now=made_now,
+        cases=len(measured.status),
+        time_s=time_s,
+        notes=tuple(
+            f"{Path(folder).name}: {message}"
+            for folder, message in zip(measured.folder, measured.message, strict=True)
+            if message
+        ),
+        made_with=made_with(),
+    )
 
 
 def rendered_cases() -> list[tuple[Setting, str]]:
@@ -175,7 +377,7 @@ def rendered_cases() -> list[tuple[Setting, str]]:
     return [
         *((setting, LINE) for setting in settings(RESOLVED)),
         *((setting, DOTS) for setting in settings(RESOLVED)),
-        *((Setting(air, TEMPERATURES_C[-1], 0.0), DOTS) for air in (BLURRED, WIDENED)),
+        *((Setting(air), DOTS) for air in (BLURRED, WIDENED)),
     ]
 
 
@@ -187,51 +389,44 @@ def _measure(
     scheduler: str | None,
     report: Report,
 ) -> dict[tuple[Setting, str], Finished]:
+    """Measure what is rendered, as a sweep."""
     wanted = rendered_cases()
-    planned = cases(
-        SCENE,
-        [_parameters(setting, way, given, airs[setting.air]) for setting, way in wanted],
-        [_name(setting, way) for setting, way in wanted],
-        NINE_RAYS_MM.tolist(),
-    )
+    dots = {"dots": NINE_DOTS, "line_radius": f"{DOT_RADIUS_MM:g}"}
+    parameters = [
+        dict(given)
+        | {"temperature": f"{setting.temperature_c:g}", "beta": f"{setting.beta_deg:g}"}
+        | airs[setting.air].parameters()
+        | (dots if method == DOTS else {})
+        for setting, method in wanted
+    ]
+    names = [
+        f"{s.air}_{s.temperature_c:g}C_beta{s.beta_deg:g}_{method.removeprefix('rendered ')}"
+        for s, method in wanted
+    ]
+    planned = cases(SCENE, parameters, names, NINE_RAYS_MM.tolist())
     finished = run(planned, folder, save, scheduler, report)
     if failed := [end for end in finished if end.status is not CaseStatus.OK]:
         raise InputError(f"{failed[0].case.name}: {failed[0].message}")
     return dict(zip(wanted, finished, strict=True))
 
 
-def _parameters(
-    setting: Setting, way: str, given: Mapping[str, str], broadening: Broadening
-) -> dict[str, str]:
-    named = {"temperature": f"{setting.temperature_c:g}", "beta": f"{setting.beta_deg:g}"}
-    dots = {"dots": NINE_DOTS, "line_radius": f"{DOT_RADIUS_MM:g}"} if way == DOTS else {}
-    return {**given, **named, **broadening.parameters(), **dots}
-
-
-def _name(setting: Setting, way: str) -> str:
-    what = "dots" if way == DOTS else "line"
-    return f"{setting.air}_{setting.temperature_c:g}C_beta{setting.beta_deg:g}_{what}"
-
-
-def _all_ways(
+def _with_rendered(
     nine: Mapping[Setting, Curve], finished: Mapping[tuple[Setting, str], Finished]
 ) -> dict[tuple[Setting, str], Curve]:
     """The searched curves, and beside them the rendered ones."""
     curves = {(setting, SEARCHED): curve for setting, curve in nine.items()}
-    for (setting, way), end in finished.items():
+    for (setting, method), end in finished.items():
         assert end.folder is not None
-        seen = from_dots if way == DOTS else from_line
-        curves[setting, way] = seen(nine[setting], end.folder)
+        read = from_dots if method == DOTS else from_line
+        curves[setting, method] = read(nine[setting], end.folder)
     return curves
 
 
-def _sections(
-    finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes
-) -> dict[str, list[Any]]:
+def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) -> RenderedSections:
     """The cylinder through each rendered line, its axis' direction held."""
     rows = []
-    for (setting, way), end in finished.items():
-        if way != LINE or end.folder is None:
+    for (setting, method), end in finished.items():
+        if method != LINE or end.folder is None:
             continue
         part = scenes.pose(setting.beta_deg).surface
         assert isinstance(part, Cylinder)
@@ -239,23 +434,118 @@ def _sections(
             line = read_columns(end.folder / f"line_{state}.csv")
             points = np.stack([line[f"point_mm_{axis}"] for axis in "xyz"], axis=1).astype(float)
             fit, interval = fit_section(points)
-            rows.append(
-                {
-                    "air": setting.air,
-                    "temperature_c": setting.temperature_c,
-                    "beta_deg": setting.beta_deg,
-                    "state": state,
-                    "points": fit.count,
-                    "radius_mm": fit.radius_mm,
-                    "radius_error_um": UM_PER_MM * (fit.radius_mm - part.radius_mm),
-                    "radius_error_low_um": UM_PER_MM * (interval[0] - part.radius_mm),
-                    "radius_error_high_um": UM_PER_MM * (interval[1] - part.radius_mm),
-                    "residual_std_um": fit.residual_std_um,
-                }
-            )
-    return {name: [row[name] for row in rows] for name in (rows[0] if rows else ())}
+            errors = UM_PER_MM * (np.array([fit.radius_mm, *interval]) - part.radius_mm)
+            at = setting.air, setting.temperature_c, setting.beta_deg, state
+            rows.append((*at, fit.count, fit.radius_mm, *errors, fit.residual_std_um))
+    return RenderedSections(*zip(*rows, strict=True))
 
 
-def worst(measured: Mapping[str, Sequence[Any]], columns: Sequence[str]) -> float:
-    """The largest of some columns of the sweep's table; NaN where a case has none."""
-    return float(np.fmax.reduce([value for name in columns for value in measured[name]]))
+@dataclass(frozen=True)
+class _Stacked:
+    """Searched curves of several settings, each field with a first axis more than a `Curve`'s."""
+
+    y_mm: Array
+    incidence_cold_mm: Array
+    incidence_hot_mm: Array
+    pixel_cold: Array
+    pixel_hot: Array
+    search_distance_um: Array
+
+
+@dataclass(frozen=True)
+class Searches:
+    """What is searched, each finished one stored under a hash of all that it depends on.
+
+    Attributes
+    ----------
+    folder : Path
+    scenes : Scenes
+    """
+
+    folder: Path
+    scenes: Scenes
+
+    def stored(
+        self, name: str, inputs: Mapping[str, Any], make: Callable[[], T], kind: type[T]
+    ) -> T:
+        """A dataclass of arrays, numbers and texts: made and written, or read again."""
+        whole = {"name": name, "scene": self.scenes.inputs(), **inputs}
+        file = f"{name}.npz"
+        place = find_or_make(self.folder, name, whole, lambda new: _write(new / file, make()))
+        with np.load(place / file, allow_pickle=False) as arrays:
+            values = {each: arrays[each] for each in arrays.files}
+        return kind(**{each: v if v.ndim else v.item() for each, v in values.items()})
+
+    def fits(self, report: Report) -> dict[str, Fit]:
+        """The broadenings that come nearest to the paper's numbers, by air."""
+        found = {}
+        for number, air in enumerate(FAMILIES):
+            part = _part(report, number, len(FAMILIES))
+            make = _call(fit_broadening, self.scenes, air, part)
+            found[air] = self.stored(f"fit_{air}", {}, make, Fit)
+        return found
+
+    def curves(
+        self,
+        name: str,
+        airs: Mapping[str, Broadening],
+        settings: Callable[[str], Sequence[Setting]],
+        report: Report,
+        whole_line: bool = True,
+    ) -> dict[Setting, Curve]:
+        """Rays of the whole line in the settings of each air; or the nine, by both searches."""
+        curves = {}
+        for number, (air, broadening) in enumerate(airs.items()):
+            wanted = settings(air)
+            part = _part(report, number, len(airs))
+            make = _call(self._search, wanted, broadening, whole_line, part)
+            inputs = {"broadening": str(broadening)}
+            stacked = self.stored(f"{name}_{air}", inputs, make, _Stacked)
+            for place, setting in enumerate(wanted):
+                sensor = self.scenes.pose(setting.beta_deg).sensor
+                arrays = (getattr(stacked, each.name)[place] for each in fields(_Stacked))
+                curves[setting] = Curve(setting, SEARCHED, sensor, *arrays)
+        return curves
+
+    def _search(
+        self, wanted: Sequence[Setting], broadening: Broadening, whole_line: bool, report: Report
+    ) -> _Stacked:
+        found = []
+        for number, setting in enumerate(wanted):
+            report(f"searching, {setting}", number / len(wanted))
+            scene = self.scenes.scene(setting.temperature_c, setting.beta_deg, broadening)
+            if whole_line:
+                found.append(searched(scene, setting, LINE_MM, SCAN, paper=False))
+            else:
+                found.append(searched(scene, setting, NINE_RAYS_MM))
+        names = [each.name for each in fields(_Stacked)]
+        return _Stacked(*(np.stack([getattr(c, name) for c in found]) for name in names))
+
+    def reconstructions(
+        self, airs: Mapping[str, Broadening], wanted: Sequence[Setting], report: Report
+    ) -> dict[Setting, Reconstruction]:
+        """Scans of the cylinder, cold and hot, with the cylinders fitted to them."""
+        found = {}
+        for number, setting in enumerate(wanted):
+            report(f"reconstructing, {setting}", number / len(wanted))
+            at = setting.temperature_c, setting.beta_deg, airs[setting.air]
+            name = f"scan_{setting.air}_{setting.temperature_c:g}C_beta{setting.beta_deg:g}"
+            inputs = {"setting": str(setting), "broadening": str(airs[setting.air])}
+            make = _call(lambda *its: reconstruct(self.scenes.scene(*its)), *at)
+            found[setting] = self.stored(name, inputs, make, Reconstruction)
+        return found
+
+
+def _call(function: Callable[..., T], *arguments: Any) -> Callable[[], T]:
+    return lambda: function(*arguments)
+
+
+def _part(report: Report, number: int, count: int) -> Report:
+    return lambda stage, fraction: report(stage, (number + fraction) / count)
+
+
+def _write(path: Path, value: Any) -> None:
+    """A flat dataclass's fields as arrays."""
+    arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(value)}
+    with path.open("wb") as file:
+        np.savez(file, **arrays)

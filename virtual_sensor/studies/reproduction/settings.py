@@ -1,4 +1,4 @@
-"""Scenes of the reproduction: the paper's cylinder in any air, temperature and pose."""
+"""Settings and scenes: the paper's cylinder in any air, temperature and pose."""
 
 from __future__ import annotations
 
@@ -19,14 +19,53 @@ from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import March
 from virtual_sensor.studies.finished_cases import file_hash
-from virtual_sensor.studies.reproduction.curves import Setting
 
 SCENE = "hot_cylinder"
+AIRS = RESOLVED, BLURRED, WIDENED = "resolved", "blurred", "widened"
+"""As simulated; smeared by a Gaussian; stretched across the plume, and then smeared."""
 TEMPERATURES_C = (900.0, 1100.0, 1250.0)
 BETAS_DEG = (0.0, 15.0, 30.0)
 
+NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
+"""The paper's laser rays: positions y along the line."""
+NINE_DOTS = ",".join(f"{y:g}" for y in NINE_RAYS_MM)
+"""The same as dots of the laser."""
+DOT_RADIUS_MM = 0.04
+"""Small, since a Gaussian dot's centroid shifts with the square of its radius."""
+LINE_MM = np.linspace(-11.0, 11.0, 45)
+"""Rays of the whole line."""
+ALL_BETAS_DEG = np.linspace(0.0, 90.0, 31)
+"""Poses from above to the side, which the paper has three of."""
+
 SCAN = March(step_mm=0.5, method="leapfrog", precision="double")
 """The march of whole lines, maps and scans: good to 1e-4 px."""
+
+
+@dataclass(frozen=True, order=True)
+class Setting:
+    """What laser rays were followed in.
+
+    Attributes
+    ----------
+    air : str
+        RESOLVED, BLURRED or WIDENED.
+    temperature_c : float
+        Of the cylinder, degC.
+    beta_deg : float
+        Turn of the sensor round the cylinder's axis.
+    """
+
+    air: str
+    temperature_c: float = TEMPERATURES_C[-1]
+    beta_deg: float = 0.0
+
+    def __str__(self) -> str:
+        return f"{self.air}, {self.temperature_c:g} °C, β = {self.beta_deg:g}°"
+
+
+def settings(air: str) -> list[Setting]:
+    """The paper's three temperatures in three poses."""
+    return [Setting(air, t, b) for t in TEMPERATURES_C for b in BETAS_DEG]
 
 
 @dataclass(frozen=True)
@@ -91,7 +130,7 @@ class Scenes:
         return self._fields[key]
 
     def inputs(self) -> dict[str, Any]:
-        """What all of these scenes depend on: to keep what is made of them by."""
+        """What all of these scenes depend on: the key of what is found in them."""
         path = find_scene(SCENE)
         given = [dict(self.given) | {"temperature": f"{t:g}"} for t in TEMPERATURES_C]
         values = [scene_parameters(path, each) for each in given]
@@ -106,16 +145,3 @@ class Scenes:
         """Let go of fields that were only tried."""
         for key in [key for key in self._fields if key[1] == broadening]:
             del self._fields[key]
-
-
-def settings(air: str) -> list[Setting]:
-    """The paper's three temperatures in three poses."""
-    return [Setting(air, t, b) for t in TEMPERATURES_C for b in BETAS_DEG]
-
-
-NINE_RAYS_MM = np.linspace(0.0, -10.0, 9)
-"""The paper's laser rays: positions y along the line."""
-NINE_DOTS = ",".join(f"{y:g}" for y in NINE_RAYS_MM)
-"""The same as dots of the laser."""
-DOT_RADIUS_MM = 0.04
-"""Small, since a Gaussian dot's centroid shifts with the square of its radius."""
