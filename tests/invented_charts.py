@@ -5,8 +5,8 @@ import numpy as np
 from virtual_sensor.studies.chart.benchmark import Measured, with_fronts
 from virtual_sensor.studies.chart.chart import PANELS, Chart
 from virtual_sensor.studies.chart.failures import table
-from virtual_sensor.studies.chart.machine import Machine
 from virtual_sensor.studies.chart.scaling import power
+from virtual_sensor.studies.machine import Machine
 from virtual_sensor.studies.provenance import made_with
 
 NASTY = "<script>&\"'"

@@ -123,7 +123,7 @@ def test_every_command_ends_in_one_line(stopped, inputs):
         ("virtual_sensor.studies.burst:burst", "burst cold_cylinder"),
         (LOADING, "chart --quick --panel frames"),
         ("concurrent.futures.process:submit", TRIAL),
-        ("virtual_sensor.studies.trial.report:save_trial", TRIAL),
+        ("virtual_sensor.reporting.trial:save", TRIAL),
         ("virtual_sensor.reporting.detect:draw", f"detect {line}"),
         ("virtual_sensor.medium.imports.import_field:import_field", f"field import {air}"),
         ("virtual_sensor.studies.field_info:field_info", "field info none.nc"),

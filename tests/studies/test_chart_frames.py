@@ -18,7 +18,7 @@ from virtual_sensor.studies.chart import frames, scaling
 from virtual_sensor.studies.chart.benchmark import measure_all
 from virtual_sensor.studies.chart.chart import on_gpu
 from virtual_sensor.studies.chart.frames import with_lamp
-from virtual_sensor.studies.chart.machine import cuda_found
+from virtual_sensor.studies.machine import cuda_found
 
 
 def line(row, lost=()):

@@ -4,14 +4,21 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from virtual_sensor.cli.shared import Overwrite, console, reporting, see_own_modules
-from virtual_sensor.files import check_output
+from virtual_sensor.cli.shared import (
+    Overwrite,
+    check_folder,
+    command_line,
+    console,
+    print_end,
+    reporting,
+    see_own_modules,
+)
 
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor trial\n\n"
+    "    virtual-sensor trial --width 2.5 --peak 900 --read-noise 6\n\n"
     "    virtual-sensor trial --quick -o glance\n\n"
     "    virtual-sensor trial --detector max_likelihood --detector my_package.my_module:mine"
 )
@@ -25,6 +32,12 @@ def trial(
             " All of ours without it."
         ),
     ] = None,
+    width: Annotated[
+        float,
+        typer.Option(help="Of your line, px standard deviation: a detector is chosen for it."),
+    ] = 1.5,
+    peak: Annotated[float, typer.Option(help="Electrons of a pixel at your line's peak.")] = 5000.0,
+    read_noise: Annotated[float, typer.Option(help="Of your camera, electrons.")] = 2.0,
     seed: Annotated[int, typer.Option(min=0, help="Of all images: the same, the same images.")] = 0,
     columns: Annotated[int, typer.Option(min=100, help="Of each drawn image.")] = 2000,
     quick: Annotated[bool, typer.Option("--quick", help="Few images, in seconds.")] = False,
@@ -32,48 +45,33 @@ def trial(
         bool, typer.Option("--frames/--no-frames", help="Render the part cold and hot too.")
     ] = True,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes; by default one a core.")
+        int | None, typer.Option(min=1, help="Processes; by default one for each core.")
     ] = None,
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
         "trial"
     ),
     overwrite: Overwrite = False,
 ) -> None:
-    """Try line detectors on images of known truth: error, bias, outliers and time, and the bound.
+    """Try line detectors on images of known truth: error, bias, outliers, time, and the bound.
 
-    Widths, signals and noises; saturation, speckle and background; the part rendered cold and hot.
+    Widths, signals and noises; saturation, speckle, ambient light; the part rendered cold and hot.
     """
-    from virtual_sensor.studies.trial.drawing import chosen_for_front, front
-    from virtual_sensor.studies.trial.report import HEAD, PAGE, rows, save_trial
+    from virtual_sensor.reporting.trial import described, lead, save, table
+    from virtual_sensor.studies.trial.images import Condition
     from virtual_sensor.studies.trial.trial import trial as run
 
     see_own_modules()
-    check_output(output, overwrite, folder=True)
+    check_folder(output, overwrite)
+    task = Condition.of_peak("task", width, peak, read_noise)
     with reporting("getting ready") as report:
         result = run(
-            detector or [],
-            seed,
-            columns,
-            quick,
-            frames,
-            workers,
-            lambda stage, fraction: report(stage, 0.95 * fraction),
+            *(detector or [], task, seed, columns, quick, frames, workers),
+            lambda stage, fraction: report(stage, 0.9 * fraction),
         )
-        report("drawing and writing", 0.95)
-        save_trial(result, output, overwrite)
+        report("drawing and writing", 0.9)
+        save(result, output, command_line(), overwrite)
         report("done", 1.0)
-    scores = chosen_for_front(result)
-    condition = scores[0].condition
-    title = f"line of {condition.width_px:g} px, {condition.column_electrons:g} electrons a column"
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for number, name in enumerate(HEAD):
-        table.add_column(name, no_wrap=number == 0)
-    best = {each.detector for each in front(scores)}
-    for row in rows(scores):
-        table.add_row(*row, style="bold" if row[0] in best else None)
-    console.print(table)
-    console.print(
-        f"{len(result.scores)} scores in {result.seconds:.0f} s (bold: no other is both faster and"
-        f" more accurate); results in {output}, look at {output / PAGE} first",
-        soft_wrap=True,
-    )
+    console.print(table(result.of("task"), described(task), narrow=True).rich())
+    console.print("Bold: no other detector is both faster and more accurate.", soft_wrap=True)
+    console.print(lead(result), soft_wrap=True)
+    print_end(output)

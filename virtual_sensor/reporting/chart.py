@@ -42,8 +42,8 @@ from virtual_sensor.studies.chart.benchmark import (
 )
 from virtual_sensor.studies.chart.chart import Chart
 from virtual_sensor.studies.chart.failures import Failures, made_by
-from virtual_sensor.studies.chart.machine import Machine
 from virtual_sensor.studies.chart.scaling import Scaling
+from virtual_sensor.studies.machine import Machine
 
 # ------------------------------------------------------------------------------------------ words
 

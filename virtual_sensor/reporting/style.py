@@ -13,13 +13,14 @@ from itertools import cycle, islice
 from matplotlib import rc_context
 from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from virtual_sensor.errors import printable
 
 BLUE, VERMILION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
 SKY, PURPLE, YELLOW, BLACK, GREY = "#56B4E9", "#CC79A7", "#C9B400", "#000000", "#7A7A7A"
-CYCLE = (BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, GREY)
+MAGENTA, LIME, BROWN, NAVY = "#E6007E", "#7AB800", "#8C564B", "#2B3A67"
+CYCLE = (BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, GREY, MAGENTA, LIME)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":")
 
@@ -59,6 +60,10 @@ COLOURS = {
     "gaussian": BLUE,
     "max_likelihood": VERMILION,
     "steger": GREEN,
+    "weighted_gaussian": NAVY,
+    "linear_interpolation": YELLOW,
+    "fir4": BROWN,
+    "fir8": PURPLE,
     # what became of a column or a point
     "ok": GREEN,
     "failed": VERMILION,
@@ -72,7 +77,7 @@ COLOURS = {
     "skewed": PURPLE,
     "doubled": BLUE,
     "cut": YELLOW,
-    "overlapping": "#8C564B",
+    "overlapping": BROWN,
 }
 
 _RC = {
@@ -142,7 +147,9 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def decimal_ticks(axis: Axis) -> None:
-    """Have a logarithmic axis say 0.001, 0.01, 0.1, 1, 10 in place of powers."""
+def decimal_ticks(axis: Axis, fine: bool = False) -> None:
+    """Have a logarithmic axis say 0.001, 0.01, 0.1, 1, 10 in place of powers; fine: 2 and 5 too."""
+    if fine:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.10g}"))
     axis.set_minor_formatter(NullFormatter())

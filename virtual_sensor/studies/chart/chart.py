@@ -24,8 +24,8 @@ from virtual_sensor.studies.chart.benchmark import (
     with_fronts,
 )
 from virtual_sensor.studies.chart.failures import Failures, failures
-from virtual_sensor.studies.chart.machine import Machine, cuda_found, machine
 from virtual_sensor.studies.chart.scaling import Scaling
+from virtual_sensor.studies.machine import Machine, cuda_found, machine
 
 CUDA_VARIANT = "cuda_ad_mono"
 _CUDA_LIMIT_S = 1800.0

@@ -34,8 +34,8 @@ class Condition(Record):
     Attributes
     ----------
     kind : str
-        "clean": a drawn line in shot and read noise; "saturated", "speckle", "ambient light": the
-        same with that too; "cold frame", "hot frame": rendered.
+        "task", "clean": a drawn line in shot and read noise; "saturated", "speckle",
+        "ambient light": the same with that too; "cold frame", "hot frame": rendered.
     width_px : float
         Standard deviation of the line's profile; of a rendered frame the median, as measured.
     column_electrons : float
@@ -70,7 +70,7 @@ class Condition(Record):
         return CameraNoise(1.0, 1.0, self.read_noise_electrons, well, 16, 100.0, 0.0, 0.0)
 
 
-STATED = Condition.of_peak("clean", 1.5, peak_electrons=5000.0, read_noise_electrons=2.0)
+STATED = Condition.of_peak("task", 1.5, peak_electrons=5000.0, read_noise_electrons=2.0)
 """The task in which detectors are compared where one has to stand for all: `drawn_line(STATED)`."""
 
 

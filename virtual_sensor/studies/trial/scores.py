@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
+from virtual_sensor import interrupts
 from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
+from virtual_sensor.records import Table
 from virtual_sensor.studies.trial.images import Condition, TrialImage, drawn_line
 
 Array = NDArray[np.float64]
@@ -18,41 +23,50 @@ Array = NDArray[np.float64]
 OUTLIER_PX, OUTLIER_BOUNDS = 0.5, 6.0  # an outlier is farther off than both
 PHASES = np.linspace(-0.5, 0.5, 41)
 _ENDS_PX = 3.5  # columns next to a line's ends are lit in part: their truth is of another place
-_RUNS = 3
+_RUNS, _TASK_S = 3, 0.5
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Condition):
     """One detector on one image; outliers are counted, and are not in bias, std and rms.
 
     Attributes
     ----------
     detector : str
-    condition : Condition
     bias_px, std_px, rms_px : float
+        Of the errors: mean, standard deviation, root mean square.
     predicted_px : float
         Rms of the sigma that the detector predicts for the centres counted; NaN if it can't.
     bound_px : float
         Rms of the Cramer-Rao bound over the columns; NaN where noise is not all.
-    outliers, failures : float
-        Shares of the columns with a line: wrong though OK; without a centre.
+    outlier_share, lost_share : float
+        Of the columns with a line: wrong though OK; without a centre.
     columns : int
         With a line.
-    seconds : float
-        Of a column.
+    time_us : float
+        Of a column, on one core.
     """
 
     detector: str
-    condition: Condition
     bias_px: float
     std_px: float
     rms_px: float
     predicted_px: float
     bound_px: float
-    outliers: float
-    failures: float
+    outlier_share: float
+    lost_share: float
     columns: int
-    seconds: float
+    time_us: float
+
+    @property
+    def condition(self) -> Condition:
+        """What the image is like."""
+        return Condition(self.kind, self.width_px, self.column_electrons, self.read_noise_electrons)
+
+    @property
+    def ratio(self) -> float:
+        """The error over its bound."""
+        return self.rms_px / self.bound_px
 
 
 def score_drawn(
@@ -69,8 +83,9 @@ def score_all(detectors: list[str], condition: Condition, image: TrialImage) -> 
 
 def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     """Find the line's centres and set them beside the truth."""
-    took = []
-    for _ in range(_RUNS):
+    took: list[float] = []
+    enough_s = _TASK_S if condition.kind == "task" else 0.0  # a detector is chosen by its time
+    while len(took) < _RUNS or sum(took) < enough_s:
         began = time.perf_counter()
         line = line_centres(image.grey, detector, **image.options)
         took.append(time.perf_counter() - began)
@@ -78,21 +93,58 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     bound = image.bound_px[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
     wild = np.abs(errors.error_px) > least
-    good, told = errors.error_px[~wild], errors.sigma[~wild]
-    with_sigma = np.isfinite(told)
+    good, sigma = errors.error_px[~wild], errors.sigma[~wild]
+    with_sigma = np.isfinite(sigma)
     return Score(
-        detector,
-        condition,
+        **asdict(condition),
+        detector=detector,
         bias_px=float(good.mean()) if good.size else np.nan,
         std_px=float(good.std()) if good.size else np.nan,
         rms_px=rms(good),
-        predicted_px=rms(told) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
+        predicted_px=rms(sigma) if with_sigma.sum() > 0.5 * with_sigma.size else np.nan,
         bound_px=rms(image.bound_px[image.truth.columns(_ENDS_PX)]),
-        outliers=float(wild.sum() / errors.expected),
-        failures=errors.lost.size / errors.expected,
+        outlier_share=float(wild.sum() / errors.expected),
+        lost_share=errors.lost.size / errors.expected,
         columns=errors.expected,
-        seconds=min(took) / image.grey.shape[1],
+        time_us=1e6 * min(took) / image.grey.shape[1],
     )
+
+
+@dataclass(frozen=True)
+class Phases(Table):
+    """Bias of the detectors, without any noise, at sub-pixel places of the line.
+
+    Attributes
+    ----------
+    detector : sequence of str
+    width_px : sequence of float
+        Standard deviation of the line's profile.
+    phase_px : sequence of float
+        Of the line's middle from that of a pixel.
+    bias_px : sequence of float
+        NaN where the detector fails.
+    """
+
+    detector: Sequence[str]
+    width_px: Sequence[float]
+    phase_px: Sequence[float]
+    bias_px: Sequence[float]
+
+    @classmethod
+    def of(cls, bias_px: Mapping[tuple[str, float], Array]) -> Phases:
+        """The biases (41,) at `PHASES`, by detector and width, as a table."""
+        pairs = [pair for pair in bias_px for _ in PHASES]
+        return cls(
+            detector=[name for name, _ in pairs],
+            width_px=[width for _, width in pairs],
+            phase_px=[phase for _ in bias_px for phase in PHASES.tolist()],
+            bias_px=[bias for values in bias_px.values() for bias in values.tolist()],
+        )
+
+    def at(self, detector: str, width_px: float) -> Array:
+        """Phase and bias (2, N) of a detector for a line."""
+        rows = zip(self.detector, self.width_px, self.phase_px, self.bias_px, strict=True)
+        return np.array([(x, y) for d, w, x, y in rows if (d, w) == (detector, width_px)]).T
 
 
 def phase_bias(detector: str, width_px: float) -> Array:
@@ -106,3 +158,10 @@ def phase_bias(detector: str, width_px: float) -> Array:
         middle = errors.error_px[np.rint(errors.column) == repeats // 2]
         bias[number] = middle[0] if middle.size else np.nan
     return bias
+
+
+def alone_on_a_core(parent: int) -> None:
+    """One thread for each process, as times are of one core; it ends with its parent."""
+    interrupts.tie_to_parent(parent)
+    cv2.setNumThreads(1)
+    threadpool_limits(1)

@@ -6,25 +6,31 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
-from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from virtual_sensor import interrupts
+from virtual_sensor.arrays import number_within
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.detectors import NAMES, find_detector
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
-from virtual_sensor.studies.provenance import made_with
-from virtual_sensor.studies.trial.images import Condition, TrialImage, frame_line
-from virtual_sensor.studies.trial.scores import Score, phase_bias, score_all, score_drawn
+from virtual_sensor.studies.machine import Machine, machine
+from virtual_sensor.studies.pareto import not_beaten
+from virtual_sensor.studies.trial.images import STATED, Condition, TrialImage, frame_line
+from virtual_sensor.studies.trial.scores import (
+    Phases,
+    Score,
+    alone_on_a_core,
+    phase_bias,
+    score_all,
+    score_drawn,
+)
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -38,6 +44,9 @@ FRAME_PEAKS_E = (30.0, 300.0, 3000.0)
 SCENE = "hot_cylinder"
 _FILM_PX, _QUICK_FILM_PX = 1024, 384
 _FRAMES_SHARE = 0.1  # of the time
+_NEAR = 1.1  # times the bound
+_FAILS = 0.05  # of the columns
+_WIDTHS_PX, _PEAKS = (0.3, 8.0), (10.0, 50_000.0)  # of a task, at least and at most
 
 
 @dataclass(frozen=True)
@@ -46,49 +55,77 @@ class Trial:
 
     Attributes
     ----------
-    scores : list of Score
-    phases : dict
-        (detector, width) to the bias at `PHASES`, px.
+    scores : tuple of Score
+        Of each detector on each image.
+    phases : Phases
+    task : Condition
+        The line and camera that a detector is to be chosen for.
     seed, columns : int
         With which it can be repeated.
-    machine : dict
-    seconds : float
+    machine : Machine
+        What the times were measured on.
+    time_s : float
     """
 
-    scores: list[Score]
-    phases: dict[tuple[str, float], Array]
+    scores: tuple[Score, ...]
+    phases: Phases
+    task: Condition
     seed: int
     columns: int
-    machine: dict[str, Any]
-    seconds: float
+    machine: Machine
+    time_s: float
 
     @property
     def detectors(self) -> list[str]:
         """Names, in the order in which they were asked for."""
         return list(dict.fromkeys(each.detector for each in self.scores))
 
-    def of(self, kind: str) -> list[Score]:
-        """The scores of one kind of image."""
-        return [each for each in self.scores if each.condition.kind == kind]
+    def of(self, *kinds: str) -> list[Score]:
+        """The scores of some kinds of images."""
+        return [each for each in self.scores if each.kind in kinds]
+
+    @property
+    def recommended(self) -> Score | None:
+        """For the task: of the detectors within a tenth of its bound the fastest.
+
+        If none is, the most accurate one; None if none is sound.
+        """
+        sound = [each for each in self.of("task") if is_sound(each)]
+        near = [each for each in sound if each.ratio <= _NEAR]
+        if near:
+            return min(near, key=lambda each: each.time_us)
+        return min(sound, key=lambda each: each.rms_px, default=None)
 
 
-def conditions(quick: bool) -> list[Condition]:
-    """The drawn images: widths x signals x noises, and each trouble at some widths."""
+def is_sound(score: Score) -> bool:
+    """Whether a detector finds a centre in nearly all columns, and is right there."""
+    return bool(np.isfinite(score.rms_px)) and score.lost_share + score.outlier_share < _FAILS
+
+
+def front(scores: Sequence[Score]) -> list[Score]:
+    """The sound ones that no other beats in both time and error, the fastest first."""
+    return not_beaten(filter(is_sound, scores), lambda each: (each.time_us, each.rms_px))
+
+
+def conditions(task: Condition, quick: bool) -> list[Condition]:
+    """The drawn images: the task, widths x signals x noises, and each trouble at some widths."""
     widths = (1.0, 2.0, 4.0) if quick else WIDTHS_PX
     signals = (200.0, 2000.0, 20_000.0) if quick else ELECTRONS
     noises = DARK_NOISES_E[:1] if quick else DARK_NOISES_E
     clean = [Condition("clean", w, n, d) for d in noises for w in widths for n in signals]
     troubled = TROUBLED_WIDTHS_PX[1:2] if quick else TROUBLED_WIDTHS_PX
     kinds = ("saturated", "speckle", "ambient light")
-    return clean + [
+    troubles = [
         Condition(kind, width, TROUBLED_ELECTRONS, DARK_NOISES_E[0])
         for kind in kinds
         for width in troubled
     ]
+    return [*clean, *troubles, replace(task, kind="task")]
 
 
 def trial(
     detectors: Sequence[str] = (),
+    task: Condition = STATED,
     seed: int = 0,
     columns: int = 2000,
     quick: bool = False,
@@ -102,6 +139,8 @@ def trial(
     ----------
     detectors : sequence of str
         Ours by name, or a user's (see `metrology.detectors`); by default all of ours.
+    task : Condition
+        The line and camera that a detector is to be chosen for.
     seed : int
         Of all images.
     columns : int
@@ -111,8 +150,9 @@ def trial(
     frames : bool
         Whether to render the part cold and hot too.
     workers : int, optional
-        Processes; by default one a core.
+        Processes; by default one for each core.
     report : callable
+        Gets what is being done, and the fraction done.
 
     Raises
     ------
@@ -126,36 +166,42 @@ def trial(
     for name in names:
         if name not in NAMES:
             find_detector(name)  # is there such a one?
+    number_within("trial: width of the line", task.width_px, *_WIDTHS_PX, "0.3 to 8 px")
+    number_within("trial: electrons at the peak", task.peak_electrons, *_PEAKS, "10 to 50000")
+    number_within("trial: read noise", task.read_noise_electrons, 0.0, 1000.0, "0 to 1000 e")
     report("rendering the part", 0.0)
     rendered = list(_frames(quick, seed, report)) if frames else []
-    drawn = conditions(quick)
+    drawn = conditions(task, quick)
     widths = PHASE_WIDTHS_PX[1:4:2] if quick else PHASE_WIDTHS_PX
-    scores: dict[int, Score] = {}
-    phases: dict[tuple[str, float], Array] = {}
+    pairs = [(name, width) for name in names for width in widths]
+    scores: dict[int, list[Score]] = {}
+    phases: dict[tuple[str, float], Array] = dict.fromkeys(pairs, np.empty(0))
     with _pool(workers) as pool:
         with interrupts.deaf_children():
-            work = {}
+            images = {}
             for number, condition in enumerate(drawn):
                 arguments = (names, condition, columns, (seed, number))
-                work[pool.submit(score_drawn, *arguments)] = number
+                images[pool.submit(score_drawn, *arguments)] = number
             for number, (condition, image) in enumerate(rendered, len(drawn)):
-                work[pool.submit(score_all, names, condition, image)] = number
-            pairs = [(name, width) for name in names for width in widths]
-            later = {pool.submit(phase_bias, *pair): pair for pair in pairs}
-        waited: list[Future] = [*work, *later]
-        for done, future in enumerate(as_completed(waited)):
-            if future in later:
-                phases[later[future]] = future.result()
-                told = "sub-pixel phases"
+                images[pool.submit(score_all, names, condition, image)] = number
+            biases = {pool.submit(phase_bias, *pair): pair for pair in pairs}
+        work: list[Future] = [*images, *biases]
+        for done, future in enumerate(as_completed(work), 1):
+            if future in biases:
+                phases[biases[future]] = future.result()
+                stage = "sub-pixel phases"
             else:
-                first = work[future] * len(names)
-                scores |= dict(enumerate(future.result(), first))
-                told = f"{scores[first].condition.kind} lines"
-            report(told, _FRAMES_SHARE + (1.0 - _FRAMES_SHARE) * (done + 1) / len(waited))
-    ordered = [scores[number] for number in sorted(scores)]
-    in_order = {key: phases[key] for key in later.values()}
+                scores[images[future]] = future.result()
+                stage = f"{scores[images[future]][0].kind} lines"
+            report(stage, _FRAMES_SHARE + (1.0 - _FRAMES_SHARE) * done / len(work))
     return Trial(
-        ordered, in_order, seed, columns, made_with().to_dict(), time.perf_counter() - began
+        scores=tuple(score for _, each in sorted(scores.items()) for score in each),
+        phases=Phases.of(phases),
+        task=drawn[-1],
+        seed=seed,
+        columns=columns,
+        machine=machine(),
+        time_s=time.perf_counter() - began,
     )
 
 
@@ -175,14 +221,6 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
 
 
 def _pool(workers: int | None) -> ProcessPoolExecutor:
-    # Started anew: a fork would take the engine's threads along, which do not survive it.
-    return ProcessPoolExecutor(
-        workers or len(os.sched_getaffinity(0)), get_context("spawn"), _alone, (os.getpid(),)
-    )
-
-
-def _alone(parent: int) -> None:
-    """One thread for each process, as times are of one core; none outlives this one."""
-    interrupts.tie_to_parent(parent)
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
+    # Spawned: the engine's threads do not survive a fork.
+    cores = workers or len(os.sched_getaffinity(0))
+    return ProcessPoolExecutor(cores, get_context("spawn"), alone_on_a_core, (os.getpid(),))

@@ -1,0 +1,450 @@
+"""A trial of line detectors as files: scores and biases as CSV, pictures, and a page."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from virtual_sensor.errors import printable
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.metrology.detectors import NAMES, STEGER
+from virtual_sensor.records import Record, write_csv, write_json
+from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
+from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
+from virtual_sensor.reporting.style import LINES, MARKERS, colour, colours, decimal_ticks
+from virtual_sensor.reporting.style import plain as plain_text
+from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.words import time_in_words
+from virtual_sensor.studies.machine import Machine
+from virtual_sensor.studies.trial.images import Condition
+from virtual_sensor.studies.trial.scores import OUTLIER_BOUNDS, OUTLIER_PX, Phases, Score
+from virtual_sensor.studies.trial.trial import Trial, front
+
+TABLE = "table.md"
+_LONGEST_NAME = 22
+_HOW = (
+    "Every detector sees the same images, and knows the camera's noise and gain. Clean lines are"
+    " Gaussian profiles, integrated over each pixel, that wander over all sub-pixel places, in shot"
+    " noise and read noise, with one grey value an electron.",
+    f"Outliers are off by more than {OUTLIER_PX:g} px and {OUTLIER_BOUNDS:g} bounds. They are"
+    " counted, and are not in the errors.",
+    "The Cramer-Rao bound is the smallest error that an unbiased estimate from one column can have:"
+    " var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)). A detector that also looks along the"
+    " line, as steger does, may go below it, and rounds off what is sharp.",
+    "Times are of one column on one core, the best of three runs or more, while the other cores do"
+    " the same.",
+    "Saturated lines are clipped at half their height. Speckle is of an aperture of f/5.6 at"
+    " 532 nm, pixels of 5.5 µm and light of both polarisations. Ambient light has 100 electrons a"
+    " pixel."
+    " Frames are of the hot cylinder, rendered; their truth is where the laser's axis meets the"
+    " surface.",
+)
+
+
+@dataclass(frozen=True)
+class Summary(Record):
+    """A trial in figures.
+
+    Attributes
+    ----------
+    command : str
+    machine : Machine
+        What the times were measured on.
+    task : Condition
+        The line and camera that a detector is to be chosen for.
+    recommended : Score or None
+        The fastest within a tenth of the task's bound, or else the most accurate.
+    front : list of str
+        Detectors that no other beats in both time and error in the task, the fastest first.
+    seed, columns : int
+        Of the images.
+    time_s : float
+        Of the trial.
+    """
+
+    command: str
+    machine: Machine
+    task: Condition
+    recommended: Score | None
+    front: list[str]
+    seed: int
+    columns: int
+    time_s: float
+
+
+FILES = (
+    FileOf("scores.csv", "Each detector on each image.", Score),
+    FileOf("phases.csv", "Bias against sub-pixel phase.", Phases),
+    FileOf(RESULTS_SIGN, "The recommended detector, and how to repeat the trial.", Summary),
+    FileOf(TABLE, "The detectors in the task, as Markdown."),
+    FileOf("speed.png", "Error and time of the detectors in the task."),
+    FileOf("signal.png", "Error over its bound against the signal, for each width of the line."),
+    FileOf("phase.png", "Bias against sub-pixel phase, for each width of the line."),
+    FileOf("troubles.png", "Columns that are right, wrong and lost in harder images."),
+    FileOf(PAGE, "Page with all of it."),
+)
+
+
+def save(trial: Trial, folder: Path, command: str, overwrite: bool = False) -> None:
+    """Write tables, pictures and page; all of them or none.
+
+    Raises
+    ------
+    InputError
+        If the folder exists (and `overwrite` is not set) or can't be written.
+    """
+    pictures = draw(trial)
+    summary = Summary(
+        command=command,
+        machine=trial.machine,
+        task=trial.task,
+        recommended=trial.recommended,
+        front=[each.detector for each in front(trial.of("task"))],
+        seed=trial.seed,
+        columns=trial.columns,
+        time_s=trial.time_s,
+    )
+    with folder_written_whole(folder, overwrite) as place:
+        names = [each.name for each in fields(Score)]
+        write_csv(place / "scores.csv", {n: [getattr(s, n) for s in trial.scores] for n in names})
+        write_csv(place / "phases.csv", trial.phases)
+        for name, picture in pictures.items():
+            picture.write(place / f"{name}.png")
+        with written_whole(place / TABLE) as temporary:
+            temporary.write_text(markdown(trial), encoding="utf-8")
+        write_page(place / PAGE, page(trial, pictures, command))
+        write_json(place / RESULTS_SIGN, summary)
+
+
+def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> TextTable:
+    """Scores on one image, the most accurate first; the front is emphasised.
+
+    A narrow one, for the console, is without the predicted errors.
+    """
+    ordered = sorted(scores, key=lambda s: (not np.isfinite(s.rms_px), s.rms_px))
+    best = {each.detector for each in front(scores)}
+    rows = [
+        {
+            "detector": each.detector,
+            "rms_px": each.rms_px,
+            "ratio": each.ratio,
+            "predicted_px": each.predicted_px,
+            "outliers": each.outlier_share,
+            "lost": each.lost_share,
+            "time": time_in_words(1e-6 * each.time_us).replace(" ", "\N{NO-BREAK SPACE}"),
+        }
+        for each in ordered
+    ]
+    predicted = Column("predicted_px", "predicted", "{:.4f}")
+    columns = (
+        Column("detector"),
+        Column("rms_px", shape="{:.4f}"),
+        Column("ratio", "/ bound", "{:.2f}"),
+        *([] if narrow else [predicted]),
+        Column("outliers", shape="{:.1%}"),
+        Column("lost", "no centre", "{:.1%}"),
+        Column("time", "time"),
+    )
+    return text_table(rows, columns, caption, [each.detector in best for each in ordered])
+
+
+def markdown(trial: Trial) -> str:
+    """The scores in the task, as the documentation shows them."""
+    return (
+        f"{table(trial.of('task')).markdown()}\nThe task: {described(trial.task)}. Made by"
+        f" `virtual-sensor trial` in {time_in_words(trial.time_s)}.\n"
+    )
+
+
+def described(condition: Condition) -> str:
+    """What an image is like, in words."""
+    kind = "line" if condition.kind in ("task", "clean") else condition.kind
+    return (
+        f"{kind} of sigma {condition.width_px:.3g} px with {condition.peak_electrons:,.0f} e at its"
+        f" peak and {condition.read_noise_electrons:g} e of read noise"
+    )
+
+
+def lead(trial: Trial) -> str:
+    """Which detector to take for the task, and how far it is from the bound."""
+    best = trial.recommended
+    if best is None:
+        return f"No detector finds a {described(trial.task)}."
+
+    def about(score: Score) -> str:
+        time = time_in_words(1e-6 * score.time_us)
+        return f"{score.ratio:.2f} times the Cramér-Rao bound of one column, {time} a column"
+
+    task = trial.of("task")
+    words = [
+        f"For a {described(trial.task)}, take {best.detector}: {best.rms_px:.2g} px rms,"
+        f" {about(best)}."
+    ]
+    least = min(front(task), key=lambda each: each.rms_px)
+    others = [each for each in task if each.detector not in NAMES or each is least]
+    for other in others:
+        along = "; it also looks along the line" if other.detector == STEGER else ""
+        if not np.isfinite(other.rms_px):
+            words.append(f"{other.detector} finds no centre.")
+        elif other is not best:
+            words.append(f"{other.detector}: {about(other)}{along}.")
+    return " ".join(words)
+
+
+def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
+    """The page: the task first, then each quantity, then all tables."""
+    titles = {
+        "speed": "Which detector to take",
+        "signal": "Error against signal",
+        "phase": "Bias against sub-pixel phase",
+        "troubles": "Harder images",
+    }
+    words = {
+        "speed": "Rms error, the same over the Cramér-Rao bound, the error that the detector"
+        " predicts, and the time of a column. Emphasised: no other detector is both faster and more"
+        " accurate. A clean line is not all: the harder images below show what each makes of"
+        " speckle and ambient light.",
+        "signal": "1 is the Cramér-Rao bound of one column: nothing unbiased that looks at one"
+        " column errs less. Where a curve ends, the detector finds no centre.",
+        "phase": "Without noise. Linear between -0.0001 and 0.0001 px, logarithmic beyond.",
+        "troubles": "Shares of the columns with a line; in words, the rms error of those that are"
+        " right.",
+    }
+    sections = []
+    for name, picture in pictures.items():
+        content: list[Any] = [words[name], picture]
+        if name == "speed":
+            content.insert(1, table(trial.of("task"), described(trial.task)))
+        sections.append(Section(titles[name], *content))
+    conditions = dict.fromkeys(each.condition for each in trial.scores)
+    tables = [
+        table([each for each in trial.scores if each.condition == condition], described(condition))
+        for condition in conditions
+    ]
+    sections.append(
+        Section("All scores", Details(f"Tables of {len(tables)} images", tuple(tables)))
+    )
+    sections.append(Section("How it was done", *_HOW))
+    return Page(
+        title="A trial of line detectors",
+        lead=lead(trial),
+        sections=tuple(sections),
+        command=command,
+        made_with={"seed": trial.seed, "columns": trial.columns}
+        | {name: value for name, value in trial.machine.to_dict().items() if name != "made_with"}
+        | trial.machine.made_with.to_dict(),
+    )
+
+
+def draw(trial: Trial) -> dict[str, Picture]:
+    """The pictures by the names of their files."""
+    key = _Key(trial.detectors)
+    drawn = {"speed": _speed(trial, key), "signal": _signal(trial, key)}
+    if len(trial.phases):
+        drawn["phase"] = _phase(trial, key)
+    if any(each.kind not in ("task", "clean") for each in trial.scores):
+        drawn["troubles"] = _troubles(trial, key)
+    return drawn
+
+
+class _Key:
+    """How each detector is drawn and called, in all panels alike."""
+
+    def __init__(self, detectors: Sequence[str]) -> None:
+        self.detectors = detectors
+        self.colours = colours(tuple(detectors))
+        short = {name: _shortened(name.rpartition(":")[2] or name) for name in detectors}
+        count = Counter(short.values())
+        self.names = {n: short[n] if count[short[n]] == 1 else _shortened(n) for n in detectors}
+
+    def line(self, detector: str) -> dict[str, Any]:
+        """Colour, marker, line style and label; a user's own detector is drawn bolder."""
+        number = list(self.detectors).index(detector)
+        own = detector not in NAMES
+        return {
+            "color": self.colours[detector],
+            "marker": MARKERS[number % len(MARKERS)],
+            "ls": LINES[number // len(MARKERS) % len(LINES)],
+            "lw": 2.4 if own else 1.3,
+            "zorder": 4 if own else 3,
+            "label": self.names[detector],
+        }
+
+
+def _shortened(name: str) -> str:
+    name = printable(name).replace("\n", " ")
+    if len(name) > _LONGEST_NAME:
+        name = f"{name[: _LONGEST_NAME - 11]}...{name[-8:]}"
+    return plain_text(name)
+
+
+def _speed(trial: Trial, key: _Key) -> Picture:
+    """Error over the bound against time, and the same as bars."""
+    task = [each for each in trial.of("task") if np.isfinite(each.rms_px)]
+    best = trial.recommended
+    ordered = sorted(task, key=lambda each: each.ratio)
+
+    def scatter(axes: Axes) -> None:
+        for each in ordered:
+            mark = key.line(each.detector) | {"ls": "none"}
+            axes.loglog(each.time_us, each.ratio, **mark, ms=12 if each is best else 7)
+        axes.axhline(1.0, color=colour("bound"), ls="--", label="bound of one column")
+        axes.margins(0.1)
+        decimal_ticks(axes.xaxis, fine=True)
+        decimal_ticks(axes.yaxis, fine=True)
+        axes.set(xlabel="time of a column on one core in µs", ylabel="error over the bound")
+        _key_beside(axes)
+
+    def bars(axes: Axes) -> None:
+        place = np.arange(len(ordered))
+        shade = [key.colours[each.detector] for each in ordered]
+        ratios = np.array([each.ratio for each in ordered])
+        axes.barh(place, ratios, color=shade)
+        for number, each in enumerate(ordered):
+            axes.annotate(
+                f"{each.ratio:.2f}  ({each.rms_px:.3g} px)",
+                (each.ratio, number),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9.5,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
+            )
+        names = [key.names[each.detector] for each in ordered]
+        axes.set_yticks(place, names)
+        axes.axvline(1.0, color=colour("bound"), ls="--")
+        axes.set(
+            xlabel="error over the bound of one column", xlim=(0.0, 1.45 * max(ratios, default=1))
+        )
+        axes.invert_yaxis()
+        axes.grid(visible=False)
+
+    listed = "; ".join(f"{e.detector} {e.ratio:.2f}" for e in ordered)
+    panels = [
+        Panel("Speed against accuracy (best: below left)", scatter, f"Over the bound: {listed}."),
+        Panel("How near to the bound", bars, f"Error over the bound: {listed}."),
+    ]
+    return draw_picture(f"The task: {described(trial.task)}", panels)
+
+
+def _signal(trial: Trial, key: _Key) -> Picture:
+    """The bound against the signal, then the detectors' error over it for each width."""
+    clean = trial.of("clean")
+    noise = min(each.read_noise_electrons for each in clean)
+    clean = [each for each in clean if each.read_noise_electrons == noise]
+    widths = sorted({each.width_px for each in clean})
+    label = "electrons of a column"
+
+    def bounds(axes: Axes) -> None:
+        for number, width in enumerate(widths):
+            bound = {e.column_electrons: e.bound_px for e in clean if e.width_px == width}
+            shade = 0.75 * (1.0 - number / max(len(widths) - 1, 1))
+            axes.loglog(*zip(*sorted(bound.items()), strict=True), "o-", color=str(shade))
+            last = max(bound)
+            axes.annotate(
+                f"{width:g} px",
+                (last, bound[last]),
+                xytext=(6, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9.5,
+            )
+        axes.margins(x=0.12)
+        decimal_ticks(axes.xaxis)
+        decimal_ticks(axes.yaxis)
+        axes.set(xlabel=label, ylabel="bound in px")
+
+    def ratios(width: float) -> Callable[[Axes], None]:
+        def draw(axes: Axes) -> None:
+            for name in key.detectors:
+                own = [e for e in clean if (e.detector, e.width_px) == (name, width)]
+                x, y = zip(*sorted((e.column_electrons, e.ratio) for e in own), strict=True)
+                axes.loglog(x, y, **key.line(name))
+            axes.axhline(1.0, color=colour("bound"), ls="--", lw=1.6, label="bound")
+            axes.set(xlabel=label, ylabel="error over the bound", ylim=limits)
+            decimal_ticks(axes.xaxis)
+            decimal_ticks(axes.yaxis, fine=True)
+            _key_beside(axes)
+
+        return draw
+
+    known = np.array([each.ratio for each in clean if np.isfinite(each.ratio)])
+    limits = (0.8 * min(known.min(initial=0.9), 0.9), 1.25 * max(known.max(initial=2.0), 2.0))
+    panels = [Panel("The bound, for lines of each width", bounds, "Falls as the signal grows.")] + [
+        Panel(f"Line of sigma {w:g} px", ratios(w), _told(clean, w)) for w in widths
+    ]
+    title = f"Error over the Cramér-Rao bound of one column, read noise {noise:g} e"
+    return draw_picture(title, panels, 3)
+
+
+def _told(scores: Sequence[Score], width: float) -> str:
+    """The errors over the bound at the strongest signal, in words."""
+    here = [each for each in scores if each.width_px == width]
+    most = max(each.column_electrons for each in here)
+    said = [f"{e.detector} {e.ratio:.2g}" for e in here if e.column_electrons == most]
+    return f"Error over the bound with {most:g} electrons a column: {', '.join(said)}."
+
+
+def _phase(trial: Trial, key: _Key) -> Picture:
+    """Bias of each detector over the sub-pixel phase, a panel for each width."""
+
+    def biases(width: float) -> Callable[[Axes], None]:
+        def draw(axes: Axes) -> None:
+            for name in key.detectors:
+                phase, bias = trial.phases.at(name, width)
+                axes.plot(phase, bias, **key.line(name), ms=3, markevery=4)
+            axes.set_yscale("symlog", linthresh=1e-4)
+            axes.set(xlabel="middle of the line from that of a pixel, px", ylabel="bias in px")
+            _key_beside(axes)
+
+        return draw
+
+    widths = sorted(set(trial.phases.width_px))
+    panels = []
+    for width in widths:
+        largest = {n: np.abs(trial.phases.at(n, width)[1]).max() for n in key.detectors}
+        said = ", ".join(f"{name} {value:.2g} px" for name, value in largest.items())
+        panels.append(Panel(f"Line of sigma {width:g} px", biases(width), f"Largest bias: {said}."))
+    return draw_picture("Bias against sub-pixel phase, without noise", panels, 3)
+
+
+def _troubles(trial: Trial, key: _Key) -> Picture:
+    """What becomes of the columns: right, outliers, without a centre; and the error."""
+    harder = [each for each in trial.scores if each.kind not in ("task", "clean")]
+    panels = []
+    for condition in dict.fromkeys(each.condition for each in harder):
+        own = [each for each in harder if each.condition == condition]
+
+        def draw(axes: Axes, own: list[Score] = own) -> None:
+            place = np.arange(len(own))
+            wrong = np.array([each.outlier_share for each in own])
+            lost = np.array([each.lost_share for each in own])
+            right = 1.0 - wrong - lost
+            axes.barh(place, right, color=colour("ok"), alpha=0.55, label="right")
+            axes.barh(place, wrong, left=right, color=colour("failed"), label="outlier")
+            axes.barh(place, lost, left=right + wrong, color=colour("no_peak"), label="no centre")
+            for number, each in enumerate(own):
+                words = f"{each.rms_px:.3g} px" if np.isfinite(each.rms_px) else "no centre"
+                axes.text(0.02, number, words, va="center", fontsize=9.5)
+            axes.set_yticks(place, [key.names[each.detector] for each in own])
+            axes.set(xlim=(0.0, 1.0), xlabel="share of the columns")
+            axes.invert_yaxis()
+            axes.grid(visible=False)
+            axes.figure.legend(loc="outside lower center", ncols=3)
+
+        said = ", ".join(f"{e.detector} {1 - e.outlier_share - e.lost_share:.0%}" for e in own)
+        title = f"{condition.kind}, {condition.width_px:g} px, {condition.peak_electrons:,.0f} e"
+        panels.append(Panel(title, draw, f"Right: {said}."))
+    title = "Columns right, wrong and lost, and the rms error of those that are right"
+    return draw_picture(title, panels, 3)
+
+
+def _key_beside(axes: Axes) -> None:
+    axes.figure.legend(loc="outside right center", fontsize=9.0)
