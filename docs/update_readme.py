@@ -1,6 +1,6 @@
 """Put results into the README and the pages beside this file, those that are given.
 
-``python docs/update_readme.py --measured DIR --fineness DIR --reproduced DIR
+``python docs/update_readme.py --measured DIR --converged DIR --reproduced DIR
 --charted DIR --peers DIR --tried DIR``
 """
 
@@ -15,7 +15,7 @@ END = "<!-- end of table -->"
 
 def main(
     measured: Path | None,
-    fineness: Path | None,
+    converged: Path | None,
     reproduced: Path | None,
     charted: Path | None,
     peers: Path | None,
@@ -25,9 +25,11 @@ def main(
     if measured:
         replace("<!-- table: measure -->\n", measured / "table.md")
         shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
-    if fineness:
-        replace("<!-- table: field fineness -->\n", fineness / "fineness.md", HERE / "fields.md")
-        shutil.copy(fineness / "fineness.png", HERE / "fineness.png")
+    if converged:
+        replace(
+            "<!-- table: field convergence -->\n", converged / "convergence.md", HERE / "fields.md"
+        )
+        shutil.copy(converged / "convergence.png", HERE / "convergence.png")
     if reproduced:
         report = reproduced / "report"
         replace("<!-- table: statements -->\n", report / "statements.md", HERE / "reproduction.md")
@@ -53,6 +55,6 @@ def replace(begin: str, table: Path, page: Path = README) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("measured", "fineness", "reproduced", "charted", "peers", "tried"):
+    for name in ("measured", "converged", "reproduced", "charted", "peers", "tried"):
         parser.add_argument(f"--{name}", type=Path)
     main(**vars(parser.parse_args()))

@@ -81,7 +81,7 @@ def summary(measured):
     return json.loads((measured[0] / "summary.json").read_text(encoding="utf-8"))
 
 
-FIELD = ["field info", "field import", "field simulate", "field fineness"]
+FIELD = ["field info", "field import", "field simulate", "field convergence"]
 
 
 @pytest.mark.parametrize("name", ["measure", "search", "burst", "sweep", "doctor", *FIELD])

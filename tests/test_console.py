@@ -16,7 +16,7 @@ from virtual_sensor.errors import printable
 
 COMMANDS = [
     *("measure", "search", "burst", "sweep", "reproduce", "chart", "detect", "trial", "doctor"),
-    *("field info", "field import", "field simulate", "field fineness"),
+    *("field info", "field import", "field simulate", "field convergence"),
 ]
 NUMBERS = ["0.0055", "-1234.5678", "7.43e-11", "696"]
 

@@ -1,23 +1,28 @@
-"""The commands `virtual-sensor field simulate` and `field fineness`, which need OpenFOAM."""
+"""The commands `virtual-sensor field simulate` and `field convergence`, which need OpenFOAM."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.field import app
+from virtual_sensor.cli.field import FIELD_FILES, app
 from virtual_sensor.cli.shared import (
     Camera,
     Overwrite,
     Source,
+    check_folder,
+    check_suffix,
     closing,
     command_line,
     console,
     numbers,
+    print_end,
     print_notes,
     reporting,
 )
 from virtual_sensor.files import check_output
+
+GOES_ON = "the simulated flow stays, and the same command goes on"
 
 
 @app.command(
@@ -41,7 +46,7 @@ def simulate(
         Path | None, typer.Option(help="Surface of another part, mm, z up, in place of a cylinder.")
     ] = None,
     section: Annotated[
-        bool, typer.Option("--section", help="Across an endless cylinder only: a minute's work.")
+        bool, typer.Option("--section", help="Only across an endless cylinder: some minutes.")
     ] = False,
     whole: Annotated[
         bool, typer.Option("--whole", help="A section without mirror plane: the plume may sway.")
@@ -53,7 +58,8 @@ def simulate(
     ambient: Annotated[float, typer.Option(help="Of the surrounding air, degC.")] = 20.0,
     pressure: Annotated[float, typer.Option(help="Of the surrounding air, Pa.")] = 101325.0,
     cell: Annotated[
-        float, typer.Option(help="Width of a mesh cell across the plume, mm; all scale with it.")
+        float,
+        typer.Option(help="Width of a mesh cell across the plume, mm; others scale with it."),
     ] = 0.8,
     coarse: Annotated[
         bool, typer.Option("--coarse", help="Accept a mesh that does not resolve the wall layer.")
@@ -61,8 +67,8 @@ def simulate(
     grid: Annotated[
         str | None,
         typer.Option(
-            help="Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, round "
-            "another part what 2 MB hold."
+            help="Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, and for"
+            " another part as fine as 2 MB hold."
         ),
     ] = None,
     time: Annotated[
@@ -78,7 +84,7 @@ def simulate(
         ),
     ] = 0.05,
     record: Annotated[
-        float, typer.Option(help="Keep the last so many seconds of flow as a time axis.")
+        float, typer.Option(help="Write the last so many seconds of flow as a time axis.")
     ] = 0.0,
     every: Annotated[
         float | None,
@@ -86,7 +92,7 @@ def simulate(
     ] = None,
     processes: Annotated[int, typer.Option(min=1, help="Processes of the solver, by MPI.")] = 1,
     scene: Annotated[
-        str, typer.Option(help="Scene whose probe rays tell whether the flow is steady.")
+        str, typer.Option(help="Scene whose probe rays show whether the flow is steady.")
     ] = "hot_cylinder",
     camera: Camera = None,
     source: Source = None,
@@ -97,15 +103,17 @@ def simulate(
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
     from virtual_sensor.medium.heat_flow.setup import HeatFlow
-    from virtual_sensor.studies.simulate import Until, outcome
+    from virtual_sensor.reporting.simulation import outcome
+    from virtual_sensor.studies.simulate import Until
     from virtual_sensor.studies.simulate import simulate as run
 
+    check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
     flow = HeatFlow(
         temperature, radius, length, stl, section, whole, unsteady, ambient, pressure, cell
     )
     spacing = numbers("--grid", grid, 3)
-    with reporting("preparing the case") as report:
+    with reporting("preparing the case", GOES_ON) as report:
         result = run(
             flow,
             case or output.with_suffix(".case"),
@@ -130,12 +138,12 @@ def simulate(
 
 @app.command(
     epilog="Examples:\n\n"
-    "    virtual-sensor field fineness -o fineness\n\n"
-    "    virtual-sensor field fineness --temperature 900 -o fineness_900"
+    "    virtual-sensor field convergence -o convergence\n\n"
+    "    virtual-sensor field convergence --temperature 900 -o convergence_900"
 )
-def fineness(
+def convergence(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "fineness"
+        "convergence"
     ),
     temperature: Annotated[float, typer.Option(help="Of the cylinder, degC.")] = 1250.0,
     cases: Annotated[
@@ -143,19 +151,19 @@ def fineness(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Tell how fine the air's field must be: mesh, flow time and grid against what is measured.
+    """Show how mesh, flow time and grid of the air's field change what is measured.
 
     Some minutes; stopped, the same command goes on.
     """
-    from virtual_sensor.studies import fineness_report
-    from virtual_sensor.studies.fineness import fineness as run
+    from virtual_sensor.reporting.convergence import outcome, save
+    from virtual_sensor.studies.convergence import convergence as run
 
-    check_output(output, overwrite, folder=True)
+    check_folder(output, overwrite)
     folder = cases or output.with_name(f"{output.name}.cases")
-    with reporting("preparing the cases") as report:
+    with reporting("preparing the cases", GOES_ON) as report:
         result = run(folder, temperature, report=report)
-        fineness_report.save(result, output, overwrite)
-    for line in fineness_report.outcome(result):
-        console.print(f"  {line}", soft_wrap=True)
+        save(result, output, command_line(), overwrite)
     print_notes(result.notes)
-    console.print(f"results in {output}, look at {output / 'fineness.png'} first", soft_wrap=True)
+    for sentence in outcome(result):
+        console.print(sentence, soft_wrap=True)
+    print_end(output)

@@ -23,7 +23,7 @@ from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import SKY, VERMILION, colour
+from virtual_sensor.reporting.style import BLACK, colour
 from virtual_sensor.reporting.style import plain as plain_text
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words, listed
@@ -521,7 +521,7 @@ def _draw_shift(axes: Axes, info: FieldInfo) -> None:
     assert info.light
     y, shift = info.light.probe_y_mm, info.light.shift_px
     axes.axhline(0.0, color="0.4", lw=0.8)
-    for i, (name, shade, marker) in enumerate((("u", SKY, "s"), ("v", VERMILION, "o"))):
+    for i, (name, shade, marker) in enumerate((("u", BLACK, "s"), ("v", colour("hot"), "o"))):
         axes.plot(y, shift[:, i], marker + "-", color=shade, label=f"along {name}")
     axes.set(xlabel="y of the probe ray in mm", ylabel="hot minus cold in px")
     axes.figure.legend(loc="outside lower center", ncols=2)

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 
 CHECK_S = 0.25
-"""Flow time between two looks at whether the effect on light is steady."""
+"""Flow time between two checks of whether the effect on light is steady."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,12 @@ class Simulation:
         What was written.
     balance : HeatBalance
         Of the last quarter of a second.
+    nusselt : float
+        Mean Nusselt number of a cylinder, by air of film temperature; NaN of another part.
+    wall_layer_cells : int
+        Cells of the mesh in the wall layer.
     drift_px_per_s : float
-        How fast the probe rays' pixels still moved in the end; NaN where it was not looked at.
+        How fast the probe rays' pixels still moved in the end; NaN where it was not searched.
     notes : tuple of str
         What the user should know of the scene whose rays were followed.
     """
@@ -88,6 +92,8 @@ class Simulation:
     end: RunEnd
     quantity: GriddedQuantity
     balance: HeatBalance
+    nusselt: float
+    wall_layer_cells: int
     drift_px_per_s: float
     notes: tuple[str, ...] = ()
 
@@ -114,19 +120,19 @@ class Steadiness:
             return False
         if self._last and time_s - self._last[0] < CHECK_S - 1e-6:
             return False
-        self._look(time_s)
+        self._search(time_s)
         steady = self.drift_px_per_s < self.until.steady_px_per_s
         return steady and time_s >= self.until.at_least_s - 1e-6
 
     def look_back(self, times_s: list[float]) -> None:
-        """Find the drift at the end of a run that was not looked at on its way."""
+        """Find the drift at the end of a run in which it was not searched."""
         earlier = [t for t in times_s if t <= times_s[-1] - CHECK_S + 1e-6]
         if np.isnan(self.drift_px_per_s) and earlier:
             self._last = None
-            self._look(earlier[-1])
-            self._look(times_s[-1])
+            self._search(earlier[-1])
+            self._search(times_s[-1])
 
-    def _look(self, time_s: float) -> None:
+    def _search(self, time_s: float) -> None:
         pixel = searched_pixels(self.scene, self._probes, as_field(self.sampled(time_s)))
         if self._last:
             before_s, before = self._last
@@ -153,7 +159,7 @@ def simulate(
     history: str = "",
     report: Report = lambda stage, fraction: None,
 ) -> Simulation:
-    """Simulate, going on with the case if it is there, and write the field at the end.
+    """Simulate, continuing a case that exists, and write the field at the end.
 
     Parameters
     ----------
@@ -174,7 +180,7 @@ def simulate(
     processes : int
         Of the solver, by MPI.
     scene_name : str
-        Scene whose probe rays tell whether the flow is steady.
+        Scene whose probe rays show whether the flow is steady.
     camera, source : str, optional
         Names of the scene's, where it has several.
     history : str
@@ -184,7 +190,7 @@ def simulate(
     ------
     InputError
         If OpenFOAM or PyVista is missing, the folder holds something else, the mesh does not
-        resolve the wall layer, or the run fails; what was sound is kept.
+        resolve the wall layer, or the run fails; the times before that stay.
     Interrupted
         If it was stopped; the same command goes on.
     """
@@ -217,14 +223,16 @@ def simulate(
         steadiness.look_back(times)
     # A run that was stopped in between has saved that time as well, off the others' interval.
     even = [t for t in times if abs(t / every_s - round(t / every_s)) < 1e-4]
-    kept = tuple(t for t in even if t >= end.time_s - record_s - 1e-6) or (end.time_s,)
+    written = tuple(t for t in even if t >= end.time_s - record_s - 1e-6) or (end.time_s,)
     balance = heat_balance(case, CHECK_S)
+    nusselt = np.nan if flow.stl else nusselt_number(flow, balance.wall_w)
     drift = steadiness.drift_px_per_s
-    attributes = _provenance(flow, case, end, balance, drift, foam.version, history)
-    quantity = sample(flow, case, kept, grid, attributes)
+    attributes = _provenance(flow, case, end, balance, nusselt, drift, foam.version, history)
+    quantity = sample(flow, case, written, grid, attributes)
     write_quantity(output, quantity)
     report("done", 1.0)
-    return Simulation(flow, end, quantity, balance, drift, scene.notes)
+    cells = wall_cells(flow, None if flow.stl else nusselt)
+    return Simulation(flow, end, quantity, balance, nusselt, cells, drift, scene.notes)
 
 
 def as_field(quantity: GriddedQuantity) -> IndexField:
@@ -244,28 +252,12 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def outcome(result: Simulation) -> list[str]:
-    """Lines on how it ended and how sound it is."""
-    flow, balance, drift = result.flow, result.balance, result.drift_px_per_s
-    lines = [f"ended at {result.end.time_s:g} s of flow"]
-    if np.isfinite(drift):
-        lines[0] += f", when the probe rays moved by {drift:.2g} px per s of flow"
-    lines.append(
-        f"heat: {balance.wall_w:.4g} W given off, {balance.outflow_w:.4g} W carried out"
-        f" ({balance.mismatch:+.1%})"
-    )
-    nusselt = None if flow.stl else nusselt_number(flow, balance.wall_w)
-    if nusselt:
-        lines.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
-    lines.append(f"the wall layer holds {wall_cells(flow, nusselt)} cells")
-    return lines
-
-
 def _provenance(
     flow: HeatFlow,
     case: Path,
     end: RunEnd,
     balance: HeatBalance,
+    nusselt: float,
     drift: float,
     version: str,
     history: str,
@@ -276,8 +268,7 @@ def _provenance(
         part += ", endless" if flow.section else f" x {flow.length_mm:g} mm"
     ours = metadata.version("virtual-sensor")
     sound = [f"heat given off {balance.wall_w:.4g} W, carried out {balance.outflow_w:.4g} W"]
-    if not flow.stl:
-        nusselt = nusselt_number(flow, balance.wall_w)
+    if np.isfinite(nusselt):
         sound.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
     if np.isfinite(drift):
         sound.append(f"the probe rays still move by {drift:.2g} px per s of flow")

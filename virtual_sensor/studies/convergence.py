@@ -1,12 +1,13 @@
-"""How fine must the air's field be?  Mesh, flow time and grid against what the sensor then sees.
+"""Convergence of the air's field: mesh, flow time and grid against what the sensor then sees.
 
-Sections across an endless cylinder are simulated on meshes of several widths, looked at after
-several flow times and sampled on several grids. What counts is the change of the line in the image
-and of the points measured from it, against the finest of all.
+Sections across an endless cylinder are simulated on meshes of several widths, and sampled after
+several flow times on several grids. What counts is the change of the line in the image and of the
+points measured from it, against the finest of all.
 """
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +28,9 @@ from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.triangulation import error_um
 from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.records import Record
 from virtual_sensor.studies.probes import DENSE_RAYS, probe_rays
+from virtual_sensor.studies.provenance import MadeWith, made_with
 from virtual_sensor.studies.simulate import as_field
 
 Array = NDArray[np.float64]
@@ -45,32 +48,47 @@ BOUNDS_PX = (0.1, 0.02)
 
 
 @dataclass(frozen=True)
-class Choice:
-    """Mesh, flow time and grid of one field: cell width, s, distances of nodes along y and z."""
-
-    cell_mm: float
-    time_s: float
-    grid_mm: tuple[float, float]
-
-
-SHIPPED = Choice(0.8, 4.0, (0.5, 1.25))
-"""What the fields that come along were made with."""
-
-
-@dataclass(frozen=True)
-class Change:
-    """What a choice changes against the finest one.
+class Setting(Record):
+    """How finely a field is made.
 
     Attributes
     ----------
-    choice : Choice
+    cell_mm : float
+        Width of a mesh cell across the plume.
+    time_s : float
+        Flow time.
+    grid_y_mm, grid_z_mm : float
+        Distance of the field's nodes.
+    """
+
+    cell_mm: float
+    time_s: float
+    grid_y_mm: float
+    grid_z_mm: float
+
+    @property
+    def grid_mm(self) -> tuple[float, float]:
+        """Distances of nodes along y and z."""
+        return self.grid_y_mm, self.grid_z_mm
+
+
+SHIPPED = Setting(0.8, 4.0, 0.5, 1.25)
+"""What the shipped fields were made with."""
+
+
+@dataclass(frozen=True)
+class Change(Setting):
+    """What a setting changes against the finest one.
+
+    Attributes
+    ----------
     line_px, line_rms_px : float
         Of the line across itself, at equal columns: at most, and root mean square.
     rays_px : float
         Of the probe rays' pixels, in both axes, at most.
     points_um : float
         Of the points measured on the line, at most.
-    run_s : float
+    solver_s : float
         Solver's time on one core, from the start to this flow time.
     cells : int
         Of the mesh.
@@ -78,47 +96,98 @@ class Change:
         Size of a three-dimensional field on this grid.
     """
 
-    choice: Choice
     line_px: float
     line_rms_px: float
     rays_px: float
     points_um: float
-    run_s: float
+    solver_s: float
     cells: int
     file_mb: float
 
+    @property
+    def setting(self) -> Setting:
+        """The setting alone."""
+        return Setting(self.cell_mm, self.time_s, self.grid_y_mm, self.grid_z_mm)
+
 
 @dataclass(frozen=True)
-class Fineness:
-    """The study.
+class Coarsest(Record):
+    """The coarsest setting whose line stays within a bound of the finest one's.
+
+    Attributes
+    ----------
+    bound_px : float
+    change : Change or None
+        The quickest run, and of these the smallest file; None if none stays within it.
+    """
+
+    bound_px: float
+    change: Change | None
+
+
+@dataclass(frozen=True)
+class Convergence(Record):
+    """The study; its changes are the rows of a table of their own.
 
     Attributes
     ----------
     temperature_c : float
-    reference : Choice
+        Of the cylinder.
+    reference : Setting
         The finest, which the others are compared with.
-    changes : list of Change
-        Of all choices, by mesh, time and grid.
-    long : Change
-        Of the paper's flow time against the reference's, on the mesh of `LONG_CELL_MM`.
+    coarsest : tuple of Coarsest
+        For each of `BOUNDS_PX`.
+    shipped : Change or None
+        Of the shipped fields' setting; None if it is not among them.
+    longer_run : Change
+        Of the paper's flow time against the reference's, on one mesh.
+    made_with : MadeWith
     notes : tuple of str
-        What the user should know of the scene that looks through the air.
+        What the user should know of the scene that is seen through the air.
     """
 
     temperature_c: float
-    reference: Choice
-    changes: list[Change]
-    long: Change
-    notes: tuple[str, ...] = ()
+    reference: Setting
+    coarsest: tuple[Coarsest, ...]
+    shipped: Change | None
+    longer_run: Change
+    made_with: MadeWith
+    notes: tuple[str, ...]
+    # Of all settings, by mesh, time and grid.
+    changes: tuple[Change, ...] = dataclasses.field(metadata={"internal": True}, repr=False)
+
+    @classmethod
+    def of(
+        cls,
+        temperature_c: float,
+        reference: Setting,
+        changes: Sequence[Change],
+        longer_run: Change,
+        made_with: MadeWith,
+        notes: tuple[str, ...] = (),
+    ) -> Convergence:
+        """Choose among the changes."""
+        return cls(
+            temperature_c=temperature_c,
+            reference=reference,
+            coarsest=tuple(Coarsest(bound, coarsest(changes, bound)) for bound in BOUNDS_PX),
+            shipped=next((c for c in changes if c.setting == SHIPPED), None),
+            longer_run=longer_run,
+            made_with=made_with,
+            notes=notes,
+            changes=tuple(changes),
+        )
 
     def change(self, cell_mm: float, time_s: float, grid_mm: tuple[float, float]) -> Change:
-        """The change that one choice makes."""
-        return next(c for c in self.changes if c.choice == Choice(cell_mm, time_s, grid_mm))
+        """The change that one setting makes."""
+        setting = Setting(cell_mm, time_s, *grid_mm)
+        return next(c for c in self.changes if c.setting == setting)
 
-    def coarsest(self, bound_px: float) -> Change | None:
-        """The quickest run, then the smallest file, whose line keeps within a bound."""
-        kept = [c for c in self.changes if c.line_px <= bound_px]
-        return min(kept, key=lambda c: (c.run_s, c.file_mb), default=None)
+
+def coarsest(changes: Sequence[Change], bound_px: float) -> Change | None:
+    """The quickest run, then the smallest file, whose line stays within a bound."""
+    within = [c for c in changes if c.line_px <= bound_px]
+    return min(within, key=lambda c: (c.solver_s, c.file_mb), default=None)
 
 
 @dataclass(frozen=True)
@@ -129,7 +198,7 @@ class Seen:
     ----------
     line : TrueLine
         By the search along it.
-    rays_px : ndarray of shape (9, 2)
+    rays_px : ndarray of shape (N, 2)
         Pixels of the probe rays.
     """
 
@@ -137,7 +206,7 @@ class Seen:
     rays_px: Array
 
 
-def fineness(
+def convergence(
     folder: Path,
     temperature_c: float = 1250.0,
     cells_mm: Sequence[float] = CELLS_MM,
@@ -145,13 +214,13 @@ def fineness(
     grids_mm: Sequence[tuple[float, float]] = GRIDS_MM,
     long: tuple[float, float] = (LONG_CELL_MM, LONG_S),
     report: Report = lambda stage, fraction: None,
-) -> Fineness:
-    """Simulate all meshes, and compare all choices with the finest.
+) -> Convergence:
+    """Simulate all meshes, and compare all settings with the finest.
 
     Parameters
     ----------
     folder : Path
-        Of the cases; those that are there are gone on with.
+        Of the cases; those that exist are continued.
     temperature_c : float
         Of the cylinder, degC.
     cells_mm, times_s, grids_mm : sequence
@@ -183,44 +252,45 @@ def fineness(
             ),
         )
 
-    choices = [Choice(c, t, g) for c in cells_mm for t in times_s for g in grids_mm]
-    wanted = [*choices, Choice(*long, grids_mm[-1])]
+    settings = [Setting(c, t, *g) for c in cells_mm for t in times_s for g in grids_mm]
+    longer = Setting(*long, *grids_mm[-1])
     seen = {}
-    for i, choice in enumerate(wanted):
-        report("looking through the fields", 0.7 + 0.3 * i / len(wanted))
-        grid = SampleGrid.of(flows[choice.cell_mm], (1.0, *choice.grid_mm))
-        case = cases[choice.cell_mm]
-        air = sample(flows[choice.cell_mm], case, (choice.time_s,), grid)
-        seen[choice] = look(scene.with_medium(as_field(air)))
+    for i, setting in enumerate(wanted := [*settings, longer]):
+        report("searching rays through the fields", 0.7 + 0.3 * i / len(wanted))
+        flow, case = flows[setting.cell_mm], cases[setting.cell_mm]
+        grid = SampleGrid.of(flow, (1.0, *setting.grid_mm))
+        air = sample(flow, case, (setting.time_s,), grid)
+        seen[setting] = seen_through(scene.with_medium(as_field(air)))
 
-    def change(choice: Choice, against: Choice) -> Change:
-        flow = flows[choice.cell_mm]
-        grid = SampleGrid.of(flow, (1.0, *choice.grid_mm))
-        line, points = compare(scene, seen[choice], seen[against])
-        moved = euclidean(seen[choice].rays_px - seen[against].rays_px)
+    def change(setting: Setting, against: Setting) -> Change:
+        flow, case = flows[setting.cell_mm], cases[setting.cell_mm]
+        grid = SampleGrid.of(flow, (1.0, *setting.grid_mm))
+        line, points = compare(scene, seen[setting], seen[against])
+        moved = euclidean(seen[setting].rays_px - seen[against].rays_px)
         return Change(
-            choice,
-            float(np.abs(line).max()),
-            float(np.sqrt(np.mean(line**2))),
-            float(np.nanmax(moved)),
-            float(points.max()),
-            solver_seconds(cases[choice.cell_mm], choice.time_s),
-            cylinder_mesh(flow).cells,
-            2e-6 * NODES_ALONG * len(grid.y) * len(grid.z),
+            **vars(setting),
+            line_px=float(np.abs(line).max()),
+            line_rms_px=float(np.sqrt(np.mean(line**2))),
+            rays_px=float(np.nanmax(moved)),
+            points_um=float(points.max()),
+            solver_s=solver_seconds(case, setting.time_s),
+            cells=cylinder_mesh(flow).cells,
+            file_mb=2e-6 * NODES_ALONG * len(grid.y) * len(grid.z),
         )
 
-    reference = Choice(cells_mm[-1], times_s[-1], grids_mm[-1])
+    reference = Setting(cells_mm[-1], times_s[-1], *grids_mm[-1])
     report("done", 1.0)
-    return Fineness(
+    return Convergence.of(
         temperature_c,
         reference,
-        [change(choice, reference) for choice in choices],
-        change(Choice(*long, grids_mm[-1]), Choice(long[0], times_s[-1], grids_mm[-1])),
+        [change(setting, reference) for setting in settings],
+        change(longer, dataclasses.replace(reference, cell_mm=long[0])),
+        made_with(scene),
         scene.notes,
     )
 
 
-def look(scene: Scene) -> Seen:
+def seen_through(scene: Scene) -> Seen:
     """The line and the probe rays, by Newton's search.
 
     Raises
@@ -247,5 +317,5 @@ def solver_seconds(case: Path, time_s: float) -> float:
     """Time that the solver took on one core up to a flow time, s, over all its runs."""
     times, columns = series(case, "pace")
     spent = np.diff(columns["cpuTime"], prepend=0.0)
-    spent[spent < 0.0] = columns["cpuTime"][spent < 0.0]  # the solver was started anew
+    spent[spent < 0.0] = columns["cpuTime"][spent < 0.0]  # the solver was started again
     return float(np.interp(time_s, times, np.cumsum(spent)))
