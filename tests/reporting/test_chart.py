@@ -11,6 +11,7 @@ import pytest
 from command_line import command
 from invented_charts import NASTY, measured
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from PIL import Image
 
 from virtual_sensor.errors import InputError
@@ -29,6 +30,7 @@ from virtual_sensor.reporting.chart import (
 )
 from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.page import page_html
+from virtual_sensor.reporting.style import MARKERS
 from virtual_sensor.studies.chart import chart as charting
 from virtual_sensor.studies.chart.benchmark import enough, with_fronts
 from virtual_sensor.studies.chart.chart import PANELS
@@ -75,7 +77,7 @@ def test_settings_are_named_in_plain_words():
             "rk4", step_mm=4.0, precision="double", interpolation="linear"
         ),
         "Dormand-Prince 5(4), tolerance 1e-06 mm": measured("dopri5", tolerance_mm=1e-6),
-        "tabulated, tolerance 0.05 px, on the GPU": measured(
+        "tabulated, tolerance 0.05 px, GPU": measured(
             "tabulated", tolerance_px=0.05, variant="cuda_ad_mono"
         ),
         "paper's search, 0.5 mm steps, grid of 32 px, 15 halvings": measured(
@@ -151,6 +153,19 @@ def test_a_panel_without_any_error_is_drawn(example):
     lost = replace(example, measured=(measured(error_px=np.nan),))
     (panel,) = draw_chart(lost).panels
     assert "nothing errs less than 0.01 px" in panel.alt
+
+
+def test_what_the_gpu_measured_looks_like_its_kind_and_is_told_apart():
+    """Rationale: the same colours and markers; a legend of twice as many would hide the panel."""
+    rows = [measured(n, t, 1e-3 / t) for n, t in (("euler", 1.0), ("rk4", 2.0))]
+    rows += [replace(r, time_s=r.time_s / 2.0, chosen={"variant": "cuda_ad_mono"}) for r in rows]
+    axes = Figure().add_subplot()
+    words._draw_small(with_fronts(rows), axes)
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["Euler", "RK4", "half: on the GPU"]
+    marks = [line for line in axes.lines if line.get_marker() in MARKERS[:2] and line.get_ms() < 10]
+    assert [line.get_fillstyle() for line in marks] == ["full", "full", "left", "left"]
+    assert [line.get_marker() for line in marks] == [*MARKERS[:2], *MARKERS[:2]]
 
 
 def test_ticks_are_few_and_hold_what_a_sensor_resolves():

@@ -100,7 +100,7 @@ def setting_in_words(name: str, value: Any) -> str:
         case "dimensions":
             return f"{value}-D field"
         case "variant":
-            return "on the GPU"
+            return "GPU"
         case "method":
             return method_in_words(value)
     return f"{name.replace('_', ' ')} {value}"
@@ -148,6 +148,7 @@ def headline(chart: Chart) -> str:
 PICTURE = "chart.png"
 _CELL_IN = (6.4, 7.2)
 _KEY_PX, _BELOW_PX, _ABOVE_PX = 21.0, 70.0, 138.0  # a line of the key; below and above the axes
+_KEY_LETTERS = 49  # that fit into a line of the key
 _FEWEST_KEYS = 5  # lines that a panel has room for: axes beside each other hardly differ in height
 _HARDLY = 0.8  # of the error of the one before: no reason for a number
 _SMALLEST_PX = 1e-12  # what a logarithmic axis shows of an error of 0
@@ -220,7 +221,8 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
             look |= {"fontweight": "bold", "color": _ENOUGH}
         y = 10.0 + _KEY_PX * (keys - number - 0.5)
         write(28.0, y, f"{number + 1}", ha="right", **look)
-        write(38.0, y, configuration_in_words(each), **look)
+        words = configuration_in_words(each)
+        write(38.0, y, words, **look | {"fontsize": 10.2 * min(1.0, _KEY_LETTERS / len(words))})
         write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **look)
         write(width - 12.0, y, time_in_words(each.time_s), ha="right", **look)
 
@@ -244,15 +246,17 @@ def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
         series[(each.name, *words)].append(each)  # they differ in numbers only
     for line in series.values():
         times, errors = [m.time_s for m in line], [_error(m) for m in line]
-        axes.plot(times, errors, color=looks[_called(line[0])][0], lw=0.8, alpha=0.4)
+        axes.plot(times, errors, color=looks[line[0].name][0], lw=0.8, alpha=0.4)
     best = enough(measured)
     if best:
         axes.plot(best.time_s, _error(best), "o", ms=19, mfc="none", mec=_ENOUGH, mew=2.5)
     for each in shown:
-        colour, marker = looks[_called(each)]
-        face, edge = (colour, "black") if each.on_front else ("white", colour)
-        look = {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
-        axes.plot(each.time_s, _error(each), marker=marker, mfc=face, mec=edge, mew=1.0, **look)
+        colour, marker = looks[each.name]
+        look: dict[str, Any] = (
+            {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
+        )
+        look |= {"mec": "black" if each.on_front else colour, "mew": 1.0}
+        axes.plot(each.time_s, _error(each), marker=marker, **look, **_filled(each, colour))
     _limits(axes, shown)
     front = _front(shown)
     times = [*(m.time_s for m in front), axes.get_xlim()[1]]
@@ -267,20 +271,26 @@ def _error(measured: Measured) -> float:
     return max(measured.rms_px, _SMALLEST_PX)
 
 
-def _called(measured: Measured) -> str:
-    """What a legend calls a configuration: its method, and whether it is on the GPU."""
-    name = method_in_words(measured.name)
-    return f"{name}, GPU" if "variant" in measured.chosen else name
-
-
 def _looks(measured: Sequence[Measured]) -> dict[str, tuple[str, str]]:
     """Colour and marker of each method: the colour is that of its kind on every page."""
     by_kind = colours(list(dict.fromkeys(m.kind for m in measured)))
-    names = {_called(m): by_kind[m.kind] for m in measured}
+    names = {m.name: by_kind[m.kind] for m in measured}
     return {
         name: (colour, MARKERS[number % len(MARKERS)])
         for number, (name, colour) in enumerate(names.items())
     }
+
+
+def _filled(measured: Measured, colour: str) -> dict[str, Any]:
+    """Full on the front, half on the GPU, else hollow."""
+    if on_gpu(measured):
+        return {"fillstyle": "left", "mfc": colour, "mfcalt": "white"}
+    return {"mfc": colour if measured.on_front else "white"}
+
+
+def on_gpu(measured: Measured) -> bool:
+    """Whether a configuration was measured on the GPU, beside those of the processor."""
+    return "variant" in measured.chosen
 
 
 def _limits(axes: Axes, shown: Sequence[Measured]) -> None:
@@ -355,9 +365,21 @@ def _label(axes: Axes, words: str, px: float, x: float, colour: str) -> None:
 
 def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
     handles = [
-        Line2D([], [], color=colour, marker=marker, ls="none", mfc="white", ms=6, label=name)
+        Line2D(
+            [],
+            [],
+            color=colour,
+            marker=marker,
+            ls="none",
+            mfc="white",
+            ms=6,
+            label=method_in_words(name),
+        )
         for name, (colour, marker) in _looks(measured).items()
     ]
+    if gpu := next(filter(on_gpu, measured), None):
+        look = {"color": "0.3", "ls": "none", **_filled(gpu, "0.3")}
+        handles.append(Line2D([], [], marker="o", label="half: on the GPU", **look))
     axes.legend(handles=handles, fontsize=9.5, handletextpad=0.1, labelspacing=0.2, **place)
 
 
