@@ -1,60 +1,48 @@
 """A burst of frames through air that sways as told: what it says of the line and of the rays."""
 
-import csv
-import json
 import re
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from typer.testing import CliRunner
+from swaying_plume import (
+    FILM,
+    ORIGIN,
+    SPACING,
+    STORED_S,
+    plume_kelvin,
+    scene_of,
+    shift_mm,
+    swaying_scene,
+)
 
 from virtual_sensor import cli
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.air import air_refractivity
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
-from virtual_sensor.metrology.line_peaks import Status
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.studies import burst_results
-from virtual_sensor.studies.burst import MIN_FRAMES, burst, instants, spread, summary
+from virtual_sensor.studies.burst import (
+    MIN_FRAMES,
+    burst,
+    frame_table,
+    instants,
+    ray_table,
+    spread,
+    summary,
+    sway_table,
+)
 
-FILM = {"width": 512, "height": 512, "spp": 4, "line_length": 20}
-X, Y, Z = np.arange(-96.0, 97.0, 12.0), np.arange(-24.0, 25.0, 1.5), np.arange(-16.0, 161.0, 8.0)
-ORIGIN, SPACING = [-96.0, -24.0, -16.0], [12.0, 1.5, 8.0]
-AMPLITUDE_MM = 1.5
-STORED_S = np.linspace(4.0, 6.0, 17)
 FRAMES = 5
 RAYS_MM = np.linspace(0.0, -10.0, 9)
-
-
-def shift_mm(time_s):
-    """Where the plume stands across the cylinder: a sine of 0.8 s."""
-    return AMPLITUDE_MM * np.sin(2.0 * np.pi * time_s / 0.8)
-
-
-def plume_kelvin(centre_mm):
-    """Temperature of a plume about y = centre_mm that fades in x, y and z; (nx, ny, nz)."""
-    x, y, z = np.meshgrid(X, Y, Z, indexing="ij")
-    fading = np.cos(np.pi / 320.0 * np.clip(z, 0.0, 160.0)) ** 2
-    across = np.exp(-0.5 * ((y - centre_mm) / 4.0) ** 2)
-    return 293.15 + 900.0 * across * np.exp(-((x / 32.0) ** 2)) * fading
-
-
-def scene_of(path, temperatures, times, **parameters):
-    """The hot cylinder in air of these temperatures (nt, nx, ny, nz)."""
-    quantity = GriddedQuantity("temperature", temperatures, ORIGIN, SPACING, times)
-    write_quantity(path, quantity)
-    return load_scene("hot_cylinder", field=path, **FILM, **parameters)
 
 
 @pytest.fixture(scope="module")
 def swaying(tmp_path_factory):
     """Scene in the swaying plume."""
-    path = tmp_path_factory.mktemp("field") / "sway.nc"
-    return scene_of(path, np.array([plume_kelvin(shift_mm(t)) for t in STORED_S]), STORED_S)
+    return swaying_scene(tmp_path_factory.mktemp("field") / "sway.nc")
 
 
 @pytest.fixture(scope="module")
@@ -64,9 +52,18 @@ def told():
 
 
 @pytest.fixture(scope="module")
-def result(swaying, told):
+def passed():
+    """The frames that were passed on, with their numbers and instants."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(swaying, told, passed):
     """A burst in the last half second, each frame at a stored instant."""
-    return burst(swaying, None, 0.5, FRAMES, lambda *said: told.append(said), RAYS_MM)
+    return burst(
+        *(swaying, None, 0.5, FRAMES, lambda *said: told.append(said), RAYS_MM),
+        each_frame=lambda number, instant_s, frame: passed.append((number, instant_s, frame)),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -157,94 +154,75 @@ def test_a_deviation_needs_three_frames():
     assert MIN_FRAMES == 3
 
 
-def columns_of(path):
-    """Columns of a CSV file as text."""
-    with path.open(encoding="utf-8", newline="") as file:
-        header, *rows = csv.reader(file)
-    return dict(zip(header, zip(*rows, strict=True), strict=True))
-
-
-def numbers(cells):
-    """Cells as numbers, empty ones NaN."""
-    return np.array([float(cell or "nan") for cell in cells])
-
-
 @pytest.fixture(scope="module")
-def folder(result, tmp_path_factory):
-    """The burst's results as files."""
-    place = tmp_path_factory.mktemp("burst") / "sway"
-    burst_results.save_burst(result, summary(result), place)
-    return place
+def tables(result):
+    """The sway of the line and of the rays, and all frames."""
+    return sway_table(result), ray_table(result), frame_table(result)
 
 
-def test_the_tables_hold_the_sway(folder, result):
+def test_the_tables_hold_the_sway(tables, result):
     """Rationale: the deviations can be made again from the tidy table of frames."""
-    assert {p.name for p in folder.iterdir()} == {
-        *("sway.csv", "probe_rays.csv", "frames.csv", "sway.ply", "report.png", "summary.json")
-    }
-    sway, frames = (columns_of(folder / name) for name in ("sway.csv", "frames.csv"))
-    rows = numbers(frames["row"]).reshape(FRAMES, -1)
-    z = numbers(frames["point_mm_z"]).reshape(FRAMES, -1)
+    sway, rays, frames = tables
+    rows = frames.row.reshape(FRAMES, -1)
+    z = frames.point_mm[:, 2].reshape(FRAMES, -1)
     whole = np.isfinite(rows).all(axis=0)
     assert whole.sum() > 85
-    for name, values in (("std_v_px", rows), ("std_um_z", 1e3 * z)):
+    for std, values in ((sway.std_v_px, rows), (sway.std_um[:, 2], 1e3 * z)):
         again = np.std(values[:, whole], axis=0, ddof=1)
-        np.testing.assert_allclose(numbers(sway[name])[whole], again, rtol=1e-5, atol=1e-6)
-    np.testing.assert_allclose(numbers(frames["time_s"])[:: rows.shape[1]], result.time_s)
-    assert set(np.array(sway["status"])[whole]) == {"ok"}
-    dark = numbers(sway["frames"]) == 0
-    assert set(np.array(sway["status"])[dark]) <= {s.name.lower() for s in Status} - {"ok"}
-    assert np.isnan(numbers(sway["std_v_px"])[dark]).all()
-    rays = columns_of(folder / "probe_rays.csv")
+        np.testing.assert_allclose(std[whole], again, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(frames.time_s[:: rows.shape[1]], result.time_s)
+    assert set(sway.status[whole]) == {"ok"}
+    dark = sway.frames == 0
+    assert set(sway.status[dark]) <= {s.name.lower() for s in Status} - {"ok"}
+    assert np.isnan(sway.std_v_px[dark]).all()
     np.testing.assert_allclose(
-        numbers(rays["std_px_u"]), np.std(result.rays_px[..., 0], axis=0, ddof=1), rtol=1e-8
+        rays.std_px[:, 0], np.std(result.rays_px[..., 0], axis=0, ddof=1), rtol=1e-8
     )
 
 
-def test_the_summary_says_what_was_measured(folder, result):
+def test_what_stays_is_the_mean_points_distance_from_the_part(tables):
+    """Rationale: the plane of the laser is tilted by 30 degrees, so that it cuts an ellipse."""
+    sway = tables[0]
+    top = np.abs(sway.y_mm) < 0.5
+    assert top.sum() > 3
+    y, z = sway.mean_mm[top, 1:].T
+    above_um = 1e3 * (np.hypot(y, z + 13.5) - 13.5) / np.cos(np.radians(30.0))
+    np.testing.assert_allclose(sway.static_error_um[top], above_um, rtol=2e-3)
+
+
+def test_the_summary_says_what_was_measured_and_where_it_sways_most(tables, result):
     """Rationale: figures without the instants and the field they are of are worth nothing."""
-    figures = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    assert figures["first and last frame, s"] == [5.5, 6.0]
-    assert figures["field"]["instants stored"] == len(STORED_S)
-    along = figures["standard deviation along the line"]
-    assert along["v, px"]["largest"] == np.nanmax(spread(result.centres_px).std[:, 1])
+    sway, rays, _ = tables
+    figures = summary(result, sway, rays).to_dict()
+    assert (figures["first_frame_s"], figures["last_frame_s"]) == (5.5, 6.0)
+    assert figures["field"]["instants"] == len(STORED_S)
     assert figures["frames"] == FRAMES
-    assert figures["seconds"].keys() == {"field", "search", "render", "centres"}
+    assert figures["stage_s"].keys() == {"field", "search", "render", "centres"}
+    v, height = figures["line"]["v_px"], figures["line"]["height_um"]
+    assert v["largest"] == np.nanmax(spread(result.centres_px).std[:, 1])
+    at = int(np.nanargmax(sway.std_height_um))
+    assert height["largest"] == sway.std_height_um[at]
+    assert (height["largest_y_mm"], height["largest_frames"]) == (sway.y_mm[at], sway.frames[at])
+    assert figures["static_error_at_largest_um"] == sway.static_error_um[at]
 
 
-def test_an_interrupted_burst_leaves_nothing(result, tmp_path, monkeypatch):
-    """Rationale: Ctrl-C while the page is drawn, when the tables are written already."""
-
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(burst_results, "draw_burst", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        burst_results.save_burst(result, summary(result), tmp_path / "sway")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_command_passes_on_what_is_asked_for(result, swaying, tmp_path, monkeypatch):
-    """Rationale: its work is tested above; here, that the options reach it and its answer the user.
-
-    Results that are there are not replaced.
-    """
-    asked = []
-
-    def answered(scene, start_s, duration_s, frames, report, y_mm):
-        asked.append((scene.parameters["field"], start_s, duration_s, frames, y_mm))
-        return result
-
-    monkeypatch.setattr("virtual_sensor.studies.burst.burst", answered)
-    file, place = str(swaying.air.path), tmp_path / "sway"
-    line = ["burst", "hot_cylinder", "-D", f"field={file}", "-o", str(place)]
-    options = ["--start", "5.5", "--duration", "0.5", "--frames", "5", "-y", "-1", "-y", "2"]
-    ended = CliRunner().invoke(cli.app, [*line, *options])
-    assert (ended.exit_code, asked) == (0, [(file, 5.5, 0.5, 5, [-1.0, 2.0])])
-    assert (place / "sway.csv").exists()
-    again = CliRunner().invoke(cli.app, line)
-    assert isinstance(again.exception, InputError)
-    assert "--overwrite" in str(again.exception)
+def test_every_frame_is_passed_on_and_some_are_kept_to_be_looked_at(result, passed):
+    """Rationale: a long burst's frames fill the memory; who wants them writes them as they come."""
+    assert [number for number, *_ in passed] == list(range(FRAMES))
+    np.testing.assert_allclose([instant for _, instant, _ in passed], result.time_s)
+    views = result.views
+    rows, columns = (
+        slice(start, start + size)
+        for start, size in (
+            (views.first_row, views.mean.shape[0]),
+            (views.first_column, views.mean.shape[1]),
+        )
+    )
+    images = [frame.radiance for *_, frame in passed]
+    assert all(image[rows, columns].sum() > 0.99 * image.sum() > 0.0 for image in images)
+    np.testing.assert_allclose(views.mean, np.mean(images, axis=0)[rows, columns], atol=1e-7)
+    assert list(views.radiance) == [5.5, 5.75, 6.0]
+    np.testing.assert_array_equal(views.radiance[5.75], images[2][rows, columns])
 
 
 def test_ctrl_c_in_a_ray_march_is_no_error_of_the_program(tmp_path, monkeypatch):

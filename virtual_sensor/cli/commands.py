@@ -1,14 +1,13 @@
 """The command `virtual-sensor`: arguments to studies, nothing else."""
 
 from importlib import metadata
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from virtual_sensor import engine, interrupts
 from virtual_sensor.cli import (
+    burst,
     chart,
     detect,
     doctor,
@@ -20,20 +19,8 @@ from virtual_sensor.cli import (
     trial,
 )
 from virtual_sensor.cli.console import errors, one_line, streams
-from virtual_sensor.cli.shared import (
-    Camera,
-    Definitions,
-    Overwrite,
-    ProbeRays,
-    SceneArgument,
-    Source,
-    console,
-    definitions,
-    print_notes,
-    reporting,
-)
+from virtual_sensor.cli.shared import console
 from virtual_sensor.errors import EngineError, InputError, Interrupted
-from virtual_sensor.files import check_output
 
 app = typer.Typer(
     help="A virtual laser-triangulation sensor that sees through hot air.",
@@ -74,72 +61,7 @@ def before_the_command(
 
 app.command(epilog=measure.EPILOG)(measure.measure)
 app.command(epilog=search.EPILOG)(search.search)
-
-
-@app.command(
-    epilog="Examples:\n\n"
-    "    virtual-sensor burst hot_cylinder -D field=plume.nc\n\n"
-    "    virtual-sensor burst hot_cylinder -D field=plume.nc --start 4 --duration 2 --frames 21"
-    " -o sway_4s\n\n"
-    "    virtual-sensor burst stepped_shaft -D field=plume.nc -D width=1024 -D height=1024"
-)
-def burst(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
-    start: Annotated[
-        float | None,
-        typer.Option(help="Flow time of the first frame, s; by default the field's last second."),
-    ] = None,
-    duration: Annotated[float, typer.Option(help="From the first frame to the last, s.")] = 1.0,
-    frames: Annotated[int, typer.Option(help="Number of frames.")] = 11,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "sway"
-    ),
-    overwrite: Overwrite = False,
-) -> None:
-    """Measure a burst of frames in moving air: how much the line and the measured points sway.
-
-    The scene's field must have a time axis. `sway.csv` has the standard deviation per image column.
-    """
-    from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.studies.burst import burst as run
-    from virtual_sensor.studies.burst import summary
-    from virtual_sensor.studies.burst_results import save_burst
-
-    check_output(output, overwrite, folder=True)
-    with reporting("loading the scene") as report:
-        loaded = load_scene(scene, **definitions(define)).only(camera, source)
-        result = run(
-            loaded,
-            start,
-            duration,
-            frames,
-            lambda stage, fraction: report(stage, 0.95 * fraction),
-            y or None,
-        )
-        report("writing the results", 0.95)
-        figures = summary(result)
-        save_burst(result, figures, output, overwrite)
-        report("done", 1.0)
-    table = Table("standard deviation", "median", "largest")
-    for group in ("line", "probe rays"):
-        place = "along the line" if group == "line" else "of the probe rays"
-        for name, value in figures[f"standard deviation {place}"].items():
-            if value.get("median") is not None:
-                row = (f"{value['median']:.3g}", f"{value['largest']:.3g}")
-                table.add_row(f"{group}: {name}", *row)
-    console.print(table)
-    print_notes(result.notes)
-    console.print(
-        f"{frames} frames, {figures['seconds per frame']:.1f} s each; results in {output}, look at"
-        f" {output / 'report.png'} first",
-        soft_wrap=True,
-    )
-
-
+app.command(epilog=burst.EPILOG)(burst.burst)
 app.command(epilog=sweep.EPILOG)(sweep.sweep)
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)
 app.command(epilog=chart.EPILOG)(chart.chart)

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import render_frame
+from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import field_times
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -21,16 +21,23 @@ from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
+from virtual_sensor.records import Record, Table, status_names
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.probes import probe_rays
-from virtual_sensor.studies.provenance import made_with
-from virtual_sensor.studies.tables import status_names
+from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.section import SectionErrors, section_errors, true_section
 
 MIN_FRAMES = 3
 """With fewer frames a standard deviation says nothing: it is NaN."""
 
+_VIEWS = 3  # frames that are kept to be looked at
+_MARGIN_PX = 12  # around what is lit in them
+
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+EachFrame = Callable[[int, float, Frame], None]
+"""Called with each frame's number and instant in s, and the frame itself."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +59,26 @@ class Spread:
 
 
 @dataclass(frozen=True)
+class Views:
+    """Some frames of a burst, cut to what is lit, and the mean of all frames there.
+
+    Attributes
+    ----------
+    first_row, first_column : int
+        Of the cut.
+    mean : ndarray of shape (H, W)
+        Radiance, W/(mm^2 sr), averaged over all frames.
+    radiance : dict of ndarray of shape (H, W)
+        Of some frames, by their instants in s.
+    """
+
+    first_row: int
+    first_column: int
+    mean: Image
+    radiance: dict[float, Image]
+
+
+@dataclass(frozen=True)
 class Burst:
     """Frames at F equally spaced instants.
 
@@ -68,10 +95,11 @@ class Burst:
         The probe rays, by Newton's search.
     probe_y_mm : ndarray of shape (N,)
         Their positions along the line.
+    views : Views
     notes : tuple of str
         What the user should know.
-    seconds : dict
-        Spent on field, render, centres and search, over all frames.
+    stage_s : dict
+        Time spent on field, render, centres and search, over all frames, s.
     """
 
     scene: Scene
@@ -80,8 +108,9 @@ class Burst:
     lines: tuple[LineCentres, ...]
     rays: tuple[FoundPixels, ...]
     probe_y_mm: Array
+    views: Views
     notes: tuple[str, ...]
-    seconds: dict[str, float]
+    stage_s: dict[str, float]
 
     @property
     def up(self) -> Array:
@@ -93,7 +122,7 @@ class Burst:
         """(u, v) of the line in every column of every frame; shape (F, W, 2)."""
         return np.stack([line.pixel for line in self.lines])
 
-    @property
+    @cached_property
     def points_mm(self) -> Array:
         """Triangulated from them, world, mm; shape (F, W, 3)."""
         return triangulate(self.scene.sensor, self.centres_px)
@@ -113,19 +142,265 @@ class Burst:
         """The probe rays' measured points B_m, world, mm; shape (F, N, 3)."""
         return triangulate(self.scene.sensor, self.rays_px)
 
-    @property
-    def column_status(self) -> NDArray[np.str_]:
-        """Per column "ok", or why most frames have no centre there; shape (W,)."""
-        return _commonest(np.stack([line.status for line in self.lines]), Status)
-
-    @property
-    def ray_status(self) -> NDArray[np.str_]:
-        """Per ray "found", or why most frames have no pixel for it; shape (N,)."""
-        return _commonest(np.stack([found.status for found in self.rays]), SearchStatus)
-
     def with_height(self, points_mm: Array) -> Array:
         """Points (F, N, 3) with their height, along `up`, as a fourth component; mm."""
         return np.concatenate([points_mm, (points_mm @ self.up)[..., None]], axis=-1)
+
+
+@dataclass(frozen=True)
+class SwayTable(Table):
+    """Mean and standard deviation of the line's centre and its point, a row for each image column.
+
+    Attributes
+    ----------
+    column : ndarray of int of shape (W,)
+        Of the image.
+    frames : ndarray of int of shape (W,)
+        Frames in which a centre was found; of fewer than three there are no figures.
+    mean_v_px, std_v_px : ndarray of shape (W,)
+        Row of the line's centre.
+    y_mm : ndarray of shape (W,)
+        Position of the mean point along the line, as that of probe rays.
+    mean_mm : ndarray of shape (W, 3)
+        The measured point, world, averaged.
+    mean_height_mm : ndarray of shape (W,)
+        Its component against the laser's axis.
+    std_um : ndarray of shape (W, 3)
+        Standard deviation of the measured point.
+    std_height_um : ndarray of shape (W,)
+        Standard deviation of its height.
+    static_error_um : ndarray of shape (W,)
+        Distance of the mean point from the part's true section, positive outside the part.
+    status : ndarray of str of shape (W,)
+        "ok", or why most frames have no centre there.
+    """
+
+    column: NDArray[np.int64]
+    frames: NDArray[np.int64]
+    mean_v_px: Array
+    std_v_px: Array
+    y_mm: Array
+    mean_mm: Array
+    mean_height_mm: Array
+    std_um: Array
+    std_height_um: Array
+    static_error_um: Array
+    status: NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class RayTable(Table):
+    """Mean and standard deviation of the probe rays' pixels and points, a row for each ray.
+
+    Attributes
+    ----------
+    y_mm : ndarray of shape (N,)
+        Position along the line.
+    frames : ndarray of int of shape (N,)
+        Frames in which a pixel was found.
+    mean_px, std_px : ndarray of shape (N, 2)
+        The pixel that sees the ray.
+    mean_incidence_mm : ndarray of shape (N, 3)
+        B, where the ray meets the part, world.
+    mean_incidence_height_mm : ndarray of shape (N,)
+        Its component against the laser's axis.
+    std_incidence_um : ndarray of shape (N, 3)
+        Standard deviation of B.
+    std_incidence_height_um : ndarray of shape (N,)
+        Standard deviation of its height.
+    mean_measured_mm : ndarray of shape (N, 3)
+        B_m, the point measured of it, world.
+    mean_measured_height_mm : ndarray of shape (N,)
+        Its component against the laser's axis.
+    std_measured_um : ndarray of shape (N, 3)
+        Standard deviation of B_m.
+    std_measured_height_um : ndarray of shape (N,)
+        Standard deviation of its height.
+    mean_error_um, std_error_um : ndarray of shape (N,)
+        Height of B_m above B.
+    status : ndarray of str of shape (N,)
+        "found", or why most frames have no pixel for it.
+    """
+
+    y_mm: Array
+    frames: NDArray[np.int64]
+    mean_px: Array
+    std_px: Array
+    mean_incidence_mm: Array
+    mean_incidence_height_mm: Array
+    std_incidence_um: Array
+    std_incidence_height_um: Array
+    mean_measured_mm: Array
+    mean_measured_height_mm: Array
+    std_measured_um: Array
+    std_measured_height_um: Array
+    mean_error_um: Array
+    std_error_um: Array
+    status: NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class FrameTable(Table):
+    """Every frame's centres and points, a row for each frame and column.
+
+    Attributes
+    ----------
+    time_s : ndarray of shape (M,)
+        Flow time of the frame.
+    column : ndarray of int of shape (M,)
+        Of the image.
+    row, sigma : ndarray of shape (M,)
+        The line's centre, and the standard deviation that its detector expects of it, px.
+    point_mm : ndarray of shape (M, 3)
+        The measured point, world.
+    status : ndarray of str of shape (M,)
+        "ok", or why there is no centre.
+    """
+
+    time_s: Array
+    column: NDArray[np.int64]
+    row: Array
+    sigma: Array
+    point_mm: Array
+    status: NDArray[np.str_]
+
+
+@dataclass(frozen=True)
+class Sway(Record):
+    """Standard deviations over the frames of one quantity, in that quantity's unit.
+
+    Attributes
+    ----------
+    median, largest : float
+        Along the line.
+    largest_y_mm : float
+        Where along the line the largest is.
+    largest_frames : int
+        In how many frames there is a value there.
+    """
+
+    median: float
+    largest: float
+    largest_y_mm: float
+    largest_frames: int
+
+
+@dataclass(frozen=True)
+class LineSway(Record):
+    """The sway of the line that is found in the frames.
+
+    Attributes
+    ----------
+    v_px : Sway
+        Of the centre's row.
+    y_um, height_um : Sway
+        Of the measured point: along y, world, and against the laser's axis.
+    """
+
+    v_px: Sway
+    y_um: Sway
+    height_um: Sway
+
+
+@dataclass(frozen=True)
+class RaySway(Record):
+    """The sway of the probe rays.
+
+    Attributes
+    ----------
+    u_px, v_px : Sway
+        Of the pixel that sees a ray.
+    measured_height_um : Sway
+        Of the measured point's height, against the laser's axis.
+    status : dict
+        How many rays have each status.
+    """
+
+    u_px: Sway
+    v_px: Sway
+    measured_height_um: Sway
+    status: dict[str, int]
+
+
+@dataclass(frozen=True)
+class BurstField(Record):
+    """The field of a burst.
+
+    Attributes
+    ----------
+    file, source : str
+        Its path, and where it says that it comes from.
+    instants : int
+        That it holds.
+    first_s, last_s : float
+        Flow time of the first and the last of them.
+    """
+
+    file: str
+    source: str
+    instants: int
+    first_s: float
+    last_s: float
+
+
+@dataclass(frozen=True)
+class BurstSummary(Record):
+    """What sways how much.
+
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    camera, source : str
+        Their names in the scene.
+    parameters : dict
+        The scene's parameters as they were used.
+    field : BurstField
+        The air.
+    notes : tuple of str
+        What the user should know.
+    frames : int
+        Their number.
+    first_frame_s, last_frame_s : float
+        Their flow times.
+    columns : dict
+        How many of the image's columns have each status.
+    columns_in_every_frame : int
+        Columns in which every frame has a centre.
+    line : LineSway
+        The line that is found in the frames.
+    rays : RaySway
+        The probe rays.
+    static_error : SectionErrors
+        The mean points beside the part's true section: the error that stays.
+    static_error_at_largest_um : float
+        The same where the measured height sways most.
+    stage_s : dict
+        Time spent on field, search, render and centres, in all frames.
+    time_per_frame_s : float
+        All of that for one frame.
+    made_with : MadeWith
+        Engine and versions.
+    """
+
+    scene: str
+    camera: str
+    source: str
+    parameters: dict[str, str]
+    field: BurstField
+    notes: tuple[str, ...]
+    frames: int
+    first_frame_s: float
+    last_frame_s: float
+    columns: dict[str, int]
+    columns_in_every_frame: int
+    line: LineSway
+    rays: RaySway
+    static_error: SectionErrors
+    static_error_at_largest_um: float
+    stage_s: dict[str, float]
+    time_per_frame_s: float
+    made_with: MadeWith
 
 
 def instants(
@@ -180,6 +455,7 @@ def burst(
     frames: int = 11,
     report: Report = lambda stage, fraction: None,
     y_mm: ArrayLike | None = None,
+    each_frame: EachFrame = lambda number, instant_s, frame: None,
 ) -> Burst:
     """Render frames of moving air, find the line in each, and search the probe rays.
 
@@ -195,9 +471,11 @@ def burst(
     frames : int
         Their number.
     report : callable
-        Told what is being done, and which fraction of the whole is.
+        Called with what is being done, and the fraction of the whole that is done.
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
+    each_frame : callable
+        Called with each frame, which is not kept otherwise (see `EachFrame`).
 
     Raises
     ------
@@ -209,47 +487,79 @@ def burst(
     times, stored = instants(scene, start_s, duration_s, frames)
     if laser.dots_mm.size:
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
-    seconds = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
+    stage_s = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
     lines, rays = [], []
     y = probe_rays(scene, y_mm)
     notes = [*scene.notes, *unlit_rays(laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
     at_border: list[str] = []
-    for number, instant in enumerate(times):
+    seen = _Seen(np.unique(np.linspace(0, frames - 1, _VIEWS).round()).astype(int).tolist())
+    for number, instant in enumerate(times.tolist()):
 
         def tell(part: float, number: int = number, instant: float = instant) -> None:
             report(f"frame {number + 1} of {frames}, {instant:.3f} s", (number + part) / frames)
 
-        line, found, border = _one_frame(scene, y, float(instant), tell, seconds)
+        frame, line, found, border = _one_frame(scene, y, instant, tell, stage_s)
         lines.append(line)
         rays.append(found)
+        seen.add(number, instant, frame.radiance)
+        each_frame(number, instant, frame)
         # At one instant: at the others it is much the same.
         at_border = at_border or [f"at {instant:g} s: {text}" for text in border]
     notes += at_border
-    return Burst(scene, times, stored, tuple(lines), tuple(rays), y, tuple(notes), seconds)
+    views = seen.views(frames)
+    return Burst(scene, times, stored, tuple(lines), tuple(rays), y, views, tuple(notes), stage_s)
 
 
 def _one_frame(
-    scene: Scene, y: Array, instant: float, tell: Callable[[float], None], seconds: dict[str, float]
-) -> tuple[LineCentres, FoundPixels, list[str]]:
-    """Line, probe rays and notes of one instant; `seconds` grows by what each part took."""
+    scene: Scene, y: Array, instant: float, tell: Callable[[float], None], stage_s: dict[str, float]
+) -> tuple[Frame, LineCentres, FoundPixels, list[str]]:
+    """Frame, line, probe rays and notes of one instant; `stage_s` grows by what each part took."""
     tell(0.0)
-    with _timed(seconds, "field"):
+    with _timed(stage_s, "field"):
         now = scene.at(instant)
-    with _timed(seconds, "search"):
+    with _timed(stage_s, "search"):
         notes = check_scene(now)
         found = ray_search(now, y, "newton")
     tell(0.1)
-    with _timed(seconds, "render"):
+    with _timed(stage_s, "render"):
         frame = render_frame(now, progress=lambda part: tell(0.3 + 0.7 * part))
-    with _timed(seconds, "centres"):
+    with _timed(stage_s, "centres"):
         line = line_centres(frame.radiance)
     if not np.any(line.status == Status.OK):
         raise InputError(
             f"{scene.path}: no line in the frame at {instant:g} s; give a wider or longer line"
             " (line_radius, line_length), or more samples (spp)"
         )
-    return line, found, notes
+    return frame, line, found, notes
+
+
+class _Seen:
+    """Some frames and the mean of all, cut to what is lit in the first one."""
+
+    def __init__(self, wanted: list[int]) -> None:
+        self._wanted = wanted
+        self._cut = (slice(None), slice(None))
+        self._sum = np.zeros(0)
+        self._radiance: dict[float, Image] = {}
+
+    def add(self, number: int, instant_s: float, radiance: Image) -> None:
+        """Look at a frame; the first one is number 0."""
+        if number == 0:
+            rows, columns = (
+                slice(max(int(lit.min()) - _MARGIN_PX, 0), int(lit.max()) + _MARGIN_PX + 1)
+                for lit in np.nonzero(radiance > 0.01 * radiance.max())
+            )
+            self._cut = rows, columns
+            self._sum = np.zeros(radiance[self._cut].shape)
+        self._sum += radiance[self._cut]
+        if number in self._wanted:
+            self._radiance[instant_s] = radiance[self._cut].copy()
+
+    def views(self, frames: int) -> Views:
+        """What was seen, in the end."""
+        mean = (self._sum / frames).astype(np.float32)
+        return Views(self._cut[0].start, self._cut[1].start, mean, self._radiance)
 
 
 def spread(values: Array) -> Spread:
@@ -262,57 +572,119 @@ def spread(values: Array) -> Spread:
     return Spread(mean, np.sqrt(squares.sum(axis=0) / (divisor - 1.0)), frames[:, 0])
 
 
-def summary(result: Burst) -> dict[str, Any]:
-    """The figures of a burst, for `summary.json`."""
+def sway_table(result: Burst) -> SwayTable:
+    """The line's sway in every column."""
     line = spread(result.centres_px)
     points = spread(result.with_height(result.points_mm))
-    rays = spread(result.rays_px)
+    section = true_section(result.scene)
+    mean = points.mean[:, :3]
+    return SwayTable(
+        column=result.lines[0].column,
+        frames=line.frames,
+        mean_v_px=line.mean[:, 1],
+        std_v_px=line.std[:, 1],
+        y_mm=section.along_mm(mean),
+        mean_mm=mean,
+        mean_height_mm=points.mean[:, 3],
+        std_um=points.std[:, :3] * UM_PER_MM,
+        std_height_um=points.std[:, 3] * UM_PER_MM,
+        static_error_um=section.distance_um(mean),
+        status=_commonest(np.stack([line.status for line in result.lines]), Status),
+    )
+
+
+def ray_table(result: Burst) -> RayTable:
+    """The sway of the probe rays."""
+    pixel = spread(result.rays_px)
+    incidence = spread(result.with_height(result.incidence_mm))
     measured = spread(result.with_height(result.measured_mm))
-    frames = len(result.time_s)
-    return {
-        "scene": str(result.scene.path),
-        "parameters": dict(result.scene.parameters),
-        "field": {
-            "file": str(result.scene.air.path),
-            "source": result.scene.field.source if result.scene.field else "",
-            "instants stored": len(result.stored_s),
-            "first and last, s": [float(result.stored_s[0]), float(result.stored_s[-1])],
-        },
-        "notes": result.notes,
-        "frames": frames,
-        "first and last frame, s": [float(result.time_s[0]), float(result.time_s[-1])],
-        "columns": dict(Counter(result.column_status.tolist())),
-        "columns seen in every frame": int(np.sum(line.frames == frames)),
-        "standard deviation along the line": {
-            "v, px": _middle_and_largest(line.std[:, 1]),
-            "y, um": _middle_and_largest(points.std[:, 1] * UM_PER_MM),
-            "height along the laser's axis, um": _middle_and_largest(points.std[:, 3] * UM_PER_MM),
-        },
-        "standard deviation of the probe rays": {
-            "u, px": _middle_and_largest(rays.std[:, 0]),
-            "v, px": _middle_and_largest(rays.std[:, 1]),
-            "B_m's height along the laser's axis, um": _middle_and_largest(
-                measured.std[:, 3] * UM_PER_MM
-            ),
-            "rays": dict(Counter(result.ray_status.tolist())),
-        },
-        "seconds": {name: round(value, 2) for name, value in result.seconds.items()},
-        "seconds per frame": round(sum(result.seconds.values()) / frames, 2),
-        "made_with": made_with(result.scene),
-    }
+    error = spread((result.measured_mm - result.incidence_mm) @ result.up[:, None] * UM_PER_MM)
+    return RayTable(
+        y_mm=result.probe_y_mm,
+        frames=pixel.frames,
+        mean_px=pixel.mean,
+        std_px=pixel.std,
+        mean_incidence_mm=incidence.mean[:, :3],
+        mean_incidence_height_mm=incidence.mean[:, 3],
+        std_incidence_um=incidence.std[:, :3] * UM_PER_MM,
+        std_incidence_height_um=incidence.std[:, 3] * UM_PER_MM,
+        mean_measured_mm=measured.mean[:, :3],
+        mean_measured_height_mm=measured.mean[:, 3],
+        std_measured_um=measured.std[:, :3] * UM_PER_MM,
+        std_measured_height_um=measured.std[:, 3] * UM_PER_MM,
+        mean_error_um=error.mean[:, 0],
+        std_error_um=error.std[:, 0],
+        status=_commonest(np.stack([found.status for found in result.rays]), SearchStatus),
+    )
 
 
-def _middle_and_largest(values: Array) -> dict[str, float | None]:
-    """Median and maximum of the finite ones; None where there are none."""
-    known = values[np.isfinite(values)]
-    return {
-        "median": float(np.median(known)) if known.size else None,
-        "largest": float(np.max(known)) if known.size else None,
-    }
+def frame_table(result: Burst) -> FrameTable:
+    """All centres and points."""
+    lines, columns = result.lines, result.lines[0].column
+    return FrameTable(
+        time_s=np.repeat(result.time_s, len(columns)),
+        column=np.tile(columns, len(lines)),
+        row=np.concatenate([line.row for line in lines]),
+        sigma=np.concatenate([line.sigma for line in lines]),
+        point_mm=result.points_mm.reshape(-1, 3),
+        status=status_names(np.concatenate([line.status for line in lines]), Status),
+    )
+
+
+def summary(result: Burst, line: SwayTable, rays: RayTable) -> BurstSummary:
+    """The figures of a burst, from its tables."""
+    scene, frames = result.scene, len(result.time_s)
+    stored, file = result.stored_s, scene.air.path
+    height = _sway(line.std_height_um, line.y_mm, line.frames)
+    at = np.flatnonzero(line.std_height_um == height.largest)
+    return BurstSummary(
+        scene=str(scene.path),
+        camera=scene.camera_name,
+        source=scene.source_name,
+        parameters=dict(scene.parameters),
+        field=BurstField(
+            file=str(file),
+            source=scene.field.source if scene.field else "",
+            instants=len(stored),
+            first_s=float(stored[0]),
+            last_s=float(stored[-1]),
+        ),
+        notes=result.notes,
+        frames=frames,
+        first_frame_s=float(result.time_s[0]),
+        last_frame_s=float(result.time_s[-1]),
+        columns=dict(Counter(line.status.tolist())),
+        columns_in_every_frame=int(np.sum(line.frames == frames)),
+        line=LineSway(
+            v_px=_sway(line.std_v_px, line.y_mm, line.frames),
+            y_um=_sway(line.std_um[:, 1], line.y_mm, line.frames),
+            height_um=height,
+        ),
+        rays=RaySway(
+            u_px=_sway(rays.std_px[:, 0], rays.y_mm, rays.frames),
+            v_px=_sway(rays.std_px[:, 1], rays.y_mm, rays.frames),
+            measured_height_um=_sway(rays.std_measured_height_um, rays.y_mm, rays.frames),
+            status=dict(Counter(rays.status.tolist())),
+        ),
+        static_error=section_errors(true_section(scene), line.mean_mm),
+        static_error_at_largest_um=float(line.static_error_um[at[0]]) if at.size else float("nan"),
+        stage_s={name: round(value, 2) for name, value in result.stage_s.items()},
+        time_per_frame_s=round(sum(result.stage_s.values()) / frames, 2),
+        made_with=made_with(scene),
+    )
+
+
+def _sway(std: Array, y_mm: Array, frames: NDArray[np.int64]) -> Sway:
+    """Median and maximum of the finite ones, and where that is; NaN where there are none."""
+    known = np.flatnonzero(np.isfinite(std))
+    if not known.size:
+        return Sway(np.nan, np.nan, np.nan, 0)
+    at = known[np.argmax(std[known])]
+    return Sway(float(np.median(std[known])), float(std[at]), float(y_mm[at]), int(frames[at]))
 
 
 def _coarse_instants(times: Array, stored: Array) -> list[str]:
-    """Tell of instants so far apart that the frames between them sway too little."""
+    """Note of instants so far apart that the frames between them sway too little."""
     first = np.searchsorted(stored, times[0], "right") - 1
     last = np.searchsorted(stored, times[-1], "left")
     gap = float(np.max(np.diff(stored[first : last + 1])))
@@ -333,8 +705,8 @@ def _commonest(status: NDArray[np.integer], kind: type[IntEnum]) -> NDArray[np.s
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], what: str) -> Iterator[None]:
-    """Add the time spent to `seconds`."""
+def _timed(stage_s: dict[str, float], what: str) -> Iterator[None]:
+    """Add the time spent to `stage_s`."""
     started = time.perf_counter()
     yield
-    seconds[what] += time.perf_counter() - started
+    stage_s[what] += time.perf_counter() - started

@@ -1,0 +1,82 @@
+"""The command `virtual-sensor burst`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from virtual_sensor.cli.shared import (
+    Camera,
+    Definitions,
+    Overwrite,
+    ProbeRays,
+    SceneArgument,
+    Source,
+    command_line,
+    console,
+    definitions,
+    print_end,
+    print_notes,
+    reporting,
+)
+from virtual_sensor.files import folder_written_whole
+
+EPILOG = (
+    "Examples:\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc --start 4 --duration 2 --frames 21"
+    " -o sway_4s\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc --images -o with_frames\n\n"
+    "    virtual-sensor burst stepped_shaft -D field=plume.nc -D width=1024 -D height=1024"
+)
+
+
+def burst(
+    scene: SceneArgument,
+    define: Definitions = None,
+    camera: Camera = None,
+    source: Source = None,
+    y: ProbeRays = None,
+    start: Annotated[
+        float | None,
+        typer.Option(help="Flow time of the first frame, s; by default the field's last second."),
+    ] = None,
+    duration: Annotated[float, typer.Option(help="From the first frame to the last, s.")] = 1.0,
+    frames: Annotated[int, typer.Option(help="Number of frames.")] = 11,
+    images: Annotated[
+        bool, typer.Option("--images", help="Write the frames too: EXR and PNG, in frames/.")
+    ] = False,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
+        "sway"
+    ),
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure a burst of frames in moving air: how much the line and the measured points sway.
+
+    The scene's field must have a time axis. `sway.csv` has the standard deviation in each column.
+    """
+    from virtual_sensor.imaging.scene import load_scene
+    from virtual_sensor.reporting.burst import FrameFiles, fill, lead, table
+    from virtual_sensor.studies.burst import burst as run
+
+    with (
+        reporting("loading the scene", "an unfinished burst leaves nothing") as report,
+        folder_written_whole(output, overwrite) as place,
+    ):
+        loaded = load_scene(scene, **definitions(define)).only(camera, source)
+        result = run(
+            loaded,
+            start,
+            duration,
+            frames,
+            lambda stage, fraction: report(stage, 0.95 * fraction),
+            y or None,
+            **({"each_frame": FrameFiles(place, loaded)} if images else {}),
+        )
+        report("writing the results", 0.95)
+        figures = fill(result, place, command_line()).summary
+        report("done", 1.0)
+    console.print(table(figures).rich())
+    console.print(lead(figures), soft_wrap=True)
+    print_notes(figures.notes)
+    print_end(output)
