@@ -22,6 +22,7 @@ COUNTS = {
     "call": 500,
     "command": 60,
 }
+EACH_TIME = 0.1  # of them, wherever tests run; all of them are slow
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +37,11 @@ def test_every_fault_that_was_found_has_its_right_outcome(runner):
     assert {label: said for label, said in failed.items() if said} == {}
 
 
-@pytest.mark.parametrize("kind", strategies.BY_KIND)
-def test_no_hostile_input_does_harm(runner, kind):
-    """Thousands of cases, the same in every run."""
+def read_all(runner, kind, count):
+    """So many cases of a kind, the same in every run."""
 
     @settings(
-        max_examples=COUNTS[kind],
+        max_examples=count,
         deadline=None,
         derandomize=True,
         database=None,
@@ -53,3 +53,16 @@ def test_no_hostile_input_does_harm(runner, kind):
         assert not verdict(case, runner.run(case))
 
     harmless()
+
+
+@pytest.mark.parametrize("kind", strategies.BY_KIND)
+def test_no_hostile_input_does_harm(runner, kind):
+    """Hundreds of cases."""
+    read_all(runner, kind, round(EACH_TIME * COUNTS[kind]))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", strategies.BY_KIND)
+def test_of_thousands_of_hostile_inputs_none_does_harm(runner, kind):
+    """Thousands of cases."""
+    read_all(runner, kind, COUNTS[kind])
