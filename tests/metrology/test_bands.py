@@ -1,5 +1,7 @@
 """Lines of two sources in one image: each is found as if it were alone, or not at all."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from artificial import line_image
@@ -32,25 +34,31 @@ FREE = np.abs(ROWS["left"] - ROWS["right"]) > 2.0 * HALF_PX + 1.0
 FAR = binary_erosion(FREE, np.ones(55), border_value=True)
 
 
-@pytest.mark.parametrize("ratio", [1.0, 10.0, 100.0])
-@pytest.mark.parametrize("method", ["gaussian", "max_likelihood", "centre_of_gravity", "steger"])
-def test_each_line_is_found_as_if_it_were_alone(ratio, method):
+def test_each_line_is_found_as_if_it_were_alone():
     """Rationale: two lasers in a scene must measure what each would; 0.002 px is the promise."""
-    images = alone({"left": 1.0, "right": ratio})
-    found = lines_in_bands(sum(images.values()), bands(), method)
-    for name, line in found.items():
-        by_itself = line_centres(images[name], method)
-        if method == "steger":
-            good = line.status == Status.OK
-            at = np.rint(line.column[good]).astype(int)
-            assert np.isin(np.flatnonzero(FAR)[12:-12], at).all()
-            expected = np.interp(line.column[good], COLUMNS, ROWS[name])
-            np.testing.assert_allclose(line.row[good], expected, atol=0.002)
-            continue
-        np.testing.assert_array_equal(line.status[FREE], by_itself.status[FREE])
-        np.testing.assert_allclose(line.row[FREE], by_itself.row[FREE], atol=1e-4)
-        assert np.all(line.status[~FREE][1:-1] == Status.OVERLAPPING)
-        assert np.isnan(line.row[~FREE][1:-1]).all()
+    for case in product(
+        ("gaussian", "max_likelihood", "centre_of_gravity", "steger"), (1.0, 10.0, 100.0)
+    ):
+        method, ratio = case
+        images = alone({"left": 1.0, "right": ratio})
+        found = lines_in_bands(sum(images.values()), bands(), method)
+        for name, line in found.items():
+            by_itself = line_centres(images[name], method)
+            if method == "steger":
+                good = line.status == Status.OK
+                at = np.rint(line.column[good]).astype(int)
+                assert np.isin(np.flatnonzero(FAR)[12:-12], at).all(), case
+                expected = np.interp(line.column[good], COLUMNS, ROWS[name])
+                np.testing.assert_allclose(line.row[good], expected, atol=0.002, err_msg=f"{case}")
+                continue
+            np.testing.assert_array_equal(
+                line.status[FREE], by_itself.status[FREE], err_msg=f"{case}"
+            )
+            np.testing.assert_allclose(
+                line.row[FREE], by_itself.row[FREE], atol=1e-4, err_msg=f"{case}"
+            )
+            assert np.all(line.status[~FREE][1:-1] == Status.OVERLAPPING), case
+            assert np.isnan(line.row[~FREE][1:-1]).all(), case
 
 
 def test_no_column_in_which_both_bands_hold_light_has_a_centre():
@@ -63,34 +71,34 @@ def test_no_column_in_which_both_bands_hold_light_has_a_centre():
         assert np.all(line.status[together] == Status.OVERLAPPING)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_random_lines_are_told_apart_where_they_are_apart_and_nowhere_else(seed):
+def test_random_lines_are_told_apart_where_they_are_apart_and_nowhere_else():
     """Rationale: three waves of any brightness and width; which columns are free, by hand."""
-    rng = np.random.default_rng(seed)
-    rows, widths, images = {}, {}, {}
-    for name in "abc":
-        height, slope, swing, wave, phase = rng.uniform(
-            [40.0, -0.1, 0.0, 80.0, 0.0], [160.0, 0.1, 20.0, 300.0, 6.0]
-        )
-        rows[name] = height + slope * (COLUMNS - 300) + swing * np.sin(COLUMNS / wave + phase)
-        widths[name], light = rng.uniform(1.0, 3.0), 10.0 ** rng.uniform(0.0, 2.0)
-        images[name] = line_image(rows[name], widths[name], light, height=HEIGHT)
-    half = {name: 6.0 * width for name, width in widths.items()}
-    truth = {name: TrueLine.of_rows(row).band(HEIGHT, half[name]) for name, row in rows.items()}
-    found = lines_in_bands(sum(images.values()), truth)
-    for name, line in found.items():
-        alone = line_centres(images[name])
-        for column in COLUMNS:
-            gap = min(
-                abs(rows[name][column] - rows[other][column]) - half[name] - half[other]
-                for other in rows
-                if other != name
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        rows, widths, images = {}, {}, {}
+        for name in "abc":
+            height, slope, swing, wave, phase = rng.uniform(
+                [40.0, -0.1, 0.0, 80.0, 0.0], [160.0, 0.1, 20.0, 300.0, 6.0]
             )
-            if gap > 1.0:
-                assert line.status[column] == alone.status[column]
-                assert not abs(line.row[column] - alone.row[column]) > 0.001
-            elif gap < 0.0:
-                assert line.status[column] == Status.OVERLAPPING
+            rows[name] = height + slope * (COLUMNS - 300) + swing * np.sin(COLUMNS / wave + phase)
+            widths[name], light = rng.uniform(1.0, 3.0), 10.0 ** rng.uniform(0.0, 2.0)
+            images[name] = line_image(rows[name], widths[name], light, height=HEIGHT)
+        half = {name: 6.0 * width for name, width in widths.items()}
+        truth = {name: TrueLine.of_rows(row).band(HEIGHT, half[name]) for name, row in rows.items()}
+        found = lines_in_bands(sum(images.values()), truth)
+        for name, line in found.items():
+            alone = line_centres(images[name])
+            for column in COLUMNS:
+                gap = min(
+                    abs(rows[name][column] - rows[other][column]) - half[name] - half[other]
+                    for other in rows
+                    if other != name
+                )
+                if gap > 1.0:
+                    assert line.status[column] == alone.status[column], seed
+                    assert not abs(line.row[column] - alone.row[column]) > 0.001, seed
+                elif gap < 0.0:
+                    assert line.status[column] == Status.OVERLAPPING, seed
 
 
 @pytest.mark.parametrize("ambient", [0.0, 200.0])

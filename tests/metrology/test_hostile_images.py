@@ -91,8 +91,7 @@ def test_a_thousand_hostile_images_do_no_harm():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", range(1, 10))
-def test_ten_thousand_hostile_images_do_no_harm(part):
+def test_ten_thousand_hostile_images_do_no_harm():
     """The rest of them: other seeds for every detector."""
-    for number in range(1000 * part, 1000 * part + 1000):
+    for number in range(1000, 10_000):
         check(number)

@@ -1,5 +1,7 @@
 """Lines of any direction: against lines drawn at known places, in noise, and what is not a line."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from artificial import line_image
@@ -33,19 +35,19 @@ def found(line):
     return line.pixel[good], good
 
 
-@pytest.mark.parametrize("degrees", [0.0, 10.0, 30.0, 45.0, 77.0, 90.0, 120.0, 165.0])
-@pytest.mark.parametrize("width", [1.0, 2.0, 4.0])
-def test_straight_lines_of_any_direction_are_found_to_a_thousandth_of_a_pixel(degrees, width):
+def test_straight_lines_of_any_direction_are_found_to_a_thousandth_of_a_pixel():
     """One point a pixel along the line, with its width, height and direction."""
-    away = straight(degrees)
-    line = line_centres(drawn(away, width, level=7.0), "steger")
-    points, good = found(line)
-    assert len(points) > 120 - 10 * 1.3 * max(width, 1.2) - 6
-    assert np.abs(away(points)).max() < 1e-3
-    assert np.abs(np.sin(np.radians(line.normal_deg[good] - degrees))).max() < 2e-3
-    np.testing.assert_allclose(line.width[good], width, rtol=0.02)
-    np.testing.assert_allclose(line.amplitude[good], 100.0, rtol=0.02)
-    np.testing.assert_allclose(line.background[good], 7.0, atol=0.5)
+    for case in product((1.0, 2.0, 4.0), (0.0, 10.0, 30.0, 45.0, 77.0, 90.0, 120.0, 165.0)):
+        width, degrees = case
+        away = straight(degrees)
+        line = line_centres(drawn(away, width, level=7.0), "steger")
+        points, good = found(line)
+        assert len(points) > 120 - 10 * 1.3 * max(width, 1.2) - 6, case
+        assert np.abs(away(points)).max() < 1e-3, case
+        assert np.abs(np.sin(np.radians(line.normal_deg[good] - degrees))).max() < 2e-3, case
+        np.testing.assert_allclose(line.width[good], width, rtol=0.02, err_msg=f"{case}")
+        np.testing.assert_allclose(line.amplitude[good], 100.0, rtol=0.02, err_msg=f"{case}")
+        np.testing.assert_allclose(line.background[good], 7.0, atol=0.5, err_msg=f"{case}")
 
 
 @pytest.mark.parametrize("radius", [40.0, 60.0, 80.0, 300.0])
@@ -66,17 +68,16 @@ def test_a_step_of_the_background_under_the_line_shifts_it_by_a_hundredth_of_a_p
     assert np.abs(away(points)).max() < 0.02
 
 
-@pytest.mark.parametrize("degrees", [0.0, 10.0, 90.0])
-@pytest.mark.parametrize("step", [30.0, -50.0])
-@pytest.mark.parametrize("offset", np.arange(-0.4, 0.5, 0.2))
-def test_a_step_of_the_background_loses_no_point_at_any_phase(degrees, step, offset):
+def test_a_step_of_the_background_loses_no_point_at_any_phase():
     """The ridge is a pixel or more off the line: whose pixel it lies in must not matter."""
-    away = straight(degrees, offset)
-    points, _ = found(line_centres(drawn(away, step=step, level=60.0), "steger"))
-    angle = np.radians(degrees)
-    along = np.sort(points @ [-np.sin(angle), np.cos(angle)])
-    assert np.ptp(along) > 95.0
-    assert np.diff(along).max() < 1.5
+    for case in product(np.arange(-0.4, 0.5, 0.2), (30.0, -50.0), (0.0, 10.0, 90.0)):
+        offset, step, degrees = case
+        away = straight(degrees, offset)
+        points, _ = found(line_centres(drawn(away, step=step, level=60.0), "steger"))
+        angle = np.radians(degrees)
+        along = np.sort(points @ [-np.sin(angle), np.cos(angle)])
+        assert np.ptp(along) > 95.0, case
+        assert np.diff(along).max() < 1.5, case
 
 
 @pytest.mark.parametrize(

@@ -322,78 +322,81 @@ def by_hand(found, rows, counts, wanted):
     return errors, expected, lost, left_out
 
 
-def assert_scored(result, expected_of_it, px):
+def assert_scored(result, expected_of_it, px, seed):
     errors, expected, lost, left_out = expected_of_it
-    assert result.column.tolist() == list(errors)
-    np.testing.assert_allclose(result.error_px, list(errors.values()), atol=px)
-    assert (result.expected, result.lost.tolist()) == (expected, lost)
-    assert sum(result.left_out.values()) == left_out
+    assert result.column.tolist() == list(errors), seed
+    np.testing.assert_allclose(result.error_px, list(errors.values()), atol=px, err_msg=f"{seed=}")
+    assert (result.expected, result.lost.tolist()) == (expected, lost), seed
+    assert sum(result.left_out.values()) == left_out, seed
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_random_searched_lines_are_scored_as_by_hand(seed):
+def test_random_searched_lines_are_scored_as_by_hand():
     """Rationale: column by column, with the rows in closed form and no spline, no arrays."""
-    rng = np.random.default_rng(seed)
-    parts, pixel = random_search(rng)
-    truth = TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), WIDTH)
-    end_px = rng.choice([0.0, 0.5, 3.0])
-    rows, counts, wanted = ([[] for _ in COLUMNS] for _ in range(3))
-    for c in COLUMNS:
-        for first, last, (height, slope, wave), folded in parts:
-            if first <= c <= last and not folded:
-                rows[c].append(height + slope * (c - 200.0) + wave * np.sin(c / 20.0))
-                counts[c].append(min(c - first, last - c) >= end_px)
-                wanted[c].append(min(c - first, last - c) >= max(end_px, 0.5))
-    found = random_centres(rng, rows)
-    result = compare_line(found, truth, end_px=end_px)
-    assert_scored(result, by_hand(found, rows, counts, wanted), 1e-4)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        parts, pixel = random_search(rng)
+        truth = TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), WIDTH)
+        end_px = rng.choice([0.0, 0.5, 3.0])
+        rows, counts, wanted = ([[] for _ in COLUMNS] for _ in range(3))
+        for c in COLUMNS:
+            for first, last, (height, slope, wave), folded in parts:
+                if first <= c <= last and not folded:
+                    rows[c].append(height + slope * (c - 200.0) + wave * np.sin(c / 20.0))
+                    counts[c].append(min(c - first, last - c) >= end_px)
+                    wanted[c].append(min(c - first, last - c) >= max(end_px, 0.5))
+        found = random_centres(rng, rows)
+        result = compare_line(found, truth, end_px=end_px)
+        assert_scored(result, by_hand(found, rows, counts, wanted), 1e-4, seed)
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_random_frames_are_scored_as_by_hand(seed):
+def test_random_frames_are_scored_as_by_hand():
     """Rationale: light on up to two surfaces, cut by edges at random places, gone in columns."""
-    rng = np.random.default_rng(seed)
-    lines = 90.0 + rng.uniform(-0.1, 0.1) * (COLUMNS - 200.0), 170.0 + 2.0 * np.sin(COLUMNS / 9.0)
-    light = np.full((HEIGHT, WIDTH), np.nan)
-    rows, whole = ([[] for _ in COLUMNS] for _ in range(2))
-    needed = 1.5 * RADIUS_MM / PIXEL_MM  # px on either side
-    for c in COLUMNS:
-        for row in (each[c] for each in lines[: rng.integers(0, 3)]):
-            seen = [REACH_PX if rng.random() < 0.95 else rng.uniform(-2.0, 14.0) for _ in "ab"]
-            at = np.arange(int(np.ceil(row - seen[0])), int(np.floor(row + seen[1])) + 1)
-            light[at, c] = (at - row) * PIXEL_MM
-            if at.size and at[0] <= row <= at[-1]:
-                rows[c].append(row)
-                whole[c].append(min(row - at[0], at[-1] - row) > needed)
-    found = random_centres(rng, rows)
-    truth = TrueLine.of_coordinates(light, RADIUS_MM)
-    assert_scored(compare_line(found, truth), by_hand(found, rows, whole, whole), 1e-9)
-    every = [[True] * len(each) for each in rows]
-    with_cut = compare_line(found, truth, cut=True)
-    assert_scored(with_cut, by_hand(found, rows, every, every), 1e-9)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        lines = (
+            90.0 + rng.uniform(-0.1, 0.1) * (COLUMNS - 200.0),
+            170.0 + 2.0 * np.sin(COLUMNS / 9.0),
+        )
+        light = np.full((HEIGHT, WIDTH), np.nan)
+        rows, whole = ([[] for _ in COLUMNS] for _ in range(2))
+        needed = 1.5 * RADIUS_MM / PIXEL_MM  # px on either side
+        for c in COLUMNS:
+            for row in (each[c] for each in lines[: rng.integers(0, 3)]):
+                seen = [REACH_PX if rng.random() < 0.95 else rng.uniform(-2.0, 14.0) for _ in "ab"]
+                at = np.arange(int(np.ceil(row - seen[0])), int(np.floor(row + seen[1])) + 1)
+                light[at, c] = (at - row) * PIXEL_MM
+                if at.size and at[0] <= row <= at[-1]:
+                    rows[c].append(row)
+                    whole[c].append(min(row - at[0], at[-1] - row) > needed)
+        found = random_centres(rng, rows)
+        truth = TrueLine.of_coordinates(light, RADIUS_MM)
+        assert_scored(compare_line(found, truth), by_hand(found, rows, whole, whole), 1e-9, seed)
+        every = [[True] * len(each) for each in rows]
+        with_cut = compare_line(found, truth, cut=True)
+        assert_scored(with_cut, by_hand(found, rows, every, every), 1e-9, seed)
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_points_between_columns_are_compared_with_the_line_between(seed):
+def test_points_between_columns_are_compared_with_the_line_between():
     """Rationale: a detector of lines of any direction has its points anywhere along them."""
-    rng = np.random.default_rng(seed)
-    truth = np.where(rng.random(WIDTH) < 0.05, np.nan, 80.0 + 0.3 * COLUMNS)
-    u = rng.uniform(-2.0, WIDTH + 1.0, 500)
-    v = 80.0 + 0.3 * u + rng.normal(0.0, 0.1, u.size)
-    blank = np.full(u.size, np.nan)
-    status = np.where(rng.random(u.size) < 0.2, Status.SKEWED, Status.OK)
-    result = compare_line(
-        LineCentres(u, v, blank, blank, blank, blank, blank, status), TrueLine.of_rows(truth)
-    )
-    expected = []
-    for each, row, told in zip(u, v, status, strict=True):
-        column = round(each)
-        if told != Status.OK or not 0 <= column < WIDTH or np.isnan(truth[column]):
-            continue
-        beside = column + (1 if each > column else -1)
-        joined = 0 <= beside < WIDTH and np.isfinite(truth[beside])
-        expected.append(row - (80.0 + 0.3 * (each if joined else column)))
-    np.testing.assert_allclose(result.error_px, expected, atol=1e-9)
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        truth = np.where(rng.random(WIDTH) < 0.05, np.nan, 80.0 + 0.3 * COLUMNS)
+        u = rng.uniform(-2.0, WIDTH + 1.0, 500)
+        v = 80.0 + 0.3 * u + rng.normal(0.0, 0.1, u.size)
+        blank = np.full(u.size, np.nan)
+        status = np.where(rng.random(u.size) < 0.2, Status.SKEWED, Status.OK)
+        result = compare_line(
+            LineCentres(u, v, blank, blank, blank, blank, blank, status), TrueLine.of_rows(truth)
+        )
+        expected = []
+        for each, row, told in zip(u, v, status, strict=True):
+            column = round(each)
+            if told != Status.OK or not 0 <= column < WIDTH or np.isnan(truth[column]):
+                continue
+            beside = column + (1 if each > column else -1)
+            joined = 0 <= beside < WIDTH and np.isfinite(truth[beside])
+            expected.append(row - (80.0 + 0.3 * (each if joined else column)))
+        np.testing.assert_allclose(result.error_px, expected, atol=1e-9, err_msg=f"{seed=}")
 
 
 def test_of_several_peaks_each_is_compared_with_its_own_row():
