@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -112,30 +113,30 @@ def lit_points(family, medium, index, s, t):
     return np.stack([rays.position(a)[i] for i, a in enumerate(along)])
 
 
-@pytest.mark.parametrize("name", SOURCES)
-@pytest.mark.parametrize("hot", [False, True], ids=["cold", "hot"])
-@pytest.mark.parametrize("lens", [(), (-0.2, 0.1, 1e-3, -2e-3, 0.05)], ids=["pinhole", "lens"])
-def test_points_on_the_sources_rays_come_back(name, hot, lens):
+def test_points_on_the_sources_rays_come_back():
     """Rationale: of any family of rays, and of any of its first coordinates; SciPy lights them."""
-    medium, index = spot()
-    medium = medium if hot else None
-    family, view = SOURCES[name], camera(lens)
-    rng = np.random.default_rng(1)
-    size = 0.1 if name == "projector" else 10.0
-    s, t = 0.1 * size * rng.uniform(-1.0, 1.0, 60), size * rng.uniform(-1.0, 1.0, 60)
-    points = lit_points(family, medium, index, s, t)
-    seen = projected_points(
-        replace(vs.load_scene("cold_cylinder"), cameras={"camera": view}, medium=medium),
-        points,
-        method="newton",
-    )
-    found = crossings(medium, view, family, seen.pixel, s, 1e-3)
-    assert (found.status == CrossingStatus.OK).all()
-    assert np.linalg.norm(found.point_mm - points, axis=1).max() < (1e-4 if hot else 1e-8)
-    assert np.abs(found.along - t).max() < (1e-5 if hot else 1e-10) * size
-    if hot:
-        straight = crossings(None, view, family, seen.pixel, s, 1e-3)
-        assert np.nanmax(np.linalg.norm(straight.point_mm - points, axis=1)) > 0.01
+    cold = vs.load_scene("cold_cylinder")
+    for case in product(((), (-0.2, 0.1, 1e-3, -2e-3, 0.05)), (False, True), SOURCES):
+        lens, hot, name = case
+        medium, index = spot()
+        medium = medium if hot else None
+        family, view = SOURCES[name], camera(lens)
+        rng = np.random.default_rng(1)
+        size = 0.1 if name == "projector" else 10.0
+        s, t = 0.1 * size * rng.uniform(-1.0, 1.0, 60), size * rng.uniform(-1.0, 1.0, 60)
+        points = lit_points(family, medium, index, s, t)
+        seen = projected_points(
+            replace(cold, cameras={"camera": view}, medium=medium),
+            points,
+            method="newton",
+        )
+        found = crossings(medium, view, family, seen.pixel, s, 1e-3)
+        assert (found.status == CrossingStatus.OK).all(), case
+        assert np.linalg.norm(found.point_mm - points, axis=1).max() < (1e-4 if hot else 1e-8), case
+        assert np.abs(found.along - t).max() < (1e-5 if hot else 1e-10) * size, case
+        if hot:
+            straight = crossings(None, view, family, seen.pixel, s, 1e-3)
+            assert np.nanmax(np.linalg.norm(straight.point_mm - points, axis=1)) > 0.01, case
 
 
 def test_searched_pixels_of_the_hot_cylinder_give_back_their_incidence_points(scene):
@@ -150,23 +151,26 @@ def test_searched_pixels_of_the_hot_cylinder_give_back_their_incidence_points(sc
     assert UM * np.linalg.norm(straight - found.laser_point_mm, axis=1).max() > 300.0
 
 
-@pytest.mark.parametrize("source", ["laser", "upright"])
-@pytest.mark.parametrize("view", ["camera", "steep"])
-def test_each_pair_of_two_cameras_and_two_lasers_does(pairs, view, source):
+def test_each_pair_of_two_cameras_and_two_lasers_does(pairs):
     """Rationale: a scene owns its parts; what needs one of them is given its name."""
-    y = np.linspace(-10.0, 10.0, 401)
-    found = vs.ray_search(pairs, y, "newton", camera=view, source=source)
-    assert (found.status == 0).all()
-    names = {"camera": view, "source": source}
-    points = vs.triangulate(pairs, found.pixel, medium=pairs.medium, **names)
-    assert UM * np.linalg.norm(points - found.laser_point_mm, axis=1).max() <= 0.05
-    straight = vs.triangulate(pairs, found.pixel, **names)
-    assert UM * np.linalg.norm(straight - found.laser_point_mm, axis=1).max() > 30.0
-    np.testing.assert_allclose(
-        vs.project(pairs, found.laser_point_mm, camera=view), found.pixel, atol=0.002
-    )
-    with pytest.raises(InputError, match="camera"):
-        vs.triangulate(pairs, found.pixel, source=source)
+    for case in product(("camera", "steep"), ("laser", "upright")):
+        view, source = case
+        y = np.linspace(-10.0, 10.0, 401)
+        found = vs.ray_search(pairs, y, "newton", camera=view, source=source)
+        assert (found.status == 0).all(), case
+        names = {"camera": view, "source": source}
+        points = vs.triangulate(pairs, found.pixel, medium=pairs.medium, **names)
+        assert UM * np.linalg.norm(points - found.laser_point_mm, axis=1).max() <= 0.05, case
+        straight = vs.triangulate(pairs, found.pixel, **names)
+        assert UM * np.linalg.norm(straight - found.laser_point_mm, axis=1).max() > 30.0, case
+        np.testing.assert_allclose(
+            vs.project(pairs, found.laser_point_mm, camera=view),
+            found.pixel,
+            atol=0.002,
+            err_msg=f"{case}",
+        )
+        with pytest.raises(InputError, match="camera"):
+            vs.triangulate(pairs, found.pixel, source=source)
 
 
 def test_a_scene_that_is_moved_as_a_whole_sees_and_measures_the_same(scene):

@@ -1,6 +1,7 @@
 """Interpolation in tables on grids against SciPy's splines."""
 
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 
 import numpy as np
 import pytest
@@ -61,26 +62,32 @@ def test_a_table_is_scipys_cubic_spline(table, values):
     np.testing.assert_allclose(table.at(places), spline(GRID, values)(places), rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_slopes_are_the_splines_derivatives(table, values, axis):
+def test_slopes_are_the_splines_derivatives(table, values):
     """Rationale: Newton's Jacobian and the light's concentration are made of them."""
-    expected = spline(GRID, values)(GRID.nodes(), nu=np.eye(3, dtype=int)[axis])
-    np.testing.assert_allclose(table.slopes(GRID.nodes(), axis), expected, rtol=0, atol=1e-10)
+    for axis in (0, 1, 2):
+        expected = spline(GRID, values)(GRID.nodes(), nu=np.eye(3, dtype=int)[axis])
+        np.testing.assert_allclose(
+            table.slopes(GRID.nodes(), axis), expected, rtol=0, atol=1e-10, err_msg=f"{axis=}"
+        )
 
 
-@pytest.mark.parametrize("functions", [1, 3, 4, 5, 9])
-@pytest.mark.parametrize("count", [0, 1, 700])
-def test_any_number_of_functions_is_told_at_any_number_of_places(functions, count):
+def test_any_number_of_functions_is_told_at_any_number_of_places():
     """Rationale: four of them are read at once, and Dr.Jit knows no empty array."""
-    values = RNG.normal(size=(*NODES, functions))
-    table, places = SplineTable(GRID, values.reshape(-1, functions)), around(GRID, count)
-    truth = spline(GRID, values)
-    found = table.with_slopes(places)
-    for order, values_found in zip([(0, 0, 0), (1, 0, 0), (0, 1, 0)], found, strict=True):
-        expected = truth(places, nu=order).reshape(count, functions)
-        np.testing.assert_allclose(values_found, expected, rtol=0, atol=1e-10)
-    first = (functions + 1) // 2
-    np.testing.assert_array_equal(table.at(places, first), found[0][:, :first])
+    for case in product((0, 1, 700), (1, 3, 4, 5, 9)):
+        count, functions = case
+        values = RNG.normal(size=(*NODES, functions))
+        table, places = SplineTable(GRID, values.reshape(-1, functions)), around(GRID, count)
+        truth = spline(GRID, values)
+        found = table.with_slopes(places)
+        for order, values_found in zip([(0, 0, 0), (1, 0, 0), (0, 1, 0)], found, strict=True):
+            expected = truth(places, nu=order).reshape(count, functions)
+            np.testing.assert_allclose(
+                values_found, expected, rtol=0, atol=1e-10, err_msg=f"{case}"
+            )
+        first = (functions + 1) // 2
+        np.testing.assert_array_equal(
+            table.at(places, first), found[0][:, :first], err_msg=f"{case}"
+        )
 
 
 def test_nothing_is_known_at_no_place(table):
@@ -105,15 +112,17 @@ def test_threads_may_ask_several_tables_at_once():
         np.testing.assert_array_equal(found, alone[i % len(tables)])
 
 
-@pytest.mark.parametrize("order", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)])
-def test_on_another_grid_the_functions_are_the_same(table, order):
+def test_on_another_grid_the_functions_are_the_same(table):
     """Rationale: it is quicker there, and beyond the nodes the outermost cubics go on."""
-    low, high = np.array([-1.1, 20.0, 0.28]), np.array([2.0, 24.3, 0.8])  # some of it beyond
-    other = Grid(low, high, (9, 4, 11))
-    axes = list(np.flatnonzero(order))
-    places = other.nodes()
-    expected = table.slopes(places, axes[0]) if axes else table.at(places)
-    np.testing.assert_allclose(table.on_grid(other, order), expected, rtol=1e-9, atol=1e-9)
+    for order in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)):
+        low, high = np.array([-1.1, 20.0, 0.28]), np.array([2.0, 24.3, 0.8])  # some of it beyond
+        other = Grid(low, high, (9, 4, 11))
+        axes = list(np.flatnonzero(order))
+        places = other.nodes()
+        expected = table.slopes(places, axes[0]) if axes else table.at(places)
+        np.testing.assert_allclose(
+            table.on_grid(other, order), expected, rtol=1e-9, atol=1e-9, err_msg=f"{order=}"
+        )
 
 
 def smooth_along(values, axis):

@@ -284,14 +284,14 @@ def test_a_pixel_is_as_large_as_what_it_sees(lens):
     assert_allclose(lens.pixel_mm(points), apart, rtol=0.02)
 
 
-@pytest.mark.parametrize("size", [1e150, 1e300, np.inf, np.nan])
-def test_numbers_of_any_size_warn_of_nothing(lens, size):
+def test_numbers_of_any_size_warn_of_nothing(lens):
     """Rationale: a script that treats warnings as errors must not stop at one bad pixel."""
-    lines = lens.lines_of_sight([[size, 5.0], [5.0, -size]])
-    lengths = np.linalg.norm(lines, axis=1)
-    assert np.all(np.isnan(lengths) | (np.abs(lengths - 1.0) < 1e-12))
-    pixel = lens.project([[size, 0.0, 0.0], [0.0, size, -size]])
-    assert pixel.shape == (2, 2)
+    for size in (1e150, 1e300, np.inf, np.nan):
+        lines = lens.lines_of_sight([[size, 5.0], [5.0, -size]])
+        lengths = np.linalg.norm(lines, axis=1)
+        assert np.all(np.isnan(lengths) | (np.abs(lengths - 1.0) < 1e-12)), size
+        pixel = lens.project([[size, 0.0, 0.0], [0.0, size, -size]])
+        assert pixel.shape == (2, 2), size
 
 
 def test_the_papers_camera_is_a_pinhole():

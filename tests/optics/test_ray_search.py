@@ -1,6 +1,7 @@
 """The ray search: against SciPy end to end, the paper's way against Newton's, and each status."""
 
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
@@ -128,46 +129,51 @@ def test_the_middle_ray_stays_in_the_middle(newton):
     assert newton.pixel[0, 0] == pytest.approx(1023.5, abs=1e-9)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_cold_light_is_found_at_once(scene, method):
+def test_cold_light_is_found_at_once(scene):
     """The start pixel of step 2.1 is the straight projection, and light runs straight."""
-    found = ray_search(scene.cold(), NINE, method)
-    expected = scene.sensor.camera.project(found.laser_point_mm)
-    assert np.all(found.status == SearchStatus.FOUND)
-    assert found.distance_um.max() < 1e-8
-    np.testing.assert_allclose(found.pixel, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.laser_point_mm[:, 1], NINE, rtol=0, atol=1e-12)
-    assert np.all(found.iterations == {"paper": 1, "newton": 2, "tabulated": 0}[method])
+    for method in METHODS:
+        found = ray_search(scene.cold(), NINE, method)
+        expected = scene.sensor.camera.project(found.laser_point_mm)
+        assert np.all(found.status == SearchStatus.FOUND), method
+        assert found.distance_um.max() < 1e-8, method
+        np.testing.assert_allclose(found.pixel, expected, rtol=0, atol=1e-9, err_msg=f"{method=}")
+        np.testing.assert_allclose(
+            found.laser_point_mm[:, 1], NINE, rtol=0, atol=1e-12, err_msg=f"{method=}"
+        )
+        assert np.all(found.iterations == {"paper": 1, "newton": 2, "tabulated": 0}[method]), method
 
 
 # ------------------------------------------------------------------------------------- statuses
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("hot", [True, False], ids=["hot", "cold"])
-def test_a_ray_beside_the_cylinder_has_no_pixel(scene, method, hot):
+def test_a_ray_beside_the_cylinder_has_no_pixel(scene):
     """And does not disturb its neighbours; nor do they need it."""
-    found = ray_search(scene if hot else scene.cold(), [-4.0, 20.0, -6.0, -15.0], method)
-    missed = np.array([False, True, False, True])
-    np.testing.assert_array_equal(found.status == SearchStatus.LASER_MISSED, missed)
-    np.testing.assert_array_equal(found.status == SearchStatus.FOUND, ~missed)
-    for values in (found.laser_point_mm, found.pixel, found.seen_point_mm):
-        np.testing.assert_array_equal(np.isnan(values).all(axis=1), missed)
-    np.testing.assert_array_equal(np.isnan(found.distance_um), missed)
-    assert np.all(found.iterations[missed] == 0)
+    for case in product((True, False), METHODS):
+        hot, method = case
+        found = ray_search(scene if hot else scene.cold(), [-4.0, 20.0, -6.0, -15.0], method)
+        missed = np.array([False, True, False, True])
+        np.testing.assert_array_equal(
+            found.status == SearchStatus.LASER_MISSED, missed, err_msg=f"{case}"
+        )
+        np.testing.assert_array_equal(
+            found.status == SearchStatus.FOUND, ~missed, err_msg=f"{case}"
+        )
+        for values in (found.laser_point_mm, found.pixel, found.seen_point_mm):
+            np.testing.assert_array_equal(np.isnan(values).all(axis=1), missed, err_msg=f"{case}")
+        np.testing.assert_array_equal(np.isnan(found.distance_um), missed, err_msg=f"{case}")
+        assert np.all(found.iterations[missed] == 0), case
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
+def test_no_ray_at_all_may_meet_the_cylinder(scene):
     """Then there is nothing to march back to; a single ray may come as a plain number."""
-    found = ray_search(scene, [20.0, 15.0], method)
-    np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
-    found = ray_search(scene.cold(), 20.0, method)
-    assert found.pixel.shape == (1, 2)
-    np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED)
+    for method in METHODS:
+        found = ray_search(scene, [20.0, 15.0], method)
+        np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED, err_msg=f"{method=}")
+        found = ray_search(scene.cold(), 20.0, method)
+        assert found.pixel.shape == (1, 2), method
+        np.testing.assert_array_equal(found.status, SearchStatus.LASER_MISSED, err_msg=f"{method=}")
 
 
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("laser", "lit"),
     [
@@ -179,15 +185,22 @@ def test_no_ray_at_all_may_meet_the_cylinder(scene, method):
     ],
     ids=str,
 )
-def test_a_ray_without_light_is_unlit_and_has_no_figure(method, laser, lit):
+def test_a_ray_without_light_is_unlit_and_has_no_figure(laser, lit):
     """Rationale: of a line of 6 mm all nine rays were found, to y = -10 mm."""
-    found = ray_search(vs.load_scene("hot_cylinder", **laser), NINE, method)
-    dark = ~np.isin(NINE, lit)
-    np.testing.assert_array_equal(found.status == SearchStatus.UNLIT, dark)
-    np.testing.assert_array_equal(found.status == SearchStatus.FOUND, ~dark)
-    for values in (found.laser_point_mm, found.pixel, found.seen_point_mm, found.distance_um):
-        np.testing.assert_array_equal(np.isnan(values).reshape(9, -1).all(axis=1), dark)
-    assert np.all(found.iterations[dark] == 0)
+    scene, dark = vs.load_scene("hot_cylinder", **laser), ~np.isin(NINE, lit)
+    for method in METHODS:
+        found = ray_search(scene, NINE, method)
+        np.testing.assert_array_equal(
+            found.status == SearchStatus.UNLIT, dark, err_msg=f"{method=}"
+        )
+        np.testing.assert_array_equal(
+            found.status == SearchStatus.FOUND, ~dark, err_msg=f"{method=}"
+        )
+        for values in (found.laser_point_mm, found.pixel, found.seen_point_mm, found.distance_um):
+            np.testing.assert_array_equal(
+                np.isnan(values).reshape(9, -1).all(axis=1), dark, err_msg=f"{method=}"
+            )
+        assert np.all(found.iterations[dark] == 0), method
 
 
 def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
@@ -204,22 +217,25 @@ def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
     assert np.all(found.iterations[above] == 15)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_pixel_beside_the_sensor_is_not_used(scene, newton, method):
+def test_a_pixel_beside_the_sensor_is_not_used(scene, newton):
     """A narrower sensor about the same axis loses the outer rays."""
     camera = replace(scene.sensor.camera, size=(900, 2048))
     sensor = SensorModel(camera, scene.source)
     narrow = SimpleNamespace(camera=camera, sensor=sensor, field=scene.field, surface=scene.surface)
-    found = ray_search(narrow, NINE, method)
     outside = newton.pixel[:, 0] > 899.5
     assert 0 < outside.sum() < len(NINE)
-    np.testing.assert_array_equal(found.status == SearchStatus.OUTSIDE_IMAGE, outside)
-    np.testing.assert_array_equal(np.isnan(found.pixel).all(axis=1), outside)
-    assert np.all(np.isfinite(found.laser_point_mm))
+    for method in METHODS:
+        found = ray_search(narrow, NINE, method)
+        np.testing.assert_array_equal(
+            found.status == SearchStatus.OUTSIDE_IMAGE, outside, err_msg=f"{method=}"
+        )
+        np.testing.assert_array_equal(
+            np.isnan(found.pixel).all(axis=1), outside, err_msg=f"{method=}"
+        )
+        assert np.all(np.isfinite(found.laser_point_mm)), method
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
+def test_something_in_the_line_of_sight_is_an_undercut(scene):
     """A bead before the camera hides one laser point; its pixel sees the bead and is not used."""
     cold = scene.cold()
     free = ray_search(cold, [-2.0, -4.0, -6.0], "newton")
@@ -240,11 +256,12 @@ def test_something_in_the_line_of_sight_is_an_undercut(scene, method):
         )
     )
     screened = SimpleNamespace(camera=cold.camera, sensor=cold.sensor, field=None, surface=surface)
-    found = ray_search(screened, [-2.0, -4.0, -6.0], method)
-    expected = [SearchStatus.FOUND, SearchStatus.UNDERCUT, SearchStatus.FOUND]
-    np.testing.assert_array_equal(found.status, expected)
-    assert np.all(np.isnan(found.pixel[1]))
-    assert np.linalg.norm(found.seen_point_mm[1] - bead) == pytest.approx(1.0, abs=1e-4)
+    for method in METHODS:
+        found = ray_search(screened, [-2.0, -4.0, -6.0], method)
+        expected = [SearchStatus.FOUND, SearchStatus.UNDERCUT, SearchStatus.FOUND]
+        np.testing.assert_array_equal(found.status, expected, err_msg=f"{method=}")
+        assert np.all(np.isnan(found.pixel[1])), method
+        assert np.linalg.norm(found.seen_point_mm[1] - bead) == pytest.approx(1.0, abs=1e-4), method
 
 
 def test_an_unknown_method_is_refused(scene):
