@@ -1,6 +1,26 @@
-"""What holds for all tests."""
+"""What holds for all tests: Ctrl-C is heard, and as many run side by side as the machine has cores.
 
+pytest-xdist's workers get whole files, so that what a module's fixtures make is made once. Each
+worker computes with its share of the cores. A run of single files is done by this process.
+"""
+
+import os
 import signal
+from pathlib import Path
 
 # Started in the background of a shell, Ctrl-C is ignored, and by the commands that tests start too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+CORES = len(os.sched_getaffinity(0))
+MOST_WORKERS = 4  # each needs about 1 GB
+
+if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
+    share = str(max(1, CORES // workers))
+    for name in ("VIRTUAL_SENSOR_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, share)
+
+
+def pytest_xdist_auto_num_workers(config):
+    """How many `-n auto` starts."""
+    folders = [given for given in config.args if Path(given.partition("::")[0]).is_dir()]
+    return min(CORES, MOST_WORKERS) if folders else 0
