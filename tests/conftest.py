@@ -15,6 +15,7 @@ CORES = len(os.sched_getaffinity(0))
 MOST_WORKERS = 4  # each needs about 1 GB
 
 if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
+    os.environ.pop("COLUMNS", None)  # readline leaves it to workers; a console would go by it
     share = str(max(1, CORES // workers))
     for name in ("VIRTUAL_SENSOR_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, share)

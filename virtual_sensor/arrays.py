@@ -24,9 +24,10 @@ Result = TypeVar("Result")
 
 LARGEST = sys.float_info.max
 SMALLEST = math.ulp(0.0)
+"""Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
 
 _PACKET = 64  # numbers: more than any processor's vectors hold
-"""Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
+_ALIGNMENT = 64  # bytes: the most that Dr.Jit asks for
 
 
 def whole_number(name: str, value: Any, least: int, most: int) -> int:
@@ -191,15 +192,18 @@ def _first_rows(tree: Any, count: int) -> Any:
 
 
 def _with_room(array: np.ndarray, kind: Any) -> np.ndarray:
-    """A copy in C order, with memory of its own behind its end.
+    """A copy in C order, aligned for vectors, with memory of its own behind its end.
 
     Dr.Jit's kernels read whole packets of numbers, the last one beyond the end of an array that is
     NumPy's: where a page ends there, the process ends by signal 11. An array without numbers would
-    end it at the first kernel that reads it.
+    end it at the first kernel that reads it. The alignment is compiled in: left to chance, the same
+    work would now and then compile another kernel.
     """
     if not array.size:
         raise ValueError("Dr.Jit knows no empty array: compute `by_rows`")
-    held = np.empty(array.size + _PACKET, kind)[: array.size].reshape(array.shape)
+    room = np.empty(array.size + 2 * _PACKET, kind)
+    start = -room.ctypes.data % _ALIGNMENT // room.itemsize
+    held = room[start : start + array.size].reshape(array.shape)
     held[...] = array
     return held
 
