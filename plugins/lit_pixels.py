@@ -48,7 +48,7 @@ _THREE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
-class Account:
+class RenderReport:
     """How a frame was made.
 
     Attributes
@@ -91,7 +91,7 @@ class LitPixels:
         Of the sources whose light is seen, as the tracer has them.
     tracer : Tracer
         That tells of the pixels' samples.
-    account : Account
+    report : RenderReport
     sight : Sight or None
         At the pixels' centres, in their order; None if there are none.
     """
@@ -99,7 +99,7 @@ class LitPixels:
     index: Pixels
     names: tuple[str, ...]
     tracer: Tracer
-    account: Account
+    report: RenderReport
     sight: Sight | None = None
 
 
@@ -118,7 +118,7 @@ def find_lit_pixels(
     """
     field, march = (None if transport.name == "straight" else medium), transport.march
     by_maps = transport.name in ("tabulated", "straight")
-    account, reason = Account(transport.name), ""
+    report, reason = RenderReport(transport.name), ""
     try:
         region = _searched(straight, field, march, sources)
     except NoMapError as why:
@@ -129,32 +129,32 @@ def find_lit_pixels(
     marched = Marched(field, straight.surface, tuple(beam.source for beam in beams.values()), march)
     tracer: Tracer = marched
     if not beams:
-        return LitPixels(np.zeros(0, np.uint32), (), tracer, account)
-    account = replace(account, march_px=region.march_px)
+        return LitPixels(np.zeros(0, np.uint32), (), tracer, report)
+    report = replace(report, march_px=region.march_px)
     if by_maps:
         try:
             if reason:
                 raise NoMapError(reason)
             tracer = region.tabulated(marched, transport.tolerance_px)
-            account = _with_maps(account, tracer, tuple(beams), region.pixel_mm)
+            report = _with_maps(report, tracer, tuple(beams), region.pixel_mm)
         except NoMapError as why:
-            account = replace(account, transport="marched", reason=str(why))
+            report = replace(report, transport="marched", reason=str(why))
     sight, _ = tracer.sight(straight.view.centres(region.candidates))
     lit, folded = region.lit(sight)
-    account = replace(account, folded=folded)
+    report = replace(report, folded=folded)
     if not lit.size:
-        return LitPixels(np.zeros(0, np.uint32), (), tracer, account)
+        return LitPixels(np.zeros(0, np.uint32), (), tracer, report)
     index = region.candidates[lit]
-    return LitPixels(index, tuple(beams), tracer, account, rows(sight, lit.astype(np.uint32)))
+    return LitPixels(index, tuple(beams), tracer, report, rows(sight, lit.astype(np.uint32)))
 
 
 def _with_maps(
-    account: Account, tracer: Tabulated, names: tuple[str, ...], pixel_mm: float
-) -> Account:
+    report: RenderReport, tracer: Tabulated, names: tuple[str, ...], pixel_mm: float
+) -> RenderReport:
     camera, *others = (map_.fineness for map_ in (tracer.camera, *tracer.maps))
     nodes = dict(zip(("camera", *names), (f.nodes for f in (camera, *others)), strict=True))
     error_mm = camera.error_mm + max(f.error_mm for f in others)
-    return replace(account, nodes=nodes, error_px=error_mm / pixel_mm)
+    return replace(report, nodes=nodes, error_px=error_mm / pixel_mm)
 
 
 def _opaque(margin: Array) -> tuple[Any, ...]:

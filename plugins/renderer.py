@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from virtual_sensor_plugins import glow
 from virtual_sensor_plugins.exposure import Exposure, own_sampler
-from virtual_sensor_plugins.lit_pixels import Account, Columns, LitPixels, find_lit_pixels
+from virtual_sensor_plugins.lit_pixels import Columns, LitPixels, RenderReport, find_lit_pixels
 from virtual_sensor_plugins.views import StraightSight, View, pinhole_of
 from virtual_sensor_plugins.whole_film import WholeFilm
 
@@ -236,7 +236,7 @@ class Prepared:
         progress: Callable[[float], None] | None = None,
         others: bool = True,
         on_film: bool = False,
-    ) -> tuple[Exposure, Account]:
+    ) -> tuple[Exposure, RenderReport]:
         """A frame's samples, and how it was made.
 
         Parameters
@@ -254,7 +254,7 @@ class Prepared:
         arrangement, lit = self.arrangement, self.lit
         sampler = own_sampler(arrangement.sensor, spp)
         devices = [arrangement.sources[name] for name in lit.names]
-        account, view = lit.account, arrangement.view
+        report, view = lit.report, arrangement.view
         others = others and bool(arrangement.lamps)
         pixels = lit.index.size + (view.pixels if others else 0)
         exposure = Exposure(view, sampler, seed, pixels, progress, on_film)
@@ -269,12 +269,12 @@ class Prepared:
             return arrangement.radiance(sight, devices, draws), sight.hit
 
         if others:
-            account = self._expose_others(exposure, sampler)
+            report = self._expose_others(exposure, sampler)
         lanes = "marched" if isinstance(lit.tracer, Marched) else "tabulated"
         exposure.add(lit.index, by_tracer, _LANES[lanes])
-        return exposure, replace(account, samples=samples, marched=marched)
+        return exposure, replace(report, samples=samples, marched=marched)
 
-    def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> Account:
+    def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> RenderReport:
         """Expose the pixels that no source lights, and say how."""
         arrangement, (film, why) = self.arrangement, self.film
         pixels = None
@@ -298,4 +298,4 @@ class Prepared:
             exposure.add(pixels, by_marching, _LANES["marched"], stream=1)
         else:
             exposure.add(pixels, by_tangents, _LANES["whole film"], stream=1)
-        return replace(self.lit.account, reason=why or self.lit.account.reason)
+        return replace(self.lit.report, reason=why or self.lit.report.reason)

@@ -238,7 +238,7 @@ def test_the_rendered_line_is_the_searched_one(known, scene, frame, air):
     if air == "cold":
         scene = scene.cold()
         frame = render_frame(scene)
-    assert not frame.account.reason
+    assert not frame.report.reason
     line = vs.line_centres(frame.radiance)
     many = np.linspace(-0.99, 0.99, 400) * known.half_length
     u, v = vs.ray_search(scene, many, "newton").pixel.T
@@ -268,7 +268,7 @@ def test_beside_a_laser_its_light_is_added(load):
     each = [render_frame(both.only(source=name)).radiance for name in ("laser", "other")]
     assert all(radiance.max() > 0.0 for radiance in each)
     together = render_frame(both)
-    assert not together.account.reason
+    assert not together.report.reason
     peak = max(radiance.max() for radiance in each)
     np.testing.assert_allclose(together.radiance, each[0] + each[1], rtol=0, atol=1e-3 * peak)
 

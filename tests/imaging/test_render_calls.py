@@ -79,10 +79,10 @@ def test_a_step_too_long_is_measured_and_noted():
         both = frame.lit & exact.lit
         apart_mm = np.abs(frame.coordinates() - exact.coordinates())[both].max(axis=-1)
         true_px = np.quantile(apart_mm, 0.99) / (45.056 / 256)
-        errors_px[step] = frame.account.march_px
-        assert 0.3 * true_px < frame.account.march_px < 5.0 * true_px + 2e-3
+        errors_px[step] = frame.report.march_px
+        assert 0.3 * true_px < frame.report.march_px < 5.0 * true_px + 2e-3
         dark = vs.line_centres(np.zeros((64, 64), np.float32))
-        notes = " ".join(frame_notes(frame.account, dark, None, None))
+        notes = " ".join(frame_notes(frame.report, dark, None, None))
         assert ("steps of the march are too long" in notes) == (step > 2)
     assert errors_px[48] > errors_px[16] > 0.05 > 0.005 > errors_px[2]
 
@@ -146,9 +146,9 @@ def test_a_line_much_longer_than_the_image_costs_no_more():
         render_frame(vs.load_scene("hot_cylinder", **size, line_length=x)) for x in (100, 500)
     ]
     for table in ("camera", "laser"):
-        nodes = [frame.account.nodes[table] for frame in frames]
+        nodes = [frame.report.nodes[table] for frame in frames]
         assert nodes[0] == nodes[1]
-    assert frames[1].account.transport == "tabulated"
+    assert frames[1].report.transport == "tabulated"
     np.testing.assert_allclose(5.0 * frames[1].radiance, frames[0].radiance, rtol=1e-4, atol=1e-9)
 
 

@@ -47,7 +47,7 @@ def test_a_second_frame_is_a_first_one_to_the_bit(load, transport):
         np.testing.assert_array_equal(other.radiance, first.radiance)
         np.testing.assert_array_equal(other.point_mm, first.point_mm)
         np.testing.assert_array_equal(other.coordinates(), first.coordinates())
-    assert again.account == first.account
+    assert again.report == first.report
 
 
 def test_nothing_is_looked_for_twice(load, prepared):

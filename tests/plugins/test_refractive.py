@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from virtual_sensor_plugins.lit_pixels import Account, LitPixels
+from virtual_sensor_plugins.lit_pixels import LitPixels, RenderReport
 from virtual_sensor_plugins.renderer import Prepared
 
 import virtual_sensor as vs
@@ -113,7 +113,7 @@ def test_no_lit_pixel_is_overlooked(temperature):
     crop(scene, (250, 490), size)
     every, given = np.arange(size[0] * size[1], dtype=np.uint32), arrangement(scene)
     sight, _ = given.marched.sight(given.view.centres(every))
-    lit = LitPixels(every, tuple(given.sources), given.marched, Account("marched"), sight)
+    lit = LitPixels(every, tuple(given.sources), given.marched, RenderReport("marched"), sight)
     whole, found = Prepared(given, lit).exposed(4, 0)[0].image(), vs.render(scene)
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
     found, whole = found[inner], whole[inner]
@@ -167,14 +167,14 @@ def test_where_no_map_holds_the_whole_film_its_pixels_are_marched(tmp_path, monk
     """Rationale: light that is not the laser's must not be lost with the map, and why is told."""
     scene = screened(tmp_path, POINT, size=64)
     expected = render_frame(scene)
-    assert not expected.account.reason
+    assert not expected.report.reason
 
     def refuse(*given):
         raise NoMapError("too rough")
 
     monkeypatch.setattr("virtual_sensor_plugins.whole_film.WholeFilm.of", refuse)
     frame = render_frame(screened(tmp_path, POINT, size=64))
-    assert "too rough" in frame.account.reason
+    assert "too rough" in frame.report.reason
     apart = np.abs(frame.radiance - expected.radiance)
     assert np.mean(apart > 1e-3 * expected.radiance.max()) < 0.005
 

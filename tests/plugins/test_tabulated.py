@@ -31,9 +31,9 @@ def stronger(scene, contrast):
     return scene.with_medium(replace(field, nodes=nodes, _lookups={}))
 
 
-def nodes(account):
+def nodes(report):
     """Nodes of both maps."""
-    return sum(np.prod(each) for each in account.nodes.values())
+    return sum(np.prod(each) for each in report.nodes.values())
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -50,7 +50,7 @@ def frames(request):
 def test_line_centres_are_those_of_marched_rays(frames):
     """Rationale: this is what a measurement is made of; ends of the line and steps included."""
     _, frame, exact = frames
-    assert frame.account.transport == "tabulated"
+    assert frame.report.transport == "tabulated"
     lines, expected = vs.line_centres(frame.radiance), vs.line_centres(exact.radiance)
     found = np.isfinite(expected.pixel[:, 1])
     np.testing.assert_array_equal(np.isfinite(lines.pixel[:, 1]), found)
@@ -130,7 +130,7 @@ def by_tolerance():
 def test_the_error_stays_within_the_tolerance(small, by_tolerance, tolerance):
     """Rationale: of the laser's ray and the point seen, at every pixel's centre."""
     frame, pixel_mm = by_tolerance[tolerance], PIXEL_MM[0]
-    assert 0.0 < frame.account.error_px <= tolerance
+    assert 0.0 < frame.report.error_px <= tolerance
     both = frame.lit & small.lit
     assert np.count_nonzero(both) > 1000
     # A point errs along the surface; square to the line of sight it errs by no more than this.
@@ -141,7 +141,7 @@ def test_the_error_stays_within_the_tolerance(small, by_tolerance, tolerance):
 
 def test_a_looser_tolerance_makes_coarser_tables(by_tolerance):
     """Rationale: nodes are marched rays; who asks for less accuracy must pay less."""
-    loose, tight = by_tolerance[0.05].account, by_tolerance[0.001].account
+    loose, tight = by_tolerance[0.05].report, by_tolerance[0.001].report
     assert nodes(loose) < 0.7 * nodes(tight)
     assert loose.error_px > 2.0 * tight.error_px
 
@@ -154,7 +154,7 @@ def test_the_straight_way_is_the_cold_frame():
     scene = vs.load_scene("hot_cylinder", **SMALL, transport="straight")
     frame, cold = render_frame(scene), render_frame(scene.cold())
     assert scene.field is not None
-    assert frame.account.transport == "straight"
+    assert frame.report.transport == "straight"
     np.testing.assert_array_equal(frame.radiance, cold.radiance)
     np.testing.assert_array_equal(frame.point_mm, cold.point_mm)
 
@@ -223,10 +223,10 @@ def test_samples_off_the_tables_are_marched_and_counted(small):
     scene = vs.load_scene("hot_cylinder", **SMALL)
     whole = vs.render(scene)
     prepared = Prepared.of(arrangement(scene))
-    exposure, account = replace(prepared, lit=halved(prepared.lit)).exposed(4, 0)
+    exposure, report = replace(prepared, lit=halved(prepared.lit)).exposed(4, 0)
     image, samples = exposure.image(), 4 * prepared.lit.index.size
-    assert account.samples == samples
-    assert 0.2 * samples < account.marched < 0.6 * samples
+    assert report.samples == samples
+    assert 0.2 * samples < report.marched < 0.6 * samples
     apart = np.abs(image - small.radiance) / small.radiance.max()
     one, other = apart[:, :126].max(), apart[:, 130:].max()  # p grows along u, or against it
     assert min(one, other) < 2e-3 < 0.05 < max(one, other)
@@ -242,12 +242,12 @@ def folded():
 
 
 def test_a_folded_map_falls_back_to_marching_and_says_why(folded):
-    """Rationale: the frame is that of marched rays to the bit, and the account tells."""
+    """Rationale: the frame is that of marched rays to the bit, and the report says why."""
     _, frame = folded
-    assert frame.account.transport == "marched"
-    assert "folds" in frame.account.reason or "caustic" in frame.account.reason
-    assert not frame.account.nodes
-    assert np.isnan(frame.account.error_px)
+    assert frame.report.transport == "marched"
+    assert "folds" in frame.report.reason or "caustic" in frame.report.reason
+    assert not frame.report.nodes
+    assert np.isnan(frame.report.error_px)
     exact = stronger(vs.load_scene("hot_cylinder", **SMALL, transport="marched"), 14.0)
     np.testing.assert_array_equal(frame.radiance, render_frame(exact).radiance)
 
@@ -279,7 +279,7 @@ def test_light_of_other_emitters_comes_through_the_same_air(tmp_path):
         for name in ("tabulated", "marched", "straight")
     )
     top = exact.radiance.max()
-    assert frame.account.transport == "tabulated"
+    assert frame.report.transport == "tabulated"
     assert np.count_nonzero(exact.radiance) > 5_000
     apart = np.abs(frame.radiance - exact.radiance)
     assert np.mean(apart <= 0.005 * top) >= 0.99
@@ -299,7 +299,7 @@ def test_tables_give_the_same_bits_with_any_number_of_threads():
             frames.append(render_frame(scene))
     finally:
         dr.set_thread_count(threads)
-    assert frames[0].account.transport == "tabulated"
+    assert frames[0].report.transport == "tabulated"
     for frame in frames[1:]:
         np.testing.assert_array_equal(frame.radiance, frames[0].radiance)
         np.testing.assert_array_equal(frame.coordinates(), frames[0].coordinates())
@@ -325,7 +325,7 @@ def test_another_choice_runs_the_same_kernels(other):
         frame = render_frame(scene)
         kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     large = [k for k in kernels if k["operation_count"] > 50]  # copies are of NumPy's alignment
-    assert frame.account.transport == "tabulated"
+    assert frame.report.transport == "tabulated"
     assert large
     anew = [k["operation_count"] for k in large if not k["cache_hit"]]
     # Mitsuba's samplers have their number of samples compiled in: in kernels that make rays, and

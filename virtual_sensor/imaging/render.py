@@ -11,8 +11,8 @@ import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.lit_pixels import Account as Account
 from virtual_sensor_plugins.lit_pixels import Columns
+from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
 from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
@@ -50,7 +50,7 @@ class LitPixels:
         pixel, across the sheet and along the line of a laser; NaN where it does not reach.
     status : dict
         By the sources' names, ndarray of shape (N,): `LightStatus`.
-    account : Account
+    report : RenderReport
     """
 
     index: NDArray[np.uint32]
@@ -58,7 +58,7 @@ class LitPixels:
     depth_mm: Image
     source_coordinates: Mapping[str, Image]
     status: Mapping[str, NDArray[np.uint8]]
-    account: Account
+    report: RenderReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +71,13 @@ class Frame:
         W/(mm^2 sr), averaged over each pixel.
     truth : LitPixels
         The truth where there is one; `point_mm` and its kin are images of it.
-    account : Account
+    report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
 
     radiance: Image
     truth: LitPixels
-    account: Account
+    report: RenderReport
 
     @cached_property
     def point_mm(self) -> Image:
@@ -177,8 +177,8 @@ def render_frame(
     scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = _prepared(scene)
-        exposure, account = prepared.exposed(samples, seed, progress)
-        return Frame(exposure.image(), _truth(prepared), account)
+        exposure, report = prepared.exposed(samples, seed, progress)
+        return Frame(exposure.image(), _truth(prepared), report)
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
@@ -261,7 +261,7 @@ def _truth(prepared: Prepared) -> LitPixels:
         point[reached] = points[reached]
         if camera := prepared.arrangement.camera:
             depth[reached] = camera.pose.to_local(points)[reached, 2]
-    return LitPixels(index, point, depth, coordinates, statuses, lit.account)
+    return LitPixels(index, point, depth, coordinates, statuses, lit.report)
 
 
 def _checked(

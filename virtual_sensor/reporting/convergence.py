@@ -225,10 +225,11 @@ def _draw_changes(
     _label_ends(axes, ends)
     if shipped in changes:
         axes.axvline(shipped, color=GREEN, lw=1.0, ls=":")
+        left = shipped > np.sqrt(np.prod(axes.get_xlim()))
         axes.text(
-            *(shipped, 0.03, " shipped"),
+            *(shipped, 0.03, " shipped fields "),
             transform=axes.get_xaxis_transform(),
-            **{"color": GREEN, "va": "bottom", "fontsize": 9.5},
+            **{"color": GREEN, "va": "bottom", "ha": "right" if left else "left", "fontsize": 9.5},
         )
     _draw_bounds(axes)
     scale = _um_per_px(result)
@@ -307,9 +308,9 @@ def _draw_bounds(axes: Axes) -> None:
     for bound in BOUNDS_PX:
         axes.axhline(bound, color=GREEN, lw=0.8)
         axes.text(
-            *(0.99, bound, f"{bound:g} px"),
+            *(0.01, bound, f"{bound:g} px"),
             transform=axes.get_yaxis_transform(),
-            **{"ha": "right", "va": "bottom", "color": GREEN, "fontsize": 9.5},
+            **{"ha": "left", "va": "bottom", "color": GREEN, "fontsize": 9.5},
         )
     axes.set_ylim(low, max(high, 2.0 * coarse))
     decimal_ticks(axes.yaxis)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
-from virtual_sensor.imaging.render import Account, Frame, render_frame
+from virtual_sensor.imaging.render import Frame, RenderReport, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -225,7 +225,7 @@ def measure(
     for name, each in (("cold", cold), ("hot", hot)):
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
-            words += frame_notes(each.frame.account, each.line, each.compared, each.by_frame)
+            words += frame_notes(each.frame.report, each.line, each.compared, each.by_frame)
             notes += [f"{name}: {word}" for word in words]
     seconds = time.perf_counter() - started
     return Measurement(cold, hot, probe_y, dense_y, tuple(notes), seconds)
@@ -657,7 +657,7 @@ def _state_summary(state: State) -> StateSummary:
         search_status=counts_of(state.dense.status, SearchStatus),
         paper_search=_search_facts(state.paper),
         newton_search=_search_facts(state.newton),
-        frame=frame_facts(state.frame.account),
+        frame=frame_facts(state.frame.report),
         render_time_s=round(state.render_time_s, 3),
         search_time_s=round(state.search_time_s, 3),
     )
@@ -700,16 +700,16 @@ def _search_facts(found: FoundPixels) -> SearchFacts:
     )
 
 
-def frame_facts(account: Account) -> FrameFacts:
+def frame_facts(report: RenderReport) -> FrameFacts:
     """How a frame was made."""
     return FrameFacts(
-        transport=account.transport,
-        reason=account.reason or None,
-        map_nodes=dict(account.nodes),
-        map_error_px=account.error_px,
-        samples=account.samples,
-        marched_samples=account.marched,
-        folded_pixels=account.folded,
+        transport=report.transport,
+        reason=report.reason or None,
+        map_nodes=dict(report.nodes),
+        map_error_px=report.error_px,
+        samples=report.samples,
+        marched_samples=report.marched,
+        folded_pixels=report.folded,
     )
 
 

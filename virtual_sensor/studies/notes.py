@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.devices.laser import LaserLine
-from virtual_sensor.imaging.render import Account
+from virtual_sensor.imaging.render import RenderReport
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -78,19 +78,19 @@ def upright_line(found: FoundPixels, camera: str) -> list[str]:
 
 
 def frame_notes(
-    account: Account, line: LineCentres, compared: LineErrors | DotErrors, by_frame: LineErrors
+    report: RenderReport, line: LineCentres, compared: LineErrors | DotErrors, by_frame: LineErrors
 ) -> list[str]:
     """Notes of a frame and its centres: what was made otherwise, or is in no figure."""
     notes = []
-    if account.reason:
+    if report.reason:
         notes.append(
-            f"the frame was {account.transport}: {account.reason}; {account.folded} pixels of"
+            f"the frame was {report.transport}: {report.reason}; {report.folded} pixels of"
             " folded light are black"
         )
-    if account.march_px > FINE_PX:
+    if report.march_px > FINE_PX:
         notes.append(
             f"steps of the march are too long: half as long, they move the light by up to"
-            f" {account.march_px:.2g} px; give shorter ones (step)"
+            f" {report.march_px:.2g} px; give shorter ones (step)"
         )
     if isinstance(compared, DotErrors):
         dots = len(compared.pixel)

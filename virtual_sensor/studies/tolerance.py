@@ -172,7 +172,7 @@ def _bent(
     if estimate.get("march", 0.0) > tolerance_px:
         return Rung("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
     tried = scene_on(scene, "tabulated", step, table_px)
-    made = lit_pixels(tried).account
+    made = lit_pixels(tried).report
     if made.transport == "tabulated":
         estimate["tables"] = made.error_px
     else:
