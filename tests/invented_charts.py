@@ -44,8 +44,8 @@ def failures():
         "conditions": "as ever",
         "note": "a note",
     }
-    told = {"trouble": f"trouble {NASTY}", "reported_from": 2.0, "reports": "OUT_OF_STEPS"}
-    return table([row, row | told])
+    reported = {"trouble": f"trouble {NASTY}", "reported_from": 2.0, "reports": "OUT_OF_STEPS"}
+    return table([row, row | reported])
 
 
 def chart():

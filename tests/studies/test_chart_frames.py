@@ -78,7 +78,7 @@ def test_exponents_of_power_laws_are_found():
 
 
 def test_frames_that_differ_in_samples_only_are_put_together():
-    """Rationale: 0.5 s and 30 ms a sample, told apart from frames by another step."""
+    """Rationale: 0.5 s and 30 ms a sample, apart from frames by another step."""
 
     def frame(spp, time_s, **others):
         return measured("marched", time_s, 0.1, "frames", samples_per_pixel=spp, **others)
@@ -149,7 +149,7 @@ def test_the_panel_ranks_what_is_known():
 
 @pytest.mark.slow
 def test_memory_is_the_frames_own():
-    """Rationale: a large parent's memory must not be told as the frame's (`getrusage` does)."""
+    """Rationale: a large parent's memory must not be taken for the frame's (`getrusage` does)."""
     code = (
         "import numpy as np; held = np.ones(150_000_000)\n"
         "from virtual_sensor.studies.chart.scaling import peak_memory_mb\n"

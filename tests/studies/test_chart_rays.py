@@ -58,7 +58,7 @@ def measured():
 
 
 def test_a_pixel_of_the_bundle_is_the_cameras(scene):
-    """Rationale: errors are told in px; a neighbouring line of sight must be one of them apart."""
+    """Rationale: errors are in px; a neighbouring line of sight must be one of them apart."""
     camera = scene.sensor.camera
     u = np.array(camera.size) / 2.0
     d = camera.lines_of_sight(np.stack([u, [u[0] + 1.0, u[1]]]))
@@ -67,7 +67,7 @@ def test_a_pixel_of_the_bundle_is_the_cameras(scene):
 
 
 def test_straight_rays_of_the_bundle_end_on_the_laser_line(scene):
-    """Rationale: the chart is to tell of the rays that a measurement needs."""
+    """Rationale: the chart is about the rays that a measurement needs."""
     bundle = camera_bundle(scene, 220)
     normal, offset = scene.sensor.laser.plane
     beside_px = np.abs(bundle.targets @ normal - offset) / MM_PER_PX
@@ -101,7 +101,7 @@ def test_the_fish_eyes_ends_lie_on_its_circles():
 
 @pytest.mark.parametrize("made", [fibre, fish_eye_of_hot_air])
 def test_closed_form_rays_are_met_and_bend_like_hot_air(made):
-    """Rationale: what they tell of a method must hold for the plume, whose rays move 0.3 mm."""
+    """Rationale: what they show of a method must hold for the plume, whose rays move 0.3 mm."""
     field, bundle, ends = made(21)
     assert apart_px(ends_of(field, bundle, March(1.0, "rk4")), ends, bundle).max() < 1e-9
     assert 2.0 < apart_px(bundle.targets, ends, bundle).max() < 30.0
@@ -114,7 +114,7 @@ def test_closed_form_rays_are_met_and_bend_like_hot_air(made):
 def test_the_reference_is_scipys(scene):
     """Rationale: all errors of the panel are against it: SciPy's order 8 at 1e-12, its own spline.
 
-    They are to agree a thousand times better than the best rung of the chart.
+    They are to agree a thousand times better than the best configuration of the chart.
     """
     field = scene.field
     bundle = camera_bundle(scene, 4)

@@ -211,20 +211,20 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
     _legend(axes, measured, ncols=3, loc="lower left", bbox_to_anchor=(-0.15, 1.0))
     _number(axes, key, measured)
 
-    def write(x: float, y: float, text: str, **look: Any) -> None:
-        figure.text(x / width, y / height, text, va="center", **look)
+    def write(x: float, y: float, text: str, **style: Any) -> None:
+        figure.text(x / width, y / height, text, va="center", **style)
 
     write(13.0, height - 42.0, _capital(measured[0].task), fontsize=11, color="0.3")
     for number, each in enumerate(key):
-        look: dict[str, Any] = {"fontsize": 10.2}
+        style: dict[str, Any] = {"fontsize": 10.2}
         if each is best:
-            look |= {"fontweight": "bold", "color": _ENOUGH}
+            style |= {"fontweight": "bold", "color": _ENOUGH}
         y = 10.0 + _KEY_PX * (keys - number - 0.5)
-        write(28.0, y, f"{number + 1}", ha="right", **look)
+        write(28.0, y, f"{number + 1}", ha="right", **style)
         words = configuration_in_words(each)
-        write(38.0, y, words, **look | {"fontsize": 10.2 * min(1.0, _KEY_LETTERS / len(words))})
-        write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **look)
-        write(width - 12.0, y, time_in_words(each.time_s), ha="right", **look)
+        write(38.0, y, words, **style | {"fontsize": 10.2 * min(1.0, _KEY_LETTERS / len(words))})
+        write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **style)
+        write(width - 12.0, y, time_in_words(each.time_s), ha="right", **style)
 
 
 def _draw_small(measured: Sequence[Measured], axes: Axes) -> None:
@@ -239,24 +239,24 @@ def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
     if not shown:
         axes.text(0.5, 0.5, "no error is known", transform=axes.transAxes, ha="center")
         return
-    looks = _looks(shown)
+    marks = _marks(shown)
     series: dict[tuple[str, ...], list[Measured]] = defaultdict(list)
     for each in shown:
         words = (v for v in each.chosen.values() if isinstance(v, str))
         series[(each.name, *words)].append(each)  # they differ in numbers only
     for line in series.values():
         times, errors = [m.time_s for m in line], [_error(m) for m in line]
-        axes.plot(times, errors, color=looks[line[0].name][0], lw=0.8, alpha=0.4)
+        axes.plot(times, errors, color=marks[line[0].name][0], lw=0.8, alpha=0.4)
     best = enough(measured)
     if best:
         axes.plot(best.time_s, _error(best), "o", ms=19, mfc="none", mec=_ENOUGH, mew=2.5)
     for each in shown:
-        colour, marker = looks[each.name]
-        look: dict[str, Any] = (
+        colour, marker = marks[each.name]
+        style: dict[str, Any] = (
             {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
         )
-        look |= {"mec": "black" if each.on_front else colour, "mew": 1.0}
-        axes.plot(each.time_s, _error(each), marker=marker, **look, **_filled(each, colour))
+        style |= {"mec": "black" if each.on_front else colour, "mew": 1.0}
+        axes.plot(each.time_s, _error(each), marker=marker, **style, **_filled(each, colour))
     _limits(axes, shown)
     front = _front(shown)
     times = [*(m.time_s for m in front), axes.get_xlim()[1]]
@@ -271,7 +271,7 @@ def _error(measured: Measured) -> float:
     return max(measured.rms_px, _SMALLEST_PX)
 
 
-def _looks(measured: Sequence[Measured]) -> dict[str, tuple[str, str]]:
+def _marks(measured: Sequence[Measured]) -> dict[str, tuple[str, str]]:
     """Colour and marker of each method: the colour is that of its kind on every page."""
     by_kind = colours(list(dict.fromkeys(m.kind for m in measured)))
     names = {m.name: by_kind[m.kind] for m in measured}
@@ -375,11 +375,11 @@ def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
             ms=6,
             label=method_in_words(name),
         )
-        for name, (colour, marker) in _looks(measured).items()
+        for name, (colour, marker) in _marks(measured).items()
     ]
     if gpu := next(filter(on_gpu, measured), None):
-        look = {"color": "0.3", "ls": "none", **_filled(gpu, "0.3")}
-        handles.append(Line2D([], [], marker="o", label="half: on the GPU", **look))
+        style = {"color": "0.3", "ls": "none", **_filled(gpu, "0.3")}
+        handles.append(Line2D([], [], marker="o", label="half: on the GPU", **style))
     axes.legend(handles=handles, fontsize=9.5, handletextpad=0.1, labelspacing=0.2, **place)
 
 

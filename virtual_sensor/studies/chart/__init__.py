@@ -1,1 +1,1 @@
-"""The chart of speed against accuracy: what each rung costs, and where each method fails."""
+"""The chart of speed against accuracy: what each configuration costs, and where methods fail."""

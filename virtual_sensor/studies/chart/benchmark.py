@@ -43,7 +43,7 @@ class Configuration:
         Makes ready what need not be timed, and returns the work: a function of nothing that
         evaluates all that it computes.
     chosen : dict
-        The settings that tell it from others of its name.
+        The settings in which it differs from others of its name.
     defaults : dict
         The other settings that it used.
     warm_up : callable, optional
@@ -123,7 +123,7 @@ class Measured(Record):
     kind : str
         What the method is a variety of: its transport, its search, its detector.
     chosen : dict
-        The settings that tell it from others of its name.
+        The settings in which it differs from others of its name.
     defaults : dict
         The other settings that it used.
     rms_px : float

@@ -1,6 +1,6 @@
 """Where methods fail: the table that comes with this version, made by `benchmarks/failures.py`.
 
-It is a property of the methods, not of the machine: no chart measures it anew.
+It is a property of the methods, not of the machine: no chart measures it again.
 """
 
 from __future__ import annotations
