@@ -285,7 +285,7 @@ def test_a_scene_that_is_no_file_is_refused(tmp_path):
     assert "is a pipe; give a regular file" in refusal(tmp_path / "pipe.xml")
     assert "is a folder; give a regular file" in refusal(tmp_path)
     for name in (tmp_path / "loop.xml", MANY, "", "a\0b"):
-        with pytest.raises(vs.InputError, match="there is no such scene file; scenes that come"):
+        with pytest.raises(vs.InputError, match="there is no such scene file; installed scenes"):
             vs.load_scene(name)
 
 

@@ -1,4 +1,4 @@
-"""Is the scene one that can be measured?  Asked before any light is followed through the field."""
+"""Whether a scene can be measured: checked before any light is followed through the field."""
 
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 JUMP_TOLD_PX = 0.003
-"""A border jump that moves the image by more than this is told of..."""
+"""A border jump that moves the image by more than this is noted..."""
 JUMP_REFUSED_PX = 0.1
 """...and one that moves it by more than this is refused."""
 
@@ -112,11 +112,11 @@ def _check_pair(scene: Scene) -> list[str]:
         found += _check_border(scene.field, scene.sensor, line) if scene.field else []
     except InputError as error:
         raise InputError(f"{scene.path}: {error}") from None
-    return found + _tell_glow(scene, line)
+    return found + _glow_note(scene, line)
 
 
-def _tell_glow(scene: Scene, line: LitLine) -> list[str]:
-    """How bright a glowing part is beside the line, if it glows."""
+def _glow_note(scene: Scene, line: LitLine) -> list[str]:
+    """Note how bright a glowing part is beside the line."""
     glow = arrangement(scene).glow
     if not glow:
         return []
@@ -151,7 +151,7 @@ def lit_line(scene: Scene) -> LitLine:
 
 
 def _check_place(scene: Scene, element: str, pose: Pose) -> None:
-    """What sees or shines must stand in the open."""
+    """A camera or a source must not stand inside the part or below the field's floor."""
     x, y, z = pose.origin_mm
     place = f"{element} at ({x:.1f}, {y:.1f}, {z:.1f}) mm"
     forward = to_vectors(pose.rotation[:, 2][None])
@@ -207,7 +207,7 @@ def _check_cover(field: IndexField, line: LitLine) -> None:
 
 def _check_border(field: IndexField, sensor: SensorModel, line: LitLine) -> list[str]:
     """The field must fade where light enters it."""
-    told = []
+    notes = []
     for name, crossing in border_crossings(field, sensor, line).items():
         worst = int(np.argmax(crossing.shift_px))
         text = (
@@ -218,14 +218,14 @@ def _check_border(field: IndexField, sensor: SensorModel, line: LitLine) -> list
         if crossing.shift_px[worst] > JUMP_REFUSED_PX:
             raise InputError(f"{text}; give a field that reaches further out")
         if crossing.shift_px[worst] > JUMP_TOLD_PX:
-            told.append(text)
-    return told
+            notes.append(text)
+    return notes
 
 
 def border_crossings(
     field: IndexField, sensor: SensorModel, line: LitLine
 ) -> dict[str, BorderCrossing]:
-    """Where the camera's and the laser's light enters a field on its straight way to the line.
+    """Where the camera's and the laser's light enters a field on its straight path to the line.
 
     Returns
     -------

@@ -48,7 +48,7 @@ def _clipped(scene: Scene, depth_mm: Array) -> str:
 
 
 def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
-    """Why the surface at points of the line sends nothing of light in some directions back."""
+    """Why the surface at points of the line reflects no light in some directions."""
     origin_mm = scene.sensor.camera.pose.origin_mm
     toward = points_mm - origin_mm
     distance_mm = np.linalg.norm(toward, axis=1)
@@ -98,7 +98,7 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
 
 
 def _missed(scene: Scene, points_mm: Array) -> str:
-    """Light is there, and no sample met it."""
+    """The line is lit, but no sample met it."""
     camera, width_mm = scene.sensor.camera, 2.0 * scene.sensor.laser.radius_at(points_mm)
     width_px = float(np.mean(width_mm / camera.pixel_mm(points_mm)))
     if scene.field and width_px > 1.0:

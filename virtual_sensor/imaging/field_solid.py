@@ -1,4 +1,4 @@
-"""Is a field of air that of the scene's part?  Its solid is compared with the part."""
+"""Whether a field of air belongs to the scene's part: its solid is compared with the part."""
 
 from dataclasses import dataclass
 from functools import lru_cache

@@ -3,16 +3,16 @@
 One image (H, W) of a file is read, its grey values as the camera gave them.  What the formats say:
 
 ===================================  =============================================================
-grey, RGB, palettes                  heeded: one colour is chosen, where they differ by `channel`
-8 and 16 bits, 32- and 64-bit float  heeded; half, 32-bit and signed integers become floats
-BitsPerSample (10, 12, 14), sBIT     heeded: the grey values and the level of clipping are theirs
+grey, RGB, palettes                  used: one colour is chosen, where they differ by `channel`
+8 and 16 bits, 32- and 64-bit float  used; half, 32-bit and signed integers become floats
+BitsPerSample (10, 12, 14), sBIT     used: the grey values and the level of clipping are theirs
 PNG of 1, 2, 4 bits                  noted: spread to 0 ... 255
-white is zero (TIFF)                 heeded and noted
-planes, tiles, compression (TIFF)    heeded; big-endian and BigTIFF too
-GDAL_NODATA                          heeded: missing pixels, NaN
-orientation (TIFF, EXIF)             heeded and noted: turned as viewers show it
-data window (EXR)                    heeded and noted: beside it pixels are missing, NaN
-parts and layers (EXR)               heeded: `channel` is "name" or "part.name"; others are noted
+white is zero (TIFF)                 used and noted
+planes, tiles, compression (TIFF)    used; big-endian and BigTIFF too
+GDAL_NODATA                          used: missing pixels, NaN
+orientation (TIFF, EXIF)             used and noted: turned as viewers show it
+data window (EXR)                    used and noted: beside it pixels are missing, NaN
+parts and layers (EXR)               used: `channel` is "name" or "part.name"; others are noted
 further pages, frames, thumbnails    noted and ignored: the first full image is read
 alpha, samples without a meaning     noted and ignored
 gamma, colour profiles               noted and ignored
@@ -66,7 +66,7 @@ class Image:
     pixels : ndarray of shape (H, W)
         uint8, uint16, float32 or float64; NaN where a pixel is missing.
     largest : float or None
-        Grey value at which the camera clips, as far as the file tells; None for floats.
+        Grey value at which the camera clips, as far as the file says; None for floats.
     notes : tuple of str
         What was converted, assumed or left out, each with the file's name first.
     """

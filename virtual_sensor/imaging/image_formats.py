@@ -38,7 +38,7 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it warns on t
 
 @dataclass(frozen=True)
 class StoredImage:
-    """One channel (H, W) as it is stored, its bits (None: floats) and what is to be said of it.
+    """One channel (H, W) as it is stored, its bits (None: floats), and notes on it.
 
     `scaled`: its grey values are of fewer bits, spread over those of the array's type.
     """
@@ -86,7 +86,7 @@ def _check_size(path: Path, *sizes: int) -> None:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Nothing that a library in C++ says on the terminal gets there."""
+    """Suppress what a library in C++ prints on the terminal."""
     with redirect_stdout(StringIO()), Path(os.devnull).open("wb") as nowhere:
         said = os.dup(2)
         os.dup2(nowhere.fileno(), 2)
@@ -99,7 +99,7 @@ def _silent() -> Iterator[None]:
 
 @contextmanager
 def _refusing(path: Path, kind: str) -> Iterator[None]:
-    """Whatever a library raises at a damaged file is an InputError, and its warnings are unsaid."""
+    """Raise an InputError for what a library raises at a damaged file; suppress its warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -123,7 +123,7 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
             _check_size(path, *header.size)
             try:
                 orientation = int(header.getexif().get(_ORIENTATION, 1))
-            except Exception:  # whatever is wrong with a block that only tells of the image
+            except Exception:  # whatever is wrong with a block that only describes the image
                 orientation = 1
                 remarks.append("its EXIF block is damaged and not used")
             frames = getattr(header, "n_frames", 1)
@@ -164,7 +164,7 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
 
 
 def _decoded(path: Path, data: bytes) -> NDArray:
-    """Pixels by OpenCV, which complains to the terminal only, as libpng does."""
+    """Pixels by OpenCV, which reports faults on the terminal only, as libpng does."""
     with _silent():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:

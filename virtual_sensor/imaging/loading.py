@@ -1,4 +1,4 @@
-"""A scene's text to Mitsuba's objects, checked on the way; complaints in a user's terms."""
+"""A scene's text to Mitsuba's objects, checked meanwhile; errors in a user's terms."""
 
 import os
 import re
@@ -120,23 +120,23 @@ def _among(folder: Path, here: Path) -> Iterator[Any]:
 
 
 class _Listener(mi.Appender):
-    """Takes down what Mitsuba warns of, which it would print."""
+    """Collects Mitsuba's warnings, which it would print."""
 
     def __init__(self) -> None:
         super().__init__()
         self.heard: list[str] = []
 
     def append(self, level: Any, text: str) -> None:
-        """Take a line of the log down."""
+        """Collect a line of the log."""
         self.heard.append(text)
 
     def log_progress(self, *progress: Any) -> None:
-        """Nothing: loading takes no time."""
+        """Nothing: loading is quick."""
 
 
 @contextmanager
 def _listening() -> Iterator[list[str]]:
-    """Hear Mitsuba's warnings in place of the terminal."""
+    """Collect Mitsuba's warnings instead of printing them."""
     logger, listener = mi.logger(), _Listener()
     before = [logger.appender(number) for number in range(logger.appender_count())]
     logger.clear_appenders()
@@ -170,7 +170,7 @@ def load(
     here: Path,
     poses: Mapping[str, NDArray[np.float64]],
 ) -> Loaded:
-    """Load with Mitsuba, and put its complaint in a user's terms.
+    """Load with Mitsuba, and put its errors in a user's terms.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def load(
         except Exception as error:  # RuntimeError, and what plugins raise is passed on
             text = str(error)
     interrupts.raised_again(text)
-    raise _complaint(text, main, [e for file in files for e in file.elements], values)
+    raise _in_users_terms(text, main, [e for file in files for e in file.elements], values)
 
 
 def _name(state: Any) -> None:
@@ -230,7 +230,7 @@ def _name(state: Any) -> None:
 
 
 def _parts(state: Any, node: Any, kind: Any) -> list[Any]:
-    """Nodes of a kind that stand in a node."""
+    """Nodes of a kind within a node."""
     props, resolved = node.props, mi.Properties.Type.ResolvedReference
     inner = [props[name].index() for name in props.keys() if props.type(name) == resolved]  # noqa: SIM118
     return [state.nodes[index] for index in inner if state.nodes[index].type == kind]
@@ -257,7 +257,7 @@ def _samples(main: Path, state: Any) -> dict[str, tuple[str, int]]:
 
 
 def _check_samples(cameras: dict[str, Any], samples: dict[str, tuple[str, int]]) -> None:
-    """Samplers round a number that they can't do, and the frame is not of the number given."""
+    """Refuse a number of samples that the sampler would round."""
     for name, (where, asked) in samples.items():
         taken = int(cameras[name].sampler().sample_count())
         if asked != taken or not taken:
@@ -268,7 +268,7 @@ def _check_samples(cameras: dict[str, Any], samples: dict[str, tuple[str, int]])
 
 
 def _place(state: Any, poses: Mapping[str, NDArray[np.float64]]) -> None:
-    """Give named elements other places."""
+    """Move named elements."""
     for node in state.nodes:
         if node.props.id() not in poses:
             continue
@@ -277,10 +277,10 @@ def _place(state: Any, poses: Mapping[str, NDArray[np.float64]]) -> None:
         node.props["to_world"] = mi.ScalarAffineTransform4d(poses[node.props.id()])
 
 
-def _complaint(
+def _in_users_terms(
     text: str, main: Path, elements: list[Element], values: dict[str, str]
 ) -> InputError:
-    """Mitsuba's complaint in a user's terms."""
+    """Mitsuba's error in a user's terms."""
     places = re.findall(r"(?:At|ading) (\S[^\n]*?) \(line (\d+), col \d+\)", text)
     file, line = places[-1] if places else ("", "")
     where = f"{main if file in ('', 'string') else file}" + (f", line {line}" if line else "")
@@ -313,7 +313,7 @@ def _where(main: Path, state: Any, node: Any) -> str:
 
 
 def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> list[str]:
-    """Refuse what would break Mitsuba or make numbers up; give notes."""
+    """Refuse what would crash Mitsuba or give wrong numbers; return notes."""
     props, where, notes = node.props, _where(main, state, node), []
     kind = props.plugin_name()
     for name in list(props.keys()):
@@ -338,13 +338,13 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
 
 
 def _numeric() -> tuple[Any, ...]:
-    """Types of Mitsuba's properties that hold numbers which may be infinite or none."""
+    """Types of Mitsuba's properties that hold numbers which may be infinite or NaN."""
     kinds = mi.Properties.Type
     return kinds.Float, kinds.Vector, kinds.Color
 
 
 def _culprit(values: dict[str, str]) -> str:
-    """The parameters that are not finite, or as good as that."""
+    """The parameters that are not finite, or nearly so."""
     found = []
     for name, text in values.items():
         with suppress(ValueError):
@@ -414,7 +414,7 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
 
 
 def _ply(part: Part, to_world: NDArray[np.float64], mirrored: bool) -> bytes:
-    """A part in the world, with its outside outside, as a file that Mitsuba reads."""
+    """A part in the world, its faces outwards, as a file that Mitsuba reads."""
     turn, place = to_world[:3, :3], to_world[:3, 3]
     normals = part.normals
     if normals is not None:

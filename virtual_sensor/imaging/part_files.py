@@ -1,4 +1,4 @@
-"""The readers of OBJ and STL files; `virtual_sensor.imaging.parts` says what becomes of what."""
+"""The readers of OBJ and STL files; what is used is listed in `virtual_sensor.imaging.parts`."""
 
 import logging
 import re

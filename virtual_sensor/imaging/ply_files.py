@@ -1,4 +1,4 @@
-"""The readers of PLY files; `virtual_sensor.imaging.parts` says what becomes of what is in them."""
+"""The readers of PLY files; what is used is listed in `virtual_sensor.imaging.parts`."""
 
 import re
 from contextlib import suppress

@@ -43,13 +43,13 @@ def triangulated(read: Polygons) -> tuple[Indices, list[str]]:
     if not np.any(sizes >= 3):
         raise InputError("it has no faces; give a mesh with faces, not points alone")
     starts = np.cumsum(sizes) - sizes
-    pieces, order = [], []
+    fans, order = [], []
     for size in np.unique(sizes[sizes >= 3]):
         which = np.flatnonzero(sizes == size)
         polygon = corners[starts[which, None] + np.arange(size)]
-        pieces.append(_fans(vertices, polygon, which).reshape(-1, 3))
+        fans.append(_fans(vertices, polygon, which).reshape(-1, 3))
         order.append(np.repeat(which, size - 2))
-    triangles = np.concatenate(pieces)[np.argsort(np.concatenate(order), kind="stable")]
+    triangles = np.concatenate(fans)[np.argsort(np.concatenate(order), kind="stable")]
     if np.any(sizes > 3):
         notes.append(f"{int(np.sum(sizes > 3))} faces of more than three corners cut to triangles")
     if np.any(sizes < 3):

@@ -144,7 +144,7 @@ def render(
     spp : int, optional
         Samples per pixel; the scene's own if not given.
     seed : int
-        Of the sampler; the scenes that come along sample on a regular grid, whatever the seed.
+        Of the sampler; the installed scenes sample on a regular grid, whatever the seed.
     camera : str, optional
         Its name; it can be left out where the scene has one.
     source : str, optional
@@ -172,7 +172,7 @@ def render_frame(
 ) -> Frame:
     """Render a camera's image together with its ground truth.
 
-    `progress` is told the fraction of the samples done; else as `render`.
+    `progress` gets the fraction of the samples done; else as `render`.
     """
     scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
@@ -190,7 +190,7 @@ def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Im
 
 
 def render_uncached(scene: Scene, spp: int | None = None) -> Image:
-    """An image as of a scene that was never rendered: all is found and made again."""
+    """Render a scene with nothing cached, as if for the first time."""
     scene, samples, seed = _checked("render_uncached", scene, spp, 0)
     with ONE_FRAME:
         MAPS.clear()
@@ -221,10 +221,10 @@ def arrangement(scene: Scene) -> Arrangement:
 
 
 def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
-    """What frames of a scene need: kept while the scene lives and stays as it is.
+    """What frames of a scene need: cached while the scene lives and stays as it is.
 
     A frame is equal to the bit to a first one, as its samples are of the same rays by the same
-    maps.  What is kept is found by identity: what a scene consists of never changes.
+    maps.  What is cached is found by identity: what a scene consists of never changes.
     """
     given = arrangement(scene)
     film = given.sensor.film()

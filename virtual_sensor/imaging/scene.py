@@ -114,7 +114,7 @@ class _Origin:
         return [shipped_scenes() / place for place, _ in self.digests]
 
     def check(self) -> None:
-        """Raise InputError if a file is not what it was."""
+        """Raise InputError if a file has changed."""
         for file, (_, digest) in zip(self.files, self.digests, strict=True):
             there = exists(file)
             if not there or _digest(file) != digest:
@@ -324,7 +324,7 @@ class Scene:
     def with_pose(self, name: str, pose: Pose) -> Scene:
         """The same scene with one of its cameras or sources at another place.
 
-        It is loaded again, and other changes are kept.  What stands there then is what Mitsuba
+        It is loaded again, and other changes stay.  What stands there then is what Mitsuba
         holds: the pose in float32.
 
         Parameters
@@ -357,7 +357,7 @@ class Scene:
     def with_parameters(self, **parameters: object) -> Scene:
         """The same scene with other values of its ``$parameters``.
 
-        It is loaded again, and changes of its air, poses and transport are kept.
+        It is loaded again, and changes of its air, poses and transport stay.
 
         Raises
         ------
@@ -367,7 +367,7 @@ class Scene:
         return self._again({name: str(value) for name, value in parameters.items()}, {})
 
     def _again(self, parameters: dict[str, str], poses: dict[str, Array]) -> Scene:
-        """The scene loaded again with some parameters and poses, its other changes kept."""
+        """The scene loaded again with some parameters and poses, its other changes applied."""
         before, origin = self._stage, self._stage.origin
         origin.check()
         given, poses = origin.given | parameters, before.poses | poses
@@ -491,7 +491,7 @@ def find_scene(name: str | Path) -> Path:
     if path.name == str(name) and path.stem in shipped:
         return shipped[path.stem]
     raise InputError(
-        f"{shortened(str(name))}: there is no such scene file; scenes that come along:"
+        f"{shortened(str(name))}: there is no such scene file; installed scenes:"
         f" {', '.join(shipped)}"
     )
 
@@ -670,7 +670,7 @@ def _places(path: Path, loaded: Any, cameras: dict[str, Pinhole]) -> list[str]:
 
 
 def _check_clearance(where: str, loaded: Any, place_mm: Array) -> None:
-    """A camera that touches a shape sees nothing but that, at no distance."""
+    """Refuse a camera that touches a shape: it would see only that."""
     steps = np.array([s for s in np.ndindex(3, 3, 3) if s != (1, 1, 1)]) - 1.0
     unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
     start = place_mm - _CLEARANCE_MM * unit
@@ -689,7 +689,7 @@ def _sensor(name: str) -> str:
 
 
 def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], dict[str, str]]:
-    """The cameras of a scene, and why its other sensors are none; at least one must be."""
+    """The cameras of a scene, at least one, and why its other sensors are not cameras."""
     cameras, unfit = {}, {}
     for name, sensor in sensors.items():
         camera = pinhole_of(sensor)

@@ -1,4 +1,4 @@
-"""The XML of a scene file, checked before Mitsuba is given it: what would kill it is refused.
+"""The XML of a scene file, checked before Mitsuba is given it: what would crash it is refused.
 
 ===============================  ==================================================================
 Feature of a scene file          What becomes of it
@@ -69,7 +69,7 @@ class Element:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """Elements of a scene file in their order, the root first, its text, what to know of it."""
+    """Elements of a scene file in their order, the root first, its text, and notes on it."""
 
     elements: list[Element]
     text: str

@@ -1,8 +1,8 @@
-"""Lines of several sources in one image, told apart by the bands in which they are expected.
+"""Lines of several sources in one image, separated by the bands in which they are expected.
 
-The light of the others is taken out of the image before the line of one is looked for, so that
-detectors find what they would find in an image of that one alone.  Where two bands meet, no pixel
-tells whose light it is: such columns are OVERLAPPING.
+The light of the others is taken out of the image before the line of one is sought, so that
+detectors find what they would find in an image of that one alone.  Where two bands meet, it is
+unknown whose light a pixel has: such columns are OVERLAPPING.
 """
 
 from collections.abc import Mapping

@@ -280,7 +280,7 @@ def _nesting(text: str) -> int:
 
 @dataclass
 class _File:
-    """The elements of a file, by their names, and what is to be said of them."""
+    """The elements of a file, by their names, and notes on them."""
 
     path: Path
     elements: dict[str, Any]
@@ -335,7 +335,7 @@ class _File:
         return f"{found:g}" if isinstance(found, int | float) else f"{found or ''}"
 
     def all_notes(self) -> tuple[str, ...]:
-        """What was said, and the names that nobody asked for."""
+        """All notes, one on the names that were not used among them."""
         others = sorted(self.elements.keys() - self.used)
         if others:
             more = f" and {len(others) - _MOST_NAMES} more" if len(others) > _MOST_NAMES else ""

@@ -43,11 +43,11 @@ class LineCentres:
     ----------
     column, row : ndarray
         (u, v) in px, integer at pixel centres.  Where columns are searched, `column` is 0 ... W-1
-        and `row` is what is measured; where rows are searched, the other way round.
+        and `row` is what is measured; where rows are searched, the reverse.
     sigma : ndarray
         Predicted standard deviation in px of the centre, across the line: the image's noise as the
         detector passes it on, and the detector's own bias for such a line.  NaN too where the
-        detector can't tell it.
+        detector can't predict it.
     width : ndarray
         Standard deviation of the line's profile in px, before the pixels integrate it.
     amplitude, background : ndarray

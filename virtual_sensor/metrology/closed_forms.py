@@ -139,7 +139,7 @@ def _measured(
     logarithmic: bool = False,
     curvature: Array | None = None,
 ) -> Profile:
-    """The centres, and what noise and bias they have: the Gaussian at `at` tells both.
+    """The centres with their noise and bias, which are those of the Gaussian at `at`.
 
     The grey values are taken above `level`.
     The noise is passed on where it hardly changes the denominator, or the `curvature` by which the
@@ -159,7 +159,7 @@ def _measured(
     usable &= np.abs(offset) <= ratio.reach
     row = np.where(usable, ratio.origin + offset, np.nan)
 
-    # Of the line as the Gaussian at `at` tells it: grey values with noise would judge themselves.
+    # Of the Gaussian at `at`, not of the grey values: with their noise they would judge themselves.
     expected = at.amplitude * pixel_means(ratio.rows, np.where(usable, row, at.row), at.sigma)
     variance = noise.variance_near(at, expected)
     if logarithmic:

@@ -75,7 +75,7 @@ def fit_cylinder(points_mm: ArrayLike, *, direction: ArrayLike | None = None) ->
         Points that are not finite are left out.
     direction : array_like of shape (3,), optional
         Of the axis, of any length.  Where it is given, only the radius and the axis' place are
-        fitted, 3 unknowns instead of 5: for points of one section, which do not tell it.
+        fitted, 3 unknowns instead of 5: for points of one section, which do not determine it.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def radius_interval(
 ) -> tuple[float, float]:
     """Confidence interval of a fitted radius, from residuals that depend on their neighbours.
 
-    A block bootstrap: the residuals are put together anew from blocks of consecutive ones, the ends
+    A block bootstrap: the residuals are drawn again in blocks of consecutive ones, the ends
     joined to a ring, and the radius is fitted again to each such set.  The fit is linear in so
     small changes: one step of Gauss and Newton's method from the fitted cylinder does it.
 

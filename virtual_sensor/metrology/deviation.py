@@ -49,9 +49,9 @@ class PathDisplacement:
     Attributes
     ----------
     laser_to_object_px : ndarray of shape (N, 2)
-        By the laser's way: B and A both seen straight.
+        By the laser's path: B and A both seen straight.
     object_to_camera_px : ndarray of shape (N, 2)
-        By the camera's way: the hot pixel against B seen straight.
+        By the camera's path: the hot pixel against B seen straight.
     laser_to_camera_px : ndarray of shape (N, 2)
         By both: hot minus cold pixel.  It is the sum of the other two, but for the error with which
         the cold pixel shows A.

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 SMOOTHING_PX = 1.0  # sigma of the filter that the search for dots runs on
 SIGNIFICANCE = 6.0  # a dot stands out by so many sigma of the smoothed image's noise
-SAMPLE = 1 << 18  # so many pixels tell background and noise well enough
+SAMPLE = 1 << 18  # so many pixels are enough for background and noise
 SPLITS = (0.35, 0.5, 0.65, 0.8)  # relative heights at which two merged dots come apart
 
 
@@ -130,7 +130,7 @@ def dot_centres(
 
 
 def _grown(box: NDArray, share: float, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], bool]:
-    """Grow a box by a share of its size on every side; tell whether the image holds it all."""
+    """Grow a box by a share of its size on every side, and say whether the image holds it all."""
     left, top, width, height, _ = box
     rows, columns = int(np.ceil(share * height)), int(np.ceil(share * width))
     window = (
@@ -152,7 +152,7 @@ def _centroid(window: Array) -> tuple[Array, float]:
 
 
 def _comes_apart(contrast: Array) -> bool:
-    """Tell whether the peak in a window falls into several at some height."""
+    """Whether the peak in a window falls into several at some height."""
     heights = contrast.max() * np.array(SPLITS)
-    pieces = (cv2.connectedComponents((contrast > h).astype(np.uint8))[0] for h in heights)
-    return any(count > 2 for count in pieces)
+    counts = (cv2.connectedComponents((contrast > h).astype(np.uint8))[0] for h in heights)
+    return any(count > 2 for count in counts)

@@ -8,8 +8,8 @@ from virtual_sensor.metrology.line_profiles import Array, Index
 
 STEP = 0.02  # relative drop of amplitude that betrays a partly lit column
 _MOST = 2  # columns at each end
-_BEYOND = _MOST + 1  # columns off the image that the look inward may touch
-_FEW = 8  # centres in a row that are OK, between troubles: fewer are cut as those near them are
+_BEYOND = _MOST + 1  # columns off the image that the search inward may touch
+_FEW = 8  # centres in a row that are OK, between others: fewer are cut as those near them are
 _NEAR, _FAR = 2 * _FEW, 6 * _FEW  # columns
 _THIN = 0.6  # times the usual width
 _SAME_LINE = (3.0, 2.0)  # px, and widths: so near lie peaks of one line in adjoining columns

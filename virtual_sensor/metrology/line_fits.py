@@ -4,8 +4,8 @@ Gauss-Newton (Bjorck 1996, "Numerical methods for least squares problems", 9.2) 
 follows the line's width.  They differ in their weights:
 
 - full least squares: none but the window's;
-- weighted: by the noise of each pixel as its own grey value tells it (Bevington 1969, 6.4);
-- maximum likelihood under shot and read noise: by the noise as the fitted line tells it.  That is
+- weighted: by the noise of each pixel by its own grey value (Bevington 1969, 6.4);
+- maximum likelihood under shot and read noise: by the noise of the fitted line.  That is
   the scoring of a Poisson law with the read noise's variance added to mean and data (Huang et al.
   2013, Nature Methods 10, 653, equation 2), whose information is the Cramer-Rao bound's.
 """
@@ -103,7 +103,7 @@ def gauss_newton(
     covariance = np.linalg.inv(normal)
     coefficients = np.einsum("lij,jl->il", covariance, np.einsum("jnl,nl->jl", weighted, values))
     background, amplitude, p, q = coefficients
-    amplitude = np.maximum(amplitude, 0.05 * at.amplitude)  # a peak stays a peak on its way
+    amplitude = np.maximum(amplitude, 0.05 * at.amplitude)  # a peak stays a peak between steps
     shift = np.clip(p / amplitude, -0.5, 0.5)
     growth = np.clip(q / amplitude, -0.3, 0.5)
 

@@ -50,7 +50,7 @@ IN_VIEW = 2.5  # a line counts as seen when so many sigma either side lie in the
 MAX_RESIDUAL = 0.15  # rms misfit, relative to the amplitude, that is still a line
 MAX_APART_PX = 0.02  # of a detector's centre and the Gaussian's, and so many of its sigma
 APART = 4.0
-NEIGHBOURS = 65  # columns in which most centres must be able to tell their sigma
+NEIGHBOURS = 65  # columns in which most centres must have a sigma
 SAME_HEIGHT = 0.7  # from which on a second peak may be the line as well
 
 
@@ -76,14 +76,14 @@ def line_centres(
     method : str or callable
         "gaussian" fits a pixel-integrated Gaussian on a level background by least squares in a
         window that follows its width, "weighted_gaussian" with weights by the measured grey values,
-        "max_likelihood" under shot and read noise, where it attains the Cramer-Rao bound (tell it
+        "max_likelihood" under shot and read noise, where it attains the Cramer-Rao bound (give
         `noise` and `gain`).  In closed form: "log_parabola" (three-point Gaussian), "parabola",
         "linear_interpolation", "centre_of_gravity", "fir4" and "fir8" (Blais and Rioux).
         "steger" finds ridges of any direction.  Or a user's own: see `metrology.detectors`.
     along : {"columns", "rows"}
         Whether the line crosses each column (it lies flat in the image), or each row.
     peaks : int
-        So many are looked for in each column, the highest first: reflections, undercuts; up to
+        So many are sought in each column, the highest first: reflections, undercuts; up to
         100.  With more than one the arrays have shape (peaks, W).
     min_amplitude : float
         Smallest height of a line, relative to the highest in the image.  What stands out by less
@@ -162,16 +162,16 @@ def _ours(
         image, filled = (values.astype(float) / unit for values in (image, filled))
     # More than any signal is enough, and stays a number.
     dark = noise_beside(filled, None if noise is None else min(float(noise) / unit, EXTREME))
-    told = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
+    given = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
     if method == STEGER:
-        line = ridges(image, told, min_amplitude, saturation / unit, max_sigma)
+        line = ridges(image, given, min_amplitude, saturation / unit, max_sigma)
     else:
         line = _columnwise(
             image,
             filled,
             finite.any(axis=0),
             COLUMNWISE[method],
-            told,
+            given,
             peaks,
             min_amplitude,
             saturation / unit,
@@ -228,7 +228,7 @@ def _columnwise(
     if count == 1:
         found, status = found[:, 0], status[0]
     row, row_error, width, amplitude, background = found
-    row_error[_told_by_chance(row_error, status == Status.OK)] = np.nan
+    row_error[_known_by_chance(row_error, status == Status.OK)] = np.nan
     return LineCentres(
         column=np.broadcast_to(np.arange(seen.size), status.shape),
         row=row,
@@ -241,13 +241,13 @@ def _columnwise(
     )
 
 
-def _told_by_chance(sigma: Array, found: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where most of the neighbours can't tell their sigma: those that can are a biased choice."""
-    told, there = (
+def _known_by_chance(sigma: Array, found: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where most of the neighbours have no sigma: those that have one are a biased choice."""
+    known, there = (
         uniform_filter1d(values.astype(float), NEIGHBOURS, axis=-1, mode="constant")
         for values in (np.isfinite(sigma), found)
     )
-    return told < 0.5 * there
+    return known < 0.5 * there
 
 
 def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> Index:

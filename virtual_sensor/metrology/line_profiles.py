@@ -22,13 +22,13 @@ REACH = 4.0  # half width of the fit's window in sigma; the outermost sigma is t
 MIN_SIGMA_PX = 0.5  # below it the pixels no longer sample the profile
 QUARTILE = 0.6745  # of Gaussian noise, in its standard deviations
 _KERNEL = cv2.getGaussianKernel(2 * int(4 * SMOOTHING_PX) + 1, SMOOTHING_PX)
-_FEWEST_ROWS = 8  # that tell the noise
+_FEWEST_ROWS = 8  # that show the noise
 _PAIRS = 128  # of rows, at most, in which it is seen,
 _BLOCK_COLUMNS, _SAMPLED_COLUMNS = 64, 8  # and columns
 _CLEARLY = 4.0  # about three standard errors of such a median
 _GREY_VALUES = 16.0  # from which on an image of whole floats is a camera's
 _GOLDEN = 0.6180339887498949
-_AT_ONCE = 5  # rows to look at for all peaks, before those that are broader
+_AT_ONCE = 5  # rows that are read for all peaks, before those that are broader
 _PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
 
 
@@ -43,7 +43,7 @@ class Noise(NamedTuple):
     gain : float
         Growth of the variance per unit of signal: K in grey values per electron; 0: none.
     known : bool
-        Whether somebody told it; else what a Gaussian leaves of the profile tells it too.
+        Whether it was given; else it is estimated from the residuals of fitted Gaussians too.
     """
 
     dark: Array
@@ -55,14 +55,14 @@ class Noise(NamedTuple):
         return self.dark[column] ** 2 + self.gain * np.maximum(signal, 0.0)
 
     def variance_near(self, at: "Peaks", signal: Array) -> Array:
-        """Of the pixels (n, L) near peaks: as told, or as the residuals tell."""
+        """Of the pixels (n, L) near peaks: as given, or as the residuals show."""
         if self.known:
             return self.variance(signal, at.column) * at.excess
         return np.broadcast_to(at.noise**2, signal.shape)
 
 
 class Peaks(NamedTuple):
-    """L peaks, where they are and about what they look like: arrays of shape (L,)."""
+    """L peaks, where they are, and about their shape: arrays of shape (L,)."""
 
     column: Index
     rank: Index  # 0: the highest of its column
@@ -74,8 +74,8 @@ class Peaks(NamedTuple):
     level: Array  # of the unlit rows of the column
     second: Array  # height of the next peak, relative; 0 where several were asked for
     residual: Array  # rms misfit of the Gaussian; NaN before there is one
-    noise: Array  # the same of the neighbours, in which no shape of one's own shows
-    excess: Array  # of its variance over what was told, where that is clear; else 1
+    noise: Array  # the same of the neighbours, in which its own shape does not show
+    excess: Array  # of its variance over the given one, where that is clear; else 1
     speckle: Array  # noise that would scatter the neighbours' shapes as they are
 
     def take(self, chosen: NDArray) -> "Peaks":

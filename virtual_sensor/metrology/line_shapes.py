@@ -1,4 +1,4 @@
-"""What a peak looks like: the Gaussian that fits it best, and whether it is one line at all.
+"""The shape of a peak: the Gaussian that fits it best, and whether it is one line at all.
 
 Two lines that merge, or an edge across one, shift its centre; they show in the third and fourth
 Hermite terms that are left beside the Gaussian.  Least squares in a tapered window is linear about
@@ -30,19 +30,19 @@ MAX_FLAT = 0.03  # of the fourth: two lines of the same height, 2 sigma apart or
 MAX_STEP = 0.1  # of the level below the line from one side to the other, relative to its height
 SIGNIFICANCE = 3.0  # times the noise, beyond these
 _OUTER = 2.5  # sigma from the centre on which the level below the line is seen
-_ROUGH_FROM_PX = 1.5  # sigma from which on rows next to each other tell noise from shape
+_ROUGH_FROM_PX = 1.5  # sigma from which on adjacent rows separate noise from shape
 _CLOSE, _MOST_STEPS = 0.2, 3  # in sigma: the last step before the shape is judged
 
 _ALIKE = 1.5  # times the noise that neighbours' differences show
 _ABRUPT = 0.65  # of the misfit's changes, in two adjacent rows: an edge, where another line has 0.5
-_SHARP_FROM_PX = 0.8  # sigma from which on an edge can be told from another line
+_SHARP_FROM_PX = 0.8  # sigma from which on an edge differs from another line
 
 _NEIGHBOURS, _NEXT = 31, 9
 _PHASES = 16
 _WIDTHS = 16  # an octave
 _IN_GROUP = 8  # of these share a window
 _NARROWEST_PX = 0.35
-_EXCESS = 1.5  # times the told variance: from there on the residuals are believed
+_EXCESS = 1.5  # times the given variance: from there on the residuals' is used
 _MOST_EXCESS = 1e6
 _GRAINY = 1.5  # shapes that scatter by so much more than the residuals say
 _RIDGE = 1e-12  # no normal matrix is singular
@@ -94,18 +94,18 @@ class _Near(NamedTuple):
     table: _Design
     entry: Index  # in the table
     cut: Index  # those that the image cuts,
-    anew: _Design  # and what holds for them
+    of_cut: _Design  # and the designs of these
 
     def design(self, name: str) -> Single:
         """A part of the designs."""
         values = getattr(self.table, name)[self.entry]
         if self.cut.size:
-            values[self.cut] = getattr(self.anew, name)
+            values[self.cut] = getattr(self.of_cut, name)
         return values
 
 
 def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
-    """Fit Gaussians to L peaks, and tell which lean to a side or are flatter than one line can be.
+    """Fit Gaussians to L peaks, and find those that are skewed or flatter than one line can be.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
             found[:, going[chosen]] = _stepped(near, gaussian, here.take(chosen), max_sigma)
         row, sigma = found[:2, going]
         going = going[np.hypot(row - here.row, sigma - here.sigma) > _CLOSE * here.sigma]
-    residual, tests, errors, spread, told, abrupt = (
+    residual, tests, errors, spread, expected, abrupt = (
         np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1, 1)
     )
     at = _moved(at, found)
@@ -137,19 +137,19 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
         near = _near(image, here, half)
         gaussian = np.einsum("lin,ln->il", near.design("gaussian"), near.values)
         judged = _judged(near, gaussian, here, noise)
-        for values, part in zip((residual, tests, errors, told, abrupt), judged, strict=True):
+        for values, part in zip((residual, tests, errors, expected, abrupt), judged, strict=True):
             values[:, chosen] = part
         spread[:, chosen] = near.design("spread").T
         found[:, chosen] = _stepped(near, gaussian, here, max_sigma)
     sharp = (abrupt[0] > _ABRUPT) & (at.sigma > _SHARP_FROM_PX)
-    # Neighbours are not abrupt in two rows each by chance: only the other rows tell the noise.
+    # Neighbours are not abrupt in two rows each by chance: only the other rows show the noise.
     shared = sharp & _most_near(abrupt[0] > _ABRUPT)
-    shared &= np.abs(tests[0]) > 0.25 * MAX_SKEW  # without any there is no misfit worth a name
+    shared &= np.abs(tests[0]) > 0.25 * MAX_SKEW  # without any the misfit is negligible
     noisy = np.where(shared, np.sqrt(1.0 - abrupt[0]), 1.0)
     if not noise.known:
         errors *= noisy
     errors[0] = _shared(tests[0], errors[0], at.sigma)
-    # What is flat and not skewed may be out of focus: symmetric, and no trouble.
+    # What is flat and not skewed may be out of focus: symmetric, and its centre is right.
     leaning = np.abs(tests[0]) > MAX_SKEW
     errors[1] = np.where(leaning, _shared(tests[1], errors[1], at.sigma), errors[1])
     limits = np.array([MAX_SKEW, MAX_FLAT, MAX_STEP])[:, None]
@@ -166,10 +166,10 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
     speckle = np.nan_to_num(scatter[0] * at.amplitude / np.sqrt(spread[0]))
     local = _local(residual[0], at.sigma)
     local = np.where(speckle > _GRAINY * local, speckle, local)
-    excess = np.where(local**2 > _EXCESS * told[0] ** 2, local, told[0])
-    # Where no noise at all was told there is nothing to multiply.
-    sensible = (told[0] > local / _MOST_EXCESS) & np.isfinite(told[0])
-    excess = np.where(sensible, excess, 1.0) / np.where(sensible, told[0], 1.0)
+    excess = np.where(local**2 > _EXCESS * expected[0] ** 2, local, expected[0])
+    # Where no noise at all was given there is nothing to multiply.
+    sensible = (expected[0] > local / _MOST_EXCESS) & np.isfinite(expected[0])
+    excess = np.where(sensible, excess, 1.0) / np.where(sensible, expected[0], 1.0)
     at = _moved(at, found)._replace(
         residual=residual[0], noise=local, excess=excess**2, speckle=speckle
     )
@@ -224,7 +224,7 @@ def _moved(at: Peaks, found: Array) -> Peaks:
 def _stepped(near: "_Near", gaussian: Array, at: Peaks, max_sigma: float) -> Array:
     """Row, width, height and background (4, L) after a step to where the fits (4, L) point."""
     background, amplitude, p, q = gaussian
-    amplitude = np.maximum(amplitude, 0.05 * at.amplitude)  # a peak stays a peak on its way
+    amplitude = np.maximum(amplitude, 0.05 * at.amplitude)  # a peak stays a peak between steps
     row = near.place + near.sigma * np.clip(p / amplitude, -0.5, 0.5)
     sigma = near.sigma * (1.0 + np.clip(q / amplitude, -0.3, 0.5))
     # What runs away is no line; the detectors will say so.
@@ -261,12 +261,12 @@ def _judged(
         errors = near.design("spread").T * np.maximum(measured, noise.dark[at.column] ** 2)
         expected = np.full(at.row.size, np.inf)
     height = np.where(gaussian[1] > 0.0, gaussian[1], np.nan)
-    told = beyond / height * [[1.0], [-1.0], [1.0]]
+    shape = beyond / height * [[1.0], [-1.0], [1.0]]
     residual = np.sqrt(left / np.maximum(weight - 4.0, 1.0))
     change *= pair  # less of the window's ends, where there are but few of these
     most = (change[:, 1:] + change[:, :-1]).max(axis=1)
     abrupt = most / np.maximum(change.sum(axis=1), np.finfo(np.float32).tiny)
-    return residual, told, np.sqrt(errors) / height, expected, abrupt
+    return residual, shape, np.sqrt(errors) / height, expected, abrupt
 
 
 def _groups(sigma: Array) -> list[tuple[Index, int]]:
@@ -299,14 +299,14 @@ def _near(image: NDArray, at: Peaks, half: int) -> _Near:
     entry = (width - _IN_GROUP * group) * (_PHASES + 1) + phase + _PHASES // 2
     table, place, sigma = _table(group, half), phase / _PHASES, _tabulated(width)
     cut = np.flatnonzero((middle < half) | (middle + half >= len(image)))
-    anew = table
+    of_cut = table
     if cut.size:
         offset = np.arange(-half, half + 1)
         rows = middle[cut, None] + offset
         inside = (rows >= 0) & (rows < len(image))
-        anew = _design(offset, place[cut], sigma[cut], inside)
+        of_cut = _design(offset, place[cut], sigma[cut], inside)
     above = values.astype(np.float32)
-    return _Near(middle + place, sigma, at.background, above, table, entry, cut, anew)
+    return _Near(middle + place, sigma, at.background, above, table, entry, cut, of_cut)
 
 
 @lru_cache(maxsize=64)
@@ -350,14 +350,14 @@ def _solved(basis: Array, taper: Array) -> Array:
 
 
 def _local(residual: Array, sigma: Array) -> Array:
-    """The neighbours' median residual, rms: of the noise of one peak only few rows tell."""
+    """The neighbours' median residual, rms: one peak has too few rows to estimate its noise."""
     free = np.maximum(2.0 * REACH * np.maximum(sigma, 1.0) - REACH - 4.0, 1.0)
     below_mean = (1.0 - 2.0 / (9.0 * free)) ** 3  # the median of chi square: Wilson and Hilferty
     return np.sqrt(median_filter(residual**2, _NEIGHBOURS, mode="nearest") / below_mean)
 
 
 def _noise_variance(change: Array, pair: Single, sigma: Array, whole: Array) -> Array:
-    """Of the noise alone: of rows next to each other, in which a wrong shape hardly shows.
+    """Of the noise alone: of adjacent rows, in which a wrong shape hardly shows.
 
     `change` (L, n - 1) are its squares there, with the weights `pair`.  Narrow lines have too few
     rows for that; there the `whole` of the misfit counts.

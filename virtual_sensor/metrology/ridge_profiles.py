@@ -17,7 +17,7 @@ def across(
 ) -> Index:
     """Status of points (N,) by their profiles across the line, as of columns of an image.
 
-    A step of the background is no trouble.
+    A step of the background does not count.
     """
     _, _, width, amplitude, background, angle = found
     half = int(np.ceil(_SEEN_ACROSS * width.max(initial=1.0)))
@@ -35,8 +35,8 @@ def across(
     ]
     blank = np.full((4, len(pixel)), np.nan)
     number, middle = np.arange(len(pixel)), np.full(len(pixel), half)
-    looks = (width, amplitude, background, background, np.zeros(len(pixel)), *blank)
-    peaks = Peaks(number, np.zeros_like(number), middle, middle.astype(float), *looks)
+    shape_of_each = (width, amplitude, background, background, np.zeros(len(pixel)), *blank)
+    peaks = Peaks(number, np.zeros_like(number), middle, middle.astype(float), *shape_of_each)
     column = np.clip(np.rint(pixel[:, 0]).astype(int), 0, noise.dark.size - 1)
     own = Noise(noise.dark[column], noise.gain, known=True)
     shape = shapes(np.ascontiguousarray(np.concatenate(parts, axis=1)), peaks, own, max_sigma)

@@ -4,7 +4,7 @@ After Steger 1998, "An unbiased detector of curvilinear structures", IEEE PAMI 2
 is smoothed by a Gaussian of `scale`; n is the normal along which its second derivative is most
 negative.  Where its first derivative along n vanishes within the pixel, there is a point of a line.
 Steger takes the zero from a Taylor polynomial, which errs by x^3/s^2 at x from the pixel's centre;
-here the filters are centred anew on the point found, until they vanish there.
+here the filters are centred on the point found, again and again, until it vanishes there.
 
 What shifts that zero is taken off:
 
@@ -38,7 +38,7 @@ from virtual_sensor.metrology.line_profiles import (
 )
 from virtual_sensor.metrology.ridge_profiles import across, along_lines
 
-FIRST_SCALE_PX = 1.5  # at which lines are looked for, and their widths
+FIRST_SCALE_PX = 1.5  # at which lines are sought, and their widths
 LEAST_SCALE_PX, MOST_SCALE_PX = 1.0, 8.0
 BEST_SCALE = 1.3  # times the line's width
 _REACH = 4.0  # of the filters, in scales
@@ -49,14 +49,14 @@ _OWN_PIXEL = 0.6  # px from a pixel's centre within which it owns a point, befor
 _STEPS = 4
 _CONVERGED_PX = 0.02
 _MAX_NOISE = 0.25  # of the second derivative, relative: beyond it there is no line
-_BEND_REACH = 6.0  # scales from a point within which others tell the line's curvature
+_BEND_REACH = 6.0  # scales from a point within which others show the line's curvature
 # Taking the curvature off adds its noise: that of points which share theirs by exp(-x^2/(4 s^2)).
 _UNBENT_NOISE = float(
     np.sqrt(1.0 + np.sqrt(np.pi) * (7.5 / _BEND_REACH**3 + 11.25 / _BEND_REACH**5))
 )
 _FEWEST = 8  # of them
 _END = 3.0  # scales from a point within which its line must go on, on both sides
-_SAME_WAY = 0.9  # cosine between the normals of points of one line
+_SAME_DIRECTION = 0.9  # cosine between the normals of points of one line
 _CHUNK = 1 << 22  # pixels of windows at a time
 _LINE_LIKE = 0.5  # second derivative along the line, relative to that across: below it
 
@@ -104,7 +104,7 @@ def ridges(
     grey = image if image.dtype.kind == "f" else image.astype(np.float32)
     if not finite.all():
         grey = np.where(finite, grey, grey[finite].min(initial=0.0))
-    # The filters are linear: single precision is kept from large offsets and odd units.
+    # The filters are linear: single precision never sees large offsets and odd units.
     offset = float(np.median(grey[:: max(1, len(grey) // 64)]))
     unit = float(grey.max()) / 2.0 - float(grey.min()) / 2.0
     if not 0.0 < unit < np.inf:
@@ -182,7 +182,7 @@ def _unbent(
     offset = pixel[near] - pixel[:, None]
     x = offset[:, :, 0] * normal[:, None, 1] - offset[:, :, 1] * normal[:, None, 0]
     y = np.einsum("nkd,nd->nk", offset, normal)
-    alike = np.abs(np.einsum("nkd,nd->nk", normal[near], normal)) > _SAME_WAY
+    alike = np.abs(np.einsum("nkd,nd->nk", normal[near], normal)) > _SAME_DIRECTION
     alike &= (distance < _BEND_REACH * scale) & (np.abs(y) < scale)
     before, behind = (np.max(sign * x, axis=1, where=alike, initial=0.0) for sign in (-1.0, 1.0))
     ends = np.minimum(before, behind) < _END * scale
@@ -253,8 +253,8 @@ def _refined(
     sigma = np.hypot(sigma, of_h / np.where(across < 0.0, -across, np.nan))
     sound = (doubt < _MAX_NOISE) & (np.linalg.norm(pixel - start, axis=1) < np.maximum(scale, 1.0))
     angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) % 180.0
-    told = np.stack([step, sigma, line, height * width / line, background, angle])
-    return pixel[sound], told[:, sound]
+    found = np.stack([step, sigma, line, height * width / line, background, angle])
+    return pixel[sound], found[:, sound]
 
 
 def _filtered(padded: NDArray[np.float32], pixel: Array, scale: float, half: int) -> _Local:

@@ -46,7 +46,7 @@ def triangulate(
 ) -> Array:
     """Measure the points that pixels see on a source's rays, along straight or bent lines of sight.
 
-    `triangulated_points` tells why a pixel has no point, and takes a tolerance.
+    `triangulated_points` says why a pixel has no point, and takes a tolerance.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def triangulate(
         Names, where the scene has several.
     coordinate : array_like of shape (...)
         First coordinate s of the source's rays, for each pixel or one for all: 0, the middle of
-        the laser's sheet, unless a pattern tells otherwise.
+        the laser's sheet, unless a pattern says otherwise.
 
     Returns
     -------

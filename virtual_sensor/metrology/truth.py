@@ -482,7 +482,7 @@ def _lit(across_mm: NDArray[np.floating]) -> tuple[int, NDArray[np.floating]]:
 def _crossings(across_mm: NDArray[np.floating], radius_mm: float) -> tuple[Index, Index, Array]:
     """Where columns see the sheet's middle: the pixel before, the column, the row; (L,) each.
 
-    A cubic through the four pixels about it tells the row, or a line where there are but two.
+    The row is that of a cubic through the four pixels about it, or of a line through two.
     """
     top, across_mm = _lit(across_mm)
     upper, lower, jump = across_mm[:-1], across_mm[1:], _jump(across_mm, radius_mm)
