@@ -1,4 +1,4 @@
-"""Index fields as NetCDF-3 files: what is in one, reading it with every check, writing it.
+"""Index fields as NetCDF files: what is in one, reading it with every check, writing it.
 
 A file has the dimensions ``(x, y, z)``, coordinate variables of those names in mm or m, ascending
 and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (kg/m3) or
@@ -35,12 +35,13 @@ attributes of several numbers     refused, where one belongs
 descending or uneven axes         refused
 dimensions in another order       refused
 impossible values or extents      refused, of the surrounding air too
-NetCDF-4, CDF-5                   refused: `nccopy -3`
+NetCDF-4, CDF-5                   by the package netCDF4, of the extra `netcdf4`
+groups of NetCDF-4                ignored
 other variables                   ignored, with a note
 other attributes                  ignored
 ================================  ==================================================
 
-Written are mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
+Written is NetCDF-3: mm, s, K, kg/m3 and 1. Packed means 16-bit integers whose ``scale_factor`` and
 ``add_offset`` span the range of the values in the air, with a ``_FillValue`` in the solid; the
 variable then says ``fill_value_means = "solid"`` and there is no mask.
 """
@@ -66,6 +67,7 @@ from virtual_sensor.medium.air import (
 )
 from virtual_sensor.medium.netcdf_elements import (
     AXES,
+    Contents,
     check_box,
     decoded,
     number,
@@ -343,7 +345,7 @@ def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
     return values, solid
 
 
-def _kind(nc: netcdf_file) -> str:
+def _kind(nc: Contents) -> str:
     """Find which of the three quantities the file holds."""
     found = [kind for kind in UNITS if kind in nc.variables]
     if len(found) != 1:
@@ -355,7 +357,7 @@ def _kind(nc: netcdf_file) -> str:
     return found[0]
 
 
-def _read_values(nc: netcdf_file, kind: str, time_s: float | None) -> np.ndarray:
+def _read_values(nc: Contents, kind: str, time_s: float | None) -> np.ndarray:
     """Read the quantity at one instant, in the variable's units; NaN where missing."""
     times = read_times(nc, kind)
 
@@ -383,7 +385,7 @@ def _read_values(nc: netcdf_file, kind: str, time_s: float | None) -> np.ndarray
 
 
 def _read_refractivity(
-    nc: netcdf_file, solid: np.ndarray | None, wavelength_nm: float, time_s: float | None
+    nc: Contents, solid: np.ndarray | None, wavelength_nm: float, time_s: float | None
 ) -> tuple[np.ndarray, float]:
     """Read n - 1 at the nodes, NaN where missing or solid, and of the surrounding air."""
     kind = _kind(nc)
@@ -395,7 +397,7 @@ def _read_refractivity(
     check_limits(kind, values)
 
     def ambient(name: str, default: float, addend: float = 0.0) -> float:
-        owner = variable if name in variable._attributes else nc
+        owner = variable if name in variable.attributes else nc
         return possible_ambient(name, number(owner, name, default - addend) + addend)
 
     if kind == "temperature":

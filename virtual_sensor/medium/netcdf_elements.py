@@ -1,16 +1,19 @@
-"""What a NetCDF-3 file is made of, each element read with every check."""
+"""What a NetCDF file is made of, each element read with every check."""
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.io import netcdf_file
 
+from virtual_sensor.child import physical_memory, run_in_child
 from virtual_sensor.errors import InputError, printable
 from virtual_sensor.files import readable
 from virtual_sensor.medium.units import unit_of
@@ -21,6 +24,8 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0}
 UNEVEN = 1e-4  # of the spacing
 SPACINGS_MM = (1e-6, 1e6)  # between nodes
 FARTHEST_MM = 1e8
+LEAST_MEMORY, MEMORY_PER_BYTE = 4_000_000_000, 100  # for a NetCDF-4 file, and per byte of it
+LEAST_SECONDS, LEAST_BYTES_PER_S = 20.0, 1e6  # a damaged one may be read for ever
 DEFAULT_FILLS = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i4": -2147483647}
 
 
@@ -43,7 +48,33 @@ _OF_VARIABLES = {
 """What SciPy would take of a variable's attributes for its own."""
 
 
-def open_netcdf(path: Path) -> netcdf_file:
+@dataclass(frozen=True)
+class Variable:
+    """A variable as it is stored.
+
+    Attributes
+    ----------
+    dimensions : tuple of str
+    data : ndarray
+        Not decoded.
+    attributes : dict
+        Texts and numbers.
+    """
+
+    dimensions: tuple[str, ...]
+    data: np.ndarray
+    attributes: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a file holds: variables by their names, and attributes of the file."""
+
+    variables: dict[str, Variable]
+    attributes: dict[str, Any]
+
+
+def open_netcdf(path: Path) -> Contents:
     """Read and parse the whole file."""
     if not path.is_file():
         present = sorted(p.name for p in path.parent.glob("*.nc"))
@@ -52,13 +83,10 @@ def open_netcdf(path: Path) -> netcdf_file:
             readable(path)
         raise InputError(f"there is no such file; {beside}")
     content = readable(path).read_bytes()
-    if content.startswith(b"\x89HDF") or content.startswith(b"CDF\x05"):
-        raise InputError(
-            "is NetCDF-4 or CDF-5, and only NetCDF-3 is read; convert it with "
-            '`nccopy -3 in.nc out.nc`, or in xarray .to_netcdf(..., format="NETCDF3_64BIT")'
-        )
+    if content.startswith((b"\x89HDF", b"CDF\x05")):
+        return _open_netcdf4(path)
     if not content.startswith((b"CDF\x01", b"CDF\x02")):
-        raise InputError("is not a NetCDF-3 file (it does not begin with 'CDF')")
+        raise InputError("is not a NetCDF file (it begins with neither 'CDF' nor 'HDF')")
     try:
         nc = _File(io.BytesIO(content), "r", mmap=False)
     except Exception as error:  # of struct, NumPy and others, as the damage will have it
@@ -71,28 +99,57 @@ def open_netcdf(path: Path) -> netcdf_file:
             raise InputError(
                 f"variable '{printable(name)}' has an attribute '{min(taken)}'; rename it"
             )
-    return nc
+    return Contents(
+        {
+            name: Variable(v.dimensions, v.data, _decoded_texts(v._attributes))
+            for name, v in nc.variables.items()
+        },
+        _decoded_texts(nc._attributes),
+    )
 
 
-def text(owner: Any, name: str) -> str:
+def _decoded_texts(attributes: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+        for name, value in attributes.items()
+    }
+
+
+def _open_netcdf4(path: Path) -> Contents:
+    """By the package netCDF4, in a child process: HDF5 may crash on a damaged file."""
+    if importlib.util.find_spec("netCDF4") is None:
+        raise InputError(
+            "is NetCDF-4 or CDF-5: pip install 'virtual-sensor[netcdf4]'; or convert it with"
+            ' `nccopy -3 in.nc out.nc`, or in xarray .to_netcdf(..., format="NETCDF3_64BIT")'
+        )
+    size = path.stat().st_size
+    made: Contents = run_in_child(
+        "virtual_sensor.medium.netcdf4:read",
+        str(path),
+        subject=f"{path}",
+        memory_bytes=min(LEAST_MEMORY + MEMORY_PER_BYTE * size, physical_memory()),
+        seconds=LEAST_SECONDS + size / LEAST_BYTES_PER_S,
+    )
+    return made
+
+
+def text(owner: Contents | Variable, name: str) -> str:
     """Return a text attribute of the file or of a variable, empty if there is none."""
-    value = owner._attributes.get(name, b"")
-    return printable(value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value))
+    return printable(str(owner.attributes.get(name, "")))
 
 
-def number(owner: Any, name: str, default: float) -> float:
+def number(owner: Contents | Variable, name: str, default: float) -> float:
     """Return a numeric attribute; a float32 stands for the shortest decimal that rounds to it."""
-    value = np.ravel(owner._attributes.get(name, default))
-    try:
-        if value.size == 1 and np.isfinite(result := float(str(value[0]))):
+    value = np.ravel(owner.attributes.get(name, default))
+    if value.size == 1 and value.dtype.kind in "iuf":
+        result = float(str(value[0]))
+        if np.isfinite(result):
             return result
-    except ValueError:
-        pass
-    shown = text(owner, name) if value.dtype.kind == "S" else ", ".join(map(str, value[:4]))
+    shown = text(owner, name) if value.dtype.kind == "U" else ", ".join(map(str, value[:4]))
     raise InputError(f"attribute '{name}' must be a number, not '{shown}'; correct or remove it")
 
 
-def units_of(nc: netcdf_file, name: str, known: dict[str, float]) -> float:
+def units_of(nc: Contents, name: str, known: dict[str, float]) -> float:
     """Give the value in the table `known` of a variable's units."""
     said = text(nc.variables[name], "units")
     units = unit_of(said, known)
@@ -102,7 +159,7 @@ def units_of(nc: netcdf_file, name: str, known: dict[str, float]) -> float:
     return known[units]
 
 
-def decoded(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
+def decoded(nc: Contents, name: str, raw: np.ndarray) -> np.ndarray:
     """Decode stored numbers of a variable as the CF conventions say.
 
     Heeded are ``_Unsigned``, ``scale_factor``, ``add_offset``, ``_FillValue``, ``missing_value``
@@ -122,7 +179,7 @@ def decoded(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
     variable = nc.variables[name]
     if raw.dtype.kind not in "iuf":
         raise InputError(f"variable '{name}' holds text, no numbers; write it as float or short")
-    packed = {"scale_factor", "add_offset"} & variable._attributes.keys()
+    packed = {"scale_factor", "add_offset"} & variable.attributes.keys()
     scale, offset = number(variable, "scale_factor", 1.0), number(variable, "add_offset", 0.0)
     if scale == 0.0:
         raise InputError(f"variable '{name}': its scale_factor is 0; correct it")
@@ -145,16 +202,16 @@ def decoded(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
     return values
 
 
-def _unsigned(variable: Any, array: np.ndarray) -> np.ndarray:
+def _unsigned(variable: Variable, array: np.ndarray) -> np.ndarray:
     """Take signed integers for unsigned ones, if the variable says so."""
     if text(variable, "_Unsigned").strip().lower() != "true" or array.dtype.kind != "i":
         return array
     return array.view(array.dtype.str.replace("i", "u"))
 
 
-def _numbers(variable: Any, name: str, attribute: str, count: int | None) -> list[Any]:
+def _numbers(variable: Variable, name: str, attribute: str, count: int | None) -> list[Any]:
     """Numbers of an attribute of a variable, of the variable's own type; none without it."""
-    value = variable._attributes.get(attribute)
+    value = variable.attributes.get(attribute)
     if value is None:
         return []
     array = np.ravel(value)
@@ -171,7 +228,7 @@ def _numbers(variable: Any, name: str, attribute: str, count: int | None) -> lis
     return list(array)
 
 
-def _filled(nc: netcdf_file, name: str, raw: np.ndarray) -> np.ndarray:
+def _filled(nc: Contents, name: str, raw: np.ndarray) -> np.ndarray:
     """Where a variable was never written: its `_FillValue`, or the default of its type."""
     variable = nc.variables[name]
     fills = _numbers(variable, name, "_FillValue", 1)
@@ -208,7 +265,7 @@ def check_box(origin: np.ndarray, spacing: np.ndarray, shape: Sequence[int]) -> 
             )
 
 
-def read_axis(nc: netcdf_file, axis: str) -> tuple[float, float, float]:
+def read_axis(nc: Contents, axis: str) -> tuple[float, float, float]:
     """Read first coordinate and spacing in mm, and the coordinate's unit in mm."""
     if axis not in nc.variables or nc.variables[axis].dimensions != (axis,):
         raise InputError(f"there is no coordinate variable '{axis}' along a dimension '{axis}'")
@@ -229,7 +286,7 @@ def read_axis(nc: netcdf_file, axis: str) -> tuple[float, float, float]:
     return nodes[0], spacing, scale
 
 
-def read_times(nc: netcdf_file, name: str) -> np.ndarray | None:
+def read_times(nc: Contents, name: str) -> np.ndarray | None:
     """Read the instants of a variable in s; None if it has no time axis.
 
     Solvers write one instant with any coordinate or none: unless it is in seconds, it is no axis.
@@ -256,7 +313,7 @@ def read_times(nc: netcdf_file, name: str) -> np.ndarray | None:
     return times
 
 
-def on_grid(nc: netcdf_file, name: str, instant: int = 0) -> np.ndarray:
+def on_grid(nc: Contents, name: str, instant: int = 0) -> np.ndarray:
     """Return the raw data of a variable as (nx, ny, nz), at one instant if it has a time axis."""
     variable = nc.variables[name]
     dimensions, data = variable.dimensions, variable.data
@@ -274,11 +331,11 @@ def on_grid(nc: netcdf_file, name: str, instant: int = 0) -> np.ndarray:
     return np.asarray(data)
 
 
-def read_solid(nc: netcdf_file) -> np.ndarray | None:
+def read_solid(nc: Contents) -> np.ndarray | None:
     """Read the solid's mask, if there is one."""
     for name, variable in nc.variables.items():
         if text(variable, "fill_value_means") == "solid":
-            if "_FillValue" not in variable._attributes:
+            if "_FillValue" not in variable.attributes:
                 raise InputError(
                     f"variable '{name}' says fill_value_means = 'solid' and has no _FillValue; give"
                     " it one"
@@ -295,7 +352,7 @@ def read_solid(nc: netcdf_file) -> np.ndarray | None:
 
 
 def read_mirror(
-    nc: netcdf_file, origin: np.ndarray, spacing: np.ndarray, scale: np.ndarray
+    nc: Contents, origin: np.ndarray, spacing: np.ndarray, scale: np.ndarray
 ) -> list[bool]:
     """Read which axes have a mirror plane at their first node."""
     mirror = [False, False, False]

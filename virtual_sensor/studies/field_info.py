@@ -365,9 +365,9 @@ def _contents(path: Path) -> dict[str, Any]:
     ambient = AMBIENT_TEMPERATURE_K
     if quantity == "temperature":
         offset, variable = units_of(nc, quantity, UNITS[quantity]), nc.variables[quantity]
-        owner = variable if "ambient_temperature" in variable._attributes else nc
+        owner = variable if "ambient_temperature" in variable.attributes else nc
         ambient = number(owner, "ambient_temperature", ambient - offset) + offset
-    texts = {name: text(nc, name) for name, v in nc._attributes.items() if isinstance(v, bytes)}
+    texts = {name: text(nc, name) for name, v in nc.attributes.items() if isinstance(v, str)}
     return {
         "quantity": quantity,
         "attributes": texts,
