@@ -307,8 +307,7 @@ def _std(axes: Axes, line: SwayTable, x: NDArray[Any], std: Array, unit: str, la
 
 def _static(axes: Axes, line: SwayTable) -> None:
     """The mean points' distance from the true section, and a standard deviation on either side."""
-    order = np.argsort(line.y_mm)
-    y, error, std = (a[order] for a in (line.y_mm, line.static_error_um, line.std_height_um))
+    y, error, std = line.y_mm, line.static_error_um, line.std_height_um  # gaps are NaN
     axes.fill_between(y, error - std, error + std, color=colour("hot"), alpha=0.3, lw=0)
     axes.plot(y, error, color=colour("hot"))
     axes.axhline(0.0, color="0.6", lw=0.8)

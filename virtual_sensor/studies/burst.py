@@ -31,7 +31,7 @@ from virtual_sensor.studies.section import SectionErrors, section_errors, true_s
 MIN_FRAMES = 3
 """With fewer frames a standard deviation says nothing: it is NaN."""
 
-_VIEWS = 3  # frames that are kept to be looked at
+_VIEWS = 3  # frames that are shown
 _MARGIN_PX = 12  # around what is lit in them
 
 Array = NDArray[np.float64]
@@ -430,7 +430,7 @@ def instants(
     if stored is None or len(stored) < 2:
         raise InputError(
             f"{file}: holds one instant; a burst needs a field with a time axis, a dimension 'time'"
-            " of two instants or more (in a scene that comes along, name it by -D field=FILE)"
+            " of two instants or more (in a shipped scene, name it by -D field=FILE)"
         )
     if frames < MIN_FRAMES or not duration_s > 0.0:
         raise InputError(
@@ -475,7 +475,7 @@ def burst(
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
     each_frame : callable
-        Called with each frame, which is not kept otherwise (see `EachFrame`).
+        Called with each frame (see `EachFrame`); afterwards it is gone.
 
     Raises
     ------

@@ -41,7 +41,7 @@ def completed(scheduler: str, tasks: Sequence[Any]) -> Iterator[tuple[str, Any]]
                 result = None
             except (CancelledError, OSError) as error:
                 raise InputError(
-                    f"--scheduler {scheduler}: was lost ({error!r}); finished cases are kept, and"
+                    f"--scheduler {scheduler}: was lost ({error!r}); finished cases stay, and"
                     " the same command goes on"
                 ) from None
             except ImportError as error:
@@ -69,9 +69,9 @@ def _client(scheduler: str) -> Iterator[Any]:
         said = str(error) or f"nothing was said within {_PATIENCE_S:g} s"
         raise InputError(
             f"--scheduler {scheduler}: no Dask scheduler answers there ({said}); start one with"
-            " `dask scheduler`, and give the address that it tells"
+            " `dask scheduler`, and give the address that it prints"
         ) from None
-    # It logs a traceback when a scheduler is lost, of which we tell in a line.
+    # It logs a traceback when a scheduler is lost, which is an error of one line here.
     for name in ("distributed.client", "distributed.utils"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with client:
