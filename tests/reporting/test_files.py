@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from virtual_sensor.records import Described, Record, Table, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, dictionary, undocumented
+from virtual_sensor.reporting.files import FileOf, dictionary, file_table, undocumented
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,17 @@ def test_a_file_a_column_and_a_key_that_no_dictionary_lists_are_found(tmp_path):
         "summary.json: states.hot.largest_px",
         "summary.json: rms",
     ]
+
+
+def test_the_files_of_a_page_are_links_with_words():
+    """Rationale: a name with a space must lead there, and a pattern to the folder it is in."""
+    files = (*FILES, FileOf("report.html", "This page."), FileOf("cases/*", "Cases."))
+    named = file_table(files, ["points_a b.csv", "report.html", "unknown.txt"])
+    [(link, words)] = named.rows
+    assert (link.text, link.url, words) == ("points_a b.csv", "points_a%20b.csv", "Points.")
+    first, *_, last = file_table(files).rows
+    assert (first[0], last[0].url) == ("points_*.csv", "cases/")
+    assert len(file_table(files).rows) == len(files) - 1
 
 
 def test_the_dictionary_lists_names_units_and_words():

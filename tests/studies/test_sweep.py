@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shlex
 import signal
 import socket
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -222,6 +224,10 @@ def test_a_case_that_fails_does_not_keep_the_others_from_it(swept):
     assert (rows[1]["folder"], rows[1]["cold_line_rms_px"], rows[1]["cold_centres"]) == ("", "", "")
     assert json.loads((folder / "summary.json").read_text())["failed"].keys() == {"alpha=0"}
     assert (folder / "sweep.png").stat().st_size > 0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    links = [unquote(link) for link in re.findall(r'href="(cases/[^"]+)"', page)]
+    assert links == [f"{row['folder']}/report.html" for row in rows[::2]]
+    assert all((folder / link).exists() for link in links)
 
 
 def test_the_table_says_what_the_measurements_say(swept):

@@ -16,11 +16,11 @@ from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr, write_png
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import write_csv, write_json, write_ply
-from virtual_sensor.reporting.files import FileOf
-from virtual_sensor.reporting.page import PAGE, Listing, Page, Section, write_page
+from virtual_sensor.reporting.files import FileOf, file_table
+from virtual_sensor.reporting.page import PAGE, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import colour, plain
-from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words
 from virtual_sensor.studies.burst import (
     Burst,
@@ -181,9 +181,6 @@ def page(
         f" {figures.field.last_s:g} s. A frame took {figures.time_per_frame_s:.2g} s."
     )
     written = [f for f in FILES if with_frames or not f.pattern.startswith(FRAMES)]
-    files = tuple(
-        Link(f"{each.pattern}: {each.words}", each.pattern.partition("*")[0]) for each in written
-    )
     return Page(
         f"Sway of {name} in moving air",
         lead(figures),
@@ -196,7 +193,7 @@ def page(
                 " frames: where the line has moved, one side is brighter and the other darker.",
                 draw_views(result),
             ),
-            Section("Files", Listing(files)),
+            Section("Files", file_table(written)),
         ),
         command,
         figures.made_with.to_dict(),

@@ -20,19 +20,18 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.records import Record, plain, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.files import FileOf, file_table
 from virtual_sensor.reporting.page import (
     PAGE,
     Content,
     Details,
-    Listing,
     Page,
     Section,
     write_page,
 )
 from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import GREY, MARKERS, colours
-from virtual_sensor.reporting.tables import Link, TextTable, text_table
+from virtual_sensor.reporting.tables import TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words, time_in_words
 from virtual_sensor.studies.chart.benchmark import (
     EFFECT_PX,
@@ -656,9 +655,8 @@ def page(chart: Chart, picture: Picture, command: str) -> Page:
         table = scaling_table(chart.scalings)
         memory = f"Peak memory of a process that renders a frame: {chart.frame_memory_mb:.0f} MB."
         sections.append(Section("How time and memory grow", _GROW, table, memory))
-    files = Listing(tuple(Link(f"{f.pattern}: {f.words}", f.pattern) for f in _written(chart)))
     sections.append(Section("How it was measured", *_HOW))
-    sections.append(Section("Files", files))
+    sections.append(Section("Files", file_table(_written(chart))))
     made = chart.machine.to_dict() | chart.machine.made_with.to_dict()
     del made["made_with"]
     made["time of the chart"] = time_in_words(chart.time_s)

@@ -14,9 +14,11 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
+from urllib.parse import quote
 
 from virtual_sensor.records import Described, Record, documented
-from virtual_sensor.reporting.tables import TextTable
+from virtual_sensor.reporting.page import PAGE
+from virtual_sensor.reporting.tables import Link, TextTable
 
 _AXES = {f"_{axis}" for axis in (*"xyzuv", "norm")}
 
@@ -66,6 +68,20 @@ def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
                 text = TextTable(("name", "unit", "what it is"), rows).markdown()
                 parts.append(text.replace("\\`", "`"))
     return "\n".join(parts)
+
+
+def file_table(files: Sequence[FileOf], names: Sequence[str] | None = None) -> TextTable:
+    """Files beside a page, with links and words: `names`, or a row for each pattern.
+
+    A pattern leads to its folder.
+    """
+    rows: list[tuple[str | Link, str]] = []
+    for name in [each.pattern for each in files] if names is None else names:
+        file = next((each for each in files if fnmatchcase(name, each.pattern)), None)
+        if file and name != PAGE:
+            place = name if "*" not in name else name[: name.rfind("/", 0, name.index("*")) + 1]
+            rows.append((Link(name, quote(place)) if place else name, file.words))
+    return TextTable(("file", "what it holds"), tuple(rows))
 
 
 def undocumented(folder: Path, files: Sequence[FileOf]) -> list[str]:

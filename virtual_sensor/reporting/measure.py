@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from fnmatch import fnmatchcase
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
@@ -19,11 +18,11 @@ from virtual_sensor.metrology.calibration import calibration_of, calibration_tex
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import write_csv, write_json, write_ply
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.files import FileOf, file_table
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, plain
-from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words, listed, time_in_words
 from virtual_sensor.studies.measure import (
     DenseTable,
@@ -282,7 +281,7 @@ def page(
             *(_frame_words(name, state) for name, state in figures.states.items()),
             Details("All parameters of the scene", (_parameters_table(figures),)),
         ),
-        Section("Files", _file_table(files)),
+        Section("Files", file_table(FILES, files)),
     ]
     made = figures.made_with.to_dict()
     title = f"{result.scene.path.stem}: a measurement"
@@ -354,15 +353,6 @@ def _probe_rays_table(result: Measurement) -> TextTable:
 def _parameters_table(figures: Summary) -> TextTable:
     rows = tuple((name, str(value)) for name, value in figures.parameters.items())
     return TextTable(("parameter", "value"), rows)
-
-
-def _file_table(files: Sequence[str]) -> TextTable:
-    rows = []
-    for name in files:
-        file = next((each for each in FILES if fnmatchcase(name, each.pattern)), None)
-        if file and name != PAGE:
-            rows.append((Link(name, name), file.words))
-    return TextTable(("file", "what it holds"), tuple(rows))
 
 
 # The picture.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.records import write_csv, write_json
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.files import FileOf, file_table
 from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import (
@@ -595,10 +595,7 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
         many = len(summary.notes) > _SHOWN_NOTES
         shown = Details(f"All {len(summary.notes)} notes", (notes,)) if many else notes
         sections.append(Section("Notes", shown))
-    files = tuple(
-        Link(f"{each.pattern}: {each.words}", each.pattern.partition("*")[0]) for each in FILES
-    )
-    sections.append(Section("Files", Listing(files)))
+    sections.append(Section("Files", file_table(FILES)))
     name = Path(summary.scene).stem
     return Page(
         f"Sweep of {name}", lead(result), tuple(sections), command, summary.made_with.to_dict()
