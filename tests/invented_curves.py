@@ -57,9 +57,9 @@ def invented_curves():
     nine = {(s, method): invented(s, method) for s in settings[RESOLVED] for method in METHODS}
     nine |= {(s, SEARCHED): invented(s, SEARCHED) for s in settings[BLURRED]}
     line = np.linspace(-11.0, 11.0, 23)
-    whole = {s: invented(s, SEARCHED, line) for s in settings[RESOLVED]}
+    whole = {(s, SEARCHED): invented(s, SEARCHED, line) for s in settings[RESOLVED]}
     poses = [Setting(air, 1250.0, b) for air in settings for b in ALL_BETAS_DEG[::5]]
-    return Curves(nine, whole, {s: invented(s, SEARCHED, line) for s in poses})
+    return Curves(nine, whole, {(s, SEARCHED): invented(s, SEARCHED, line) for s in poses})
 
 
 def only(curves, wanted):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
@@ -24,25 +24,23 @@ from virtual_sensor.reporting.page import (
 from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.reproduction_pictures import (
     FIGURES,
+    WHOLE_LINE,
     draw_airs,
     draw_figure,
     draw_fits,
     draw_poses,
     draw_reconstruction,
-    draw_whole_line,
     figure_columns,
 )
 from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
 from virtual_sensor.reporting.words import heading, in_words, listed
-from virtual_sensor.studies.reproduction.curves import Rays
-from virtual_sensor.studies.reproduction.paper import TOLERANCE, StatementTable, Verdict
+from virtual_sensor.studies.reproduction.broadening_fit import Fit
+from virtual_sensor.studies.reproduction.curves import Curve, Rays, together
+from virtual_sensor.studies.reproduction.paper import FITTED, TOLERANCE, StatementTable, Verdict
 from virtual_sensor.studies.reproduction.reconstruction import FittedCylinders, Reconstruction
 from virtual_sensor.studies.reproduction.reproduce import (
-    Lines,
-    RenderedSections,
     Reproduction,
     Summary,
-    lines,
 )
 from virtual_sensor.studies.reproduction.settings import AIRS, RESOLVED, Setting
 from virtual_sensor.studies.sweep_table import SweepTable
@@ -59,10 +57,10 @@ FILES = (
     FileOf("statements.csv", "Every statement of the paper's section 5.", StatementTable),
     FileOf("statements.md", "The same for a README."),
     FileOf("figure_*.csv", "Columns of a diagram of the paper's, in one air.", Rays),
-    FileOf("whole_line.csv", "Both sides of the line, in all settings.", Lines),
-    FileOf("all_poses_*.csv", "The whole line from above to the side, in one air.", Lines),
+    FileOf("whole_line.csv", "Both sides of the line, in all settings.", Rays),
+    FileOf("all_poses_*.csv", "The whole line from above to the side, in one air.", Rays),
     FileOf("reconstruction.csv", "Cylinders fitted to scans.", FittedCylinders),
-    FileOf("rendered_sections.csv", "Cylinders through rendered lines.", RenderedSections),
+    FileOf("rendered_sections.csv", "Cylinders through rendered lines.", FittedCylinders),
     FileOf("rendered_minus_searched.csv", "Table of the sweep in measurements/.", SweepTable),
     FileOf(RESULTS_SIGN, "What the reproduction comes to.", Summary),
 )
@@ -97,10 +95,10 @@ def save(result: Reproduction, folder: Path, command: str) -> None:
         If it can't be written.
     """
     curves = result.curves
-    pictures = {f"figure_{figure.name}": draw_figure(figure, curves) for figure in FIGURES}
-    pictures |= {
+    pictures = {
+        **{figure.name: draw_figure(figure, curves.nine) for figure in FIGURES},
+        WHOLE_LINE.name: draw_figure(WHOLE_LINE, curves.whole),
         "airs": draw_airs(curves),
-        "whole_line": draw_whole_line(curves.whole),
         "all_poses": draw_poses(curves.poses),
         "broadening_fit": draw_fits(result.fits),
         "reconstruction": draw_reconstruction(result.reconstructions),
@@ -113,9 +111,9 @@ def save(result: Reproduction, folder: Path, command: str) -> None:
             for part in dict.fromkeys(d.part for figure in FIGURES for d in figure.diagrams):
                 if columns := figure_columns(part, curves, air):
                     write_csv(place / f"figure_{part}_{air}.csv", columns)
-            if poses := {s: curve for s, curve in curves.poses.items() if s.air == air}:
-                write_csv(place / f"all_poses_{air}.csv", lines(poses))
-        write_csv(place / "whole_line.csv", lines(curves.whole))
+            if poses := [curve for (at, _), curve in curves.poses.items() if at.air == air]:
+                write_csv(place / f"all_poses_{air}.csv", _lines(poses))
+        write_csv(place / "whole_line.csv", _lines(curves.whole.values()))
         write_csv(place / "reconstruction.csv", result.cylinders)
         write_csv(place / "rendered_sections.csv", result.sections)
         write_csv(place / "rendered_minus_searched.csv", result.measured)
@@ -125,6 +123,13 @@ def save(result: Reproduction, folder: Path, command: str) -> None:
         tables = sorted(path.name for path in place.glob("*.csv"))
         write_page(place / PAGE, page(result, drawn, tables, command))
         write_json(place / RESULTS_SIGN, result.summary)
+
+
+def _lines(curves: Iterable[Curve]) -> dict[str, Any]:
+    """Columns of whole lines, setting by setting."""
+    setting = ("air", "temperature_c", "beta_deg")
+    rays = together(curve.rays() for curve in curves)
+    return rays.columns_of(*setting, "y_mm", "measured_shift_um", "pixel_shift_px")
 
 
 def statement_table(verdicts: Sequence[Verdict]) -> StatementTable:
@@ -201,9 +206,9 @@ def page(
         for air, words in summary.airs.items()
     )
     figures = [
-        Section(f"Figure {f.name}: {f.caption}", f.words, pictures[f"figure_{f.name}"])
-        for f in FIGURES
-        if f"figure_{f.name}" in pictures
+        Section(figure.title, figure.words, pictures[figure.name])
+        for figure in (*FIGURES, WHOLE_LINE)
+        if figure.name in pictures
     ]
     met = [f"{number} in {air} air" for air, number in summary.met.items()]
     return Page(
@@ -236,11 +241,17 @@ def page(
             ),
             Section("How to read the figures", _RENDERED),
             *figures,
-            Section("Beyond the paper: the whole line, both sides", pictures["whole_line"]),
-            Section("Beyond the paper: all poses, from above to the side", pictures["all_poses"]),
+            Section(
+                "Beyond the paper: all poses, from above to the side",
+                "How far the measured point moves at 1250 °C. White lines: 7, 20 and 75 µm, which"
+                " the paper states. Grey: not found.",
+                pictures["all_poses"],
+            ),
             Section(
                 "How broad the paper's plume was",
-                "One parameter of each broadened air is fitted to the paper's numbers.",
+                "The width of each broadened air's blur is fitted to these numbers of the paper's:"
+                " the sum of squares of relative residuals is least.",
+                fit_table(result.fits),
                 pictures["broadening_fit"],
             ),
             Section(
@@ -268,6 +279,21 @@ def page(
         {**summary.made_with.to_dict(), "cases measured now": summary.made_now},
         tuple(summary.notes),
     )
+
+
+def fit_table(fits: Mapping[str, Fit]) -> TextTable:
+    """The numbers that the broadening is fitted to: the paper's and ours in each air."""
+    head = ("number", "the paper", RESOLVED, *fits)
+    rows = []
+    for i, statement in enumerate(FITTED):
+        cells = [statement.claim, statement.paper, f"{next(iter(fits.values())).resolved[i]:.3g}"]
+        for fit in fits.values():
+            apart, words = fit.residual[i], in_words(fit.ours[i], "{:.3g}", "unknown")
+            words += f" ({100.0 * apart:+.0f} %)" if apart else ""
+            words = "unknown" if np.isnan(apart) else words
+            cells.append(f"{'✓' if statement.met(fit.ours[i]) else '✗'} {words}")
+        rows.append(tuple(cells))
+    return TextTable(head, tuple(rows))
 
 
 def cylinder_sentences(results: Mapping[Setting, Reconstruction]) -> list[str]:

@@ -105,7 +105,7 @@ def fit_broadening(scenes: Scenes, air: str, report: Report = lambda stage, frac
 
 def stated(scenes: Scenes, broadening: Broadening, air: str = "") -> Array:
     """Our values of the paper's numbers in some air; shape (J,)."""
-    quantities = [statement.of for statement in FITTED if statement.of]
+    quantities = [statement.of for statement in FITTED]
     nine = {}
     for temperature_c, beta_deg in {(q.temperature_c, q.beta_deg) for q in quantities}:
         scene = scenes.scene(temperature_c, beta_deg, broadening)

@@ -7,7 +7,7 @@ They come from the ray search, from rendered dots (both axes of the image) or fr
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,8 @@ class Rays(Table):
         Positions along the laser line: the paper's discharge locations.
     method : ndarray of shape (N,)
         How the ray was found: searched, rendered dots or rendered line.
+    air : ndarray of shape (N,)
+        resolved, blurred or widened.
     temperature_c, beta_deg : ndarray of shape (N,)
         Temperature of the cylinder; turn of the sensor, 0 from above.
     search_distance_um : ndarray of shape (N,)
@@ -77,6 +79,7 @@ class Rays(Table):
 
     y_mm: Array
     method: NDArray[np.str_]
+    air: NDArray[np.str_]
     temperature_c: Array
     beta_deg: Array
     search_distance_um: Array
@@ -114,6 +117,16 @@ class Rays(Table):
             case "across":
                 return np.hypot(values[:, 1], values[:, 2])
         return values[:, ("xyz" if values.shape[1] == 3 else "uv").index(component)]
+
+    def columns_of(self, *names: str) -> dict[str, NDArray[Any]]:
+        """Columns of some series, those of differences with their norms."""
+        every = self.columns()
+        found: dict[str, NDArray[Any]] = {}
+        for name in names:
+            found |= {k: v for k, v in every.items() if k == name or k[:-2] == name}
+            if f"{name}_u" in every or f"{name}_x" in every:
+                found[f"{name}_norm"] = self.of(f"{name}.norm")
+        return found
 
 
 @dataclass(frozen=True)
@@ -162,7 +175,7 @@ class Curve:
         straight = camera.project(B)
         axes = camera.pose.rotation
         found = self.method == SEARCHED
-        pixels = {
+        pixels: dict[str, Any] = {
             "pixel_shift_px": d.pixel_px,
             "laser_to_object_px": straight - start,
             "object_to_camera_px": hot - straight,
@@ -173,7 +186,7 @@ class Curve:
             "pixel_straight": straight,
             "pixel_hot": hot,
         }
-        points = {
+        points: dict[str, Any] = {
             "incidence_shift_um": d.incidence_um if found else np.full_like(A, np.nan),
             "hot_error_um": d.hot_um,
             "measured_minus_real_um": -d.hot_um,
@@ -184,11 +197,10 @@ class Curve:
             pixels = {k: np.where([True, False], np.nan, v) for k, v in pixels.items()}
             along_u = np.abs(axes[:, 0]) > _PARALLEL
             points = {k: np.where(along_u, np.nan, v) for k, v in points.items()}
+        constant: dict[str, Any] = vars(self.setting) | {"method": self.method}
         return Rays(
             y_mm=self.y_mm,
-            method=np.full(len(self.y_mm), self.method),
-            temperature_c=np.full(len(self.y_mm), self.setting.temperature_c),
-            beta_deg=np.full(len(self.y_mm), self.setting.beta_deg),
+            **{name: np.full(len(self.y_mm), value) for name, value in constant.items()},
             search_distance_um=self.search_distance_um,
             cold_error_image_um=points["cold_error_um"] @ axes[:, :2],
             **pixels,
@@ -196,8 +208,13 @@ class Curve:
         )
 
 
-def together(parts: list[Rays]) -> Rays:
+BySetting = Mapping[tuple[Setting, str], Curve]
+"""Curves by their setting and method."""
+
+
+def together(parts: Iterable[Rays]) -> Rays:
     """Rays of several curves, one after the other."""
+    parts = list(parts)
     columns = {f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Rays)}
     return Rays(**columns)
 
@@ -282,18 +299,18 @@ def read_columns(path: Path) -> dict[str, NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Curves:
-    """All curves of the reproduction.
+    """All curves of the reproduction, by setting and method.
 
     Attributes
     ----------
     nine : dict
-        The paper's nine rays, by setting and method.
+        The paper's nine rays.
     whole : dict
-        The whole line on both sides, by setting, searched.
+        The whole line on both sides, searched.
     poses : dict
         The same at the highest temperature, from all poses between above and the side.
     """
 
-    nine: Mapping[tuple[Setting, str], Curve]
-    whole: Mapping[Setting, Curve] = field(default_factory=dict)
-    poses: Mapping[Setting, Curve] = field(default_factory=dict)
+    nine: BySetting
+    whole: BySetting = field(default_factory=dict)
+    poses: BySetting = field(default_factory=dict)

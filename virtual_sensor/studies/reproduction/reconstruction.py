@@ -119,7 +119,7 @@ class Reconstruction:
 
 @dataclass(frozen=True)
 class FittedCylinders(Table):
-    """Cylinders fitted to scans: a row for each setting, arc and state.
+    """Fitted cylinders: a row for each state of a setting, and of scans for each arc.
 
     Attributes
     ----------
@@ -129,44 +129,40 @@ class FittedCylinders(Table):
         Temperature of the cylinder; turn of the sensor, 0 from above.
     state : sequence of str
         cold or hot.
-    arc_mm : sequence of float
-        Rays of at most this abs(y) took part.
     points : sequence of int
         How many points took part.
-    status : sequence of str
-        How the fit ended.
-    radius_mm : sequence of float
-        The fitted radius.
-    radius_error_um : sequence of float
-        Fitted minus true radius.
+    radius_mm, radius_error_um : sequence of float
+        The fitted radius; fitted minus true radius.
     radius_error_low_um, radius_error_high_um : sequence of float
-        Bounds of the same, 95 %.
-    hot_minus_cold_um : sequence of float
-        Hot minus cold radius error; of hot rows.
+        Bounds of the error, 95 %.
     residual_std_um : sequence of float
         Standard deviation of the points' distances from the fitted cylinder.
-    axis_y_um, axis_z_um : sequence of float
-        Fitted minus true axis, in the middle of the points.
-    tilt_mrad : sequence of float
-        Angle between the fitted and the true axis.
+    arc_mm : sequence of float
+        Rays of at most this abs(y) took part.
+    status : sequence of str
+        How the fit ended.
+    hot_minus_cold_um : sequence of float
+        Hot minus cold radius error; of hot rows.
+    axis_y_um, axis_z_um, tilt_mrad : sequence of float
+        Fitted minus true axis in the middle of the points, and the angle between the two.
     """
 
     air: Sequence[str]
     temperature_c: Sequence[float]
     beta_deg: Sequence[float]
     state: Sequence[str]
-    arc_mm: Sequence[float]
     points: Sequence[int]
-    status: Sequence[str]
     radius_mm: Sequence[float]
     radius_error_um: Sequence[float]
     radius_error_low_um: Sequence[float]
     radius_error_high_um: Sequence[float]
-    hot_minus_cold_um: Sequence[float]
     residual_std_um: Sequence[float]
-    axis_y_um: Sequence[float]
-    axis_z_um: Sequence[float]
-    tilt_mrad: Sequence[float]
+    arc_mm: Sequence[float] | None = None
+    status: Sequence[str] | None = None
+    hot_minus_cold_um: Sequence[float] | None = None
+    axis_y_um: Sequence[float] | None = None
+    axis_z_um: Sequence[float] | None = None
+    tilt_mrad: Sequence[float] | None = None
 
 
 @dataclass(frozen=True)
@@ -300,23 +296,11 @@ def fitted_cylinders(results: Mapping[Setting, Reconstruction]) -> FittedCylinde
     rows: list[tuple[Any, ...]] = []
     for setting, r in results.items():
         error, bounds, shift, tilt = r.error_um, r.interval_um, r.axis_shift_um, r.tilt_mrad
-        rows += [
-            (
-                setting.air,
-                setting.temperature_c,
-                setting.beta_deg,
-                STATES[i[1]],
-                r.arc_mm[i[0]],
-                r.count[i],
-                status_names(r.status[i], FitStatus)[0],
-                r.radius_mm[i],
-                error[i],
-                *bounds[i],
-                error[i] - error[i[0], 0] if i[1] else np.nan,
-                r.residual_std_um[i],
-                *shift[i],
-                tilt[i],
-            )
-            for i in np.ndindex(r.radius_mm.shape)
-        ]
+        for i in np.ndindex(r.radius_mm.shape):
+            arc, state = i
+            apart = error[i] - error[arc, 0] if state else np.nan
+            status = status_names(r.status[i], FitStatus)[0]
+            fit = r.count[i], r.radius_mm[i], error[i], *bounds[i], r.residual_std_um[i]
+            scan = r.arc_mm[arc], status, apart, *shift[i], tilt[i]
+            rows.append((*vars(setting).values(), STATES[state], *fit, *scan))
     return FittedCylinders(*zip(*rows, strict=True))

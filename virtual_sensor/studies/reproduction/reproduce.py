@@ -5,16 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.optics.surfaces import Cylinder
-from virtual_sensor.records import Record, Table
+from virtual_sensor.records import Record
 from virtual_sensor.studies.finished_cases import find_or_make, own_folder
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.provenance import MadeWith, made_with
@@ -23,6 +25,7 @@ from virtual_sensor.studies.reproduction.curves import (
     DOTS,
     LINE,
     SEARCHED,
+    BySetting,
     Curve,
     Curves,
     from_dots,
@@ -60,7 +63,6 @@ from virtual_sensor.studies.sweep import CaseStatus, Finished, Save, cases, run
 from virtual_sensor.studies.sweep_table import SweepTable, table
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 MARK = "REPRODUCTION.txt"
 _MARK_TEXT = """\
@@ -79,71 +81,6 @@ SCANS = (
 
 
 @dataclass(frozen=True)
-class Lines(Table):
-    """The whole laser line, searched: a row for each ray of each setting.
-
-    Attributes
-    ----------
-    air : sequence of str
-        resolved, blurred or widened.
-    temperature_c, beta_deg : sequence of float
-        Temperature of the cylinder; turn of the sensor, 0 from above.
-    y_mm : ndarray of shape (N,)
-        Position along the laser line.
-    measured_shift_um : ndarray of shape (N, 3)
-        B_m - A_m: hot minus cold measured point.
-    measured_shift_um_norm : ndarray of shape (N,)
-        Its length.
-    pixel_shift_px : ndarray of shape (N, 2)
-        Hot minus cold pixel.
-    """
-
-    air: Sequence[str]
-    temperature_c: Sequence[float]
-    beta_deg: Sequence[float]
-    y_mm: Array
-    measured_shift_um: Array
-    measured_shift_um_norm: Array
-    pixel_shift_px: Array
-
-
-@dataclass(frozen=True)
-class RenderedSections(Table):
-    """Cylinders through rendered lines, their axis' direction held: a row for each frame.
-
-    Attributes
-    ----------
-    air : sequence of str
-        resolved, blurred or widened.
-    temperature_c, beta_deg : sequence of float
-        Temperature of the cylinder; turn of the sensor, 0 from above.
-    state : sequence of str
-        cold or hot.
-    points : sequence of int
-        How many points took part.
-    radius_mm : sequence of float
-        The fitted radius.
-    radius_error_um : sequence of float
-        Fitted minus true radius.
-    radius_error_low_um, radius_error_high_um : sequence of float
-        Bounds of the same, 95 %.
-    residual_std_um : sequence of float
-        Standard deviation of the points' distances from the fitted cylinder.
-    """
-
-    air: Sequence[str]
-    temperature_c: Sequence[float]
-    beta_deg: Sequence[float]
-    state: Sequence[str]
-    points: Sequence[int]
-    radius_mm: Sequence[float]
-    radius_error_um: Sequence[float]
-    radius_error_low_um: Sequence[float]
-    radius_error_high_um: Sequence[float]
-    residual_std_um: Sequence[float]
-
-
-@dataclass(frozen=True)
 class Agreement(Record):
     """Rendered minus searched, largest of all cases.
 
@@ -153,14 +90,14 @@ class Agreement(Record):
         Rms of a line across itself.
     dots_u_px, dots_v_px : float
         Of dots, along and across the line.
-    figures_px : float
+    figures_dots_px : float
         Distance of a dot from the searched ray that it is drawn beside, larger of u and v.
     """
 
     line_rms_px: float
     dots_u_px: float
     dots_v_px: float
-    figures_px: float
+    figures_dots_px: float
 
 
 @dataclass(frozen=True)
@@ -221,7 +158,8 @@ class Reproduction:
         Dense scans of the cylinder, searched, by setting.
     cylinders : FittedCylinders
         What was fitted to them.
-    sections : RenderedSections
+    sections : FittedCylinders
+        Those through each rendered line.
     measured : SweepTable
         The sweep's table: one row for each rendered case.
     verdicts : list of Verdict
@@ -233,7 +171,7 @@ class Reproduction:
     curves: Curves
     reconstructions: dict[Setting, Reconstruction]
     cylinders: FittedCylinders
-    sections: RenderedSections
+    sections: FittedCylinders
     measured: SweepTable
     verdicts: list[Verdict]
     summary: Summary
@@ -311,22 +249,6 @@ def all_poses(air: str) -> list[Setting]:
     return [Setting(air, TEMPERATURES_C[-1], float(beta)) for beta in ALL_BETAS_DEG]
 
 
-def lines(curves: Mapping[Setting, Curve]) -> Lines:
-    """Rays of whole lines as a table, setting by setting."""
-    rays = {setting: curve.rays() for setting, curve in curves.items()}
-    counts = [len(each.y_mm) for each in rays.values()]
-    moved = np.concatenate([each.measured_shift_um for each in rays.values()])
-    return Lines(
-        air=np.repeat([s.air for s in rays], counts).tolist(),
-        temperature_c=np.repeat([s.temperature_c for s in rays], counts).tolist(),
-        beta_deg=np.repeat([s.beta_deg for s in rays], counts).tolist(),
-        y_mm=np.concatenate([each.y_mm for each in rays.values()]),
-        measured_shift_um=moved,
-        measured_shift_um_norm=euclidean(moved),
-        pixel_shift_px=np.concatenate([each.pixel_shift_px for each in rays.values()]),
-    )
-
-
 def summarise(
     airs: Mapping[str, Broadening],
     curves: Curves,
@@ -357,7 +279,7 @@ def summarise(
             line_rms_px=worst("cold_line_rms_px", "hot_line_rms_px"),
             dots_u_px=worst("cold_dots_largest_u_px", "hot_dots_largest_u_px"),
             dots_v_px=worst("cold_dots_largest_v_px", "hot_dots_largest_v_px"),
-            figures_px=float(max(apart)),
+            figures_dots_px=float(max(apart)),
         ),
         paths_minus_whole_px=float(max(np.abs(c.rays().paths_minus_whole_px).max() for c in found)),
         made_now=made_now,
@@ -410,19 +332,17 @@ def _measure(
     return dict(zip(wanted, finished, strict=True))
 
 
-def _with_rendered(
-    nine: Mapping[Setting, Curve], finished: Mapping[tuple[Setting, str], Finished]
-) -> dict[tuple[Setting, str], Curve]:
+def _with_rendered(nine: BySetting, finished: Mapping[tuple[Setting, str], Finished]) -> BySetting:
     """The searched curves, and beside them the rendered ones."""
-    curves = {(setting, SEARCHED): curve for setting, curve in nine.items()}
+    curves = dict(nine)
     for (setting, method), end in finished.items():
         assert end.folder is not None
         read = from_dots if method == DOTS else from_line
-        curves[setting, method] = read(nine[setting], end.folder)
+        curves[setting, method] = read(nine[setting, SEARCHED], end.folder)
     return curves
 
 
-def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) -> RenderedSections:
+def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) -> FittedCylinders:
     """The cylinder through each rendered line, its axis' direction held."""
     rows = []
     for (setting, method), end in finished.items():
@@ -435,21 +355,12 @@ def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) 
             points = np.stack([line[f"point_mm_{axis}"] for axis in "xyz"], axis=1).astype(float)
             fit, interval = fit_section(points)
             errors = UM_PER_MM * (np.array([fit.radius_mm, *interval]) - part.radius_mm)
-            at = setting.air, setting.temperature_c, setting.beta_deg, state
-            rows.append((*at, fit.count, fit.radius_mm, *errors, fit.residual_std_um))
-    return RenderedSections(*zip(*rows, strict=True))
+            at = (*vars(setting).values(), state, fit.count)
+            rows.append((*at, fit.radius_mm, *errors, fit.residual_std_um))
+    return FittedCylinders(*zip(*rows, strict=True))
 
 
-@dataclass(frozen=True)
-class _Stacked:
-    """Searched curves of several settings, each field with a first axis more than a `Curve`'s."""
-
-    y_mm: Array
-    incidence_cold_mm: Array
-    incidence_hot_mm: Array
-    pixel_cold: Array
-    pixel_hot: Array
-    search_distance_um: Array
+_ARRAYS = [each.name for each in fields(Curve) if each.type == "Array"]
 
 
 @dataclass(frozen=True)
@@ -466,23 +377,28 @@ class Searches:
     scenes: Scenes
 
     def stored(
-        self, name: str, inputs: Mapping[str, Any], make: Callable[[], T], kind: type[T]
-    ) -> T:
-        """A dataclass of arrays, numbers and texts: made and written, or read again."""
+        self, name: str, inputs: Mapping[str, Any], make: Callable[[], Any]
+    ) -> dict[str, Any]:
+        """Arrays, numbers and texts of an object, by name: made and written, or read again."""
+
+        def write(folder: Path) -> None:
+            made = vars(make())
+            arrays: dict[str, Any] = {key: np.asarray(value) for key, value in made.items()}
+            with (folder / "found.npz").open("wb") as file:
+                np.savez(file, **arrays)
+
         whole = {"name": name, "scene": self.scenes.inputs(), **inputs}
-        file = f"{name}.npz"
-        place = find_or_make(self.folder, name, whole, lambda new: _write(new / file, make()))
-        with np.load(place / file, allow_pickle=False) as arrays:
+        place = find_or_make(self.folder, name, whole, write)
+        with np.load(place / "found.npz", allow_pickle=False) as arrays:
             values = {each: arrays[each] for each in arrays.files}
-        return kind(**{each: v if v.ndim else v.item() for each, v in values.items()})
+        return {each: value if value.ndim else value.item() for each, value in values.items()}
 
     def fits(self, report: Report) -> dict[str, Fit]:
         """The broadenings that come nearest to the paper's numbers, by air."""
         found = {}
         for number, air in enumerate(FAMILIES):
-            part = _part(report, number, len(FAMILIES))
-            make = _call(fit_broadening, self.scenes, air, part)
-            found[air] = self.stored(f"fit_{air}", {}, make, Fit)
+            make = partial(fit_broadening, self.scenes, air, _part(report, number, len(FAMILIES)))
+            found[air] = Fit(**self.stored(f"fit_{air}", {}, make))
         return found
 
     def curves(
@@ -492,24 +408,23 @@ class Searches:
         settings: Callable[[str], Sequence[Setting]],
         report: Report,
         whole_line: bool = True,
-    ) -> dict[Setting, Curve]:
+    ) -> dict[tuple[Setting, str], Curve]:
         """Rays of the whole line in the settings of each air; or the nine, by both searches."""
         curves = {}
         for number, (air, broadening) in enumerate(airs.items()):
-            wanted = settings(air)
             part = _part(report, number, len(airs))
-            make = _call(self._search, wanted, broadening, whole_line, part)
-            inputs = {"broadening": str(broadening)}
-            stacked = self.stored(f"{name}_{air}", inputs, make, _Stacked)
-            for place, setting in enumerate(wanted):
+            make = partial(self._search, settings(air), broadening, whole_line, part)
+            found = self.stored(f"{name}_{air}", {"broadening": str(broadening)}, make)
+            for place, setting in enumerate(settings(air)):
                 sensor = self.scenes.pose(setting.beta_deg).sensor
-                arrays = (getattr(stacked, each.name)[place] for each in fields(_Stacked))
-                curves[setting] = Curve(setting, SEARCHED, sensor, *arrays)
+                arrays = {each: found[each][place] for each in _ARRAYS}
+                curves[setting, SEARCHED] = Curve(setting, SEARCHED, sensor, **arrays)
         return curves
 
     def _search(
         self, wanted: Sequence[Setting], broadening: Broadening, whole_line: bool, report: Report
-    ) -> _Stacked:
+    ) -> SimpleNamespace:
+        """The arrays of curves, each with a first axis for the settings."""
         found = []
         for number, setting in enumerate(wanted):
             report(f"searching, {setting}", number / len(wanted))
@@ -518,8 +433,8 @@ class Searches:
                 found.append(searched(scene, setting, LINE_MM, SCAN, paper=False))
             else:
                 found.append(searched(scene, setting, NINE_RAYS_MM))
-        names = [each.name for each in fields(_Stacked)]
-        return _Stacked(*(np.stack([getattr(c, name) for c in found]) for name in names))
+        arrays = {name: np.stack([getattr(curve, name) for curve in found]) for name in _ARRAYS}
+        return SimpleNamespace(**arrays)
 
     def reconstructions(
         self, airs: Mapping[str, Broadening], wanted: Sequence[Setting], report: Report
@@ -528,24 +443,16 @@ class Searches:
         found = {}
         for number, setting in enumerate(wanted):
             report(f"reconstructing, {setting}", number / len(wanted))
-            at = setting.temperature_c, setting.beta_deg, airs[setting.air]
-            name = f"scan_{setting.air}_{setting.temperature_c:g}C_beta{setting.beta_deg:g}"
-            inputs = {"setting": str(setting), "broadening": str(airs[setting.air])}
-            make = _call(lambda *its: reconstruct(self.scenes.scene(*its)), *at)
-            found[setting] = self.stored(name, inputs, make, Reconstruction)
+            air, temperature_c, beta_deg = vars(setting).values()
+            name = f"scan_{air}_{temperature_c:g}C_beta{beta_deg:g}"
+            inputs = {"setting": str(setting), "broadening": str(airs[air])}
+            make = partial(self._scan, temperature_c, beta_deg, airs[air])
+            found[setting] = Reconstruction(**self.stored(name, inputs, make))
         return found
 
-
-def _call(function: Callable[..., T], *arguments: Any) -> Callable[[], T]:
-    return lambda: function(*arguments)
+    def _scan(self, *its: Any) -> Reconstruction:
+        return reconstruct(self.scenes.scene(*its))
 
 
 def _part(report: Report, number: int, count: int) -> Report:
     return lambda stage, fraction: report(stage, (number + fraction) / count)
-
-
-def _write(path: Path, value: Any) -> None:
-    """A flat dataclass's fields as arrays."""
-    arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(value)}
-    with path.open("wb") as file:
-        np.savez(file, **arrays)
