@@ -28,7 +28,7 @@ def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
     sampler = sensor.sampler().fork()
     if spp:
         level = mi.logger().log_level()
-        mi.logger().set_log_level(mi.LogLevel.Error)  # what it takes in place of it is told below
+        mi.logger().set_log_level(mi.LogLevel.Error)  # what is used in place of it is logged below
         try:
             sampler.set_sample_count(spp)
         finally:
@@ -54,7 +54,7 @@ class Exposure:
     pixels : int
         How many will be exposed in all.
     progress : callable
-        Told the fraction done.
+        Called with the fraction done.
     on_film : bool
         Whether the sensor's film is exposed too: Mitsuba takes the image from there.
     """
@@ -147,7 +147,7 @@ class Exposure:
                 self._progress(min(1.0, self._done / self._pixels))
 
     def _take_over(self) -> None:
-        """Take samples that are under way into the image."""
+        """Add samples that are being computed to the image."""
         for pixels, value in self._under_way:
             self._image[pixels] = np.array(value)[0]
         self._under_way.clear()

@@ -115,7 +115,7 @@ class LaserLineEmitter(SourceEmitter):
 
 
 def pose_of(props: mi.Properties) -> Pose:
-    """Where the exit stands: a rotation and a place, since what else it is told it can't do."""
+    """Pose of the exit: a rotation and a place; other transforms are refused."""
     matrix = np.asarray(props["to_world"].matrix, float).reshape(4, 4)
     axes = matrix[:3, :3]
     if not np.isfinite(matrix).all():

@@ -34,11 +34,11 @@ Image = NDArray[np.float32]
 Columns = NDArray[np.intp]
 
 _SPARE = 1.5  # times what the probes were moved by
-_MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the probes tell
+_MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the probes show
 _EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels at an edge
-_PROBES = 64  # rays of a source's that tell about how far light is moved
-_FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes tell
-_FAR_MM = 2.0  # likewise where no probes can tell
+_PROBES = 64  # rays of a source that show how far light is moved, about
+_FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes show more
+_FAR_MM = 2.0  # likewise where there are no probes
 _MOST_TRIALS = 6
 _OF_EACH = 0.5  # of the tolerance, of the camera and the source: other parts of a frame err too
 _PAD_PX = 2.0  # what the maps hold round the lit pixels
@@ -64,7 +64,7 @@ class RenderReport:
     march_px : float
         What half the march's step changes at some lit pixels, at most; NaN where none were asked.
     samples, marched : int
-        Samples that looked for the sources' light, and those of them that were marched.
+        Samples for which the sources' light was searched, and those of them that were marched.
     folded : int
         Pixels near the light to whose centre no single ray of a source was found: they are black.
     """
@@ -90,7 +90,7 @@ class LitPixels:
     names : tuple of str
         Of the sources whose light is seen, as the tracer has them.
     tracer : Tracer
-        That tells of the pixels' samples.
+        That traces the pixels' samples.
     report : RenderReport
     sight : Sight or None
         At the pixels' centres, in their order; None if there are none.
@@ -112,9 +112,9 @@ def find_lit_pixels(
 ) -> LitPixels:
     """Find the pixels that sources light; of some columns, if they are given.
 
-    1. Straight rays of all pixels, and a few bent ones, tell where to search.
+    1. Straight rays of all pixels, and a few bent ones, show where to search.
     2. Maps of what is there are made to the tolerance, if the transport is by maps.
-    3. The transport tells which pixels are lit; their neighbours count too.
+    3. The transport finds which pixels are lit; their neighbours count too.
     """
     field, march = (None if transport.name == "straight" else medium), transport.march
     by_maps = transport.name in ("tabulated", "straight")
@@ -176,7 +176,7 @@ class _Beam:
     index : ndarray of shape (N,)
         Pixels.
     seen, own : ndarray of shape (N, 3)
-        Where they look if light runs straight, in the camera's coordinates and in the source's.
+        Where they see if light runs straight, in the camera's coordinates and in the source's.
     margin : ndarray of shape (2,)
         By how much the source's light on the part may be moved, in its coordinates.
     moved : ndarray of shape (2,)
@@ -290,7 +290,7 @@ def _searched(
     march: March,
     sources: Mapping[str, Source],
 ) -> _Region:
-    """Where light may be seen, as a few bent rays tell.
+    """Where light may be seen, by a few bent rays.
 
     Raises
     ------

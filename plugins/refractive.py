@@ -90,7 +90,7 @@ class Refractive(mi.SamplingIntegrator):
         return self.air.read()
 
     def arrangement(self, scene: mi.Scene, sensor: mi.Sensor) -> Arrangement:
-        """What a frame of a scene is made of, if nobody but Mitsuba's scene tells."""
+        """What a frame of a scene is made of, from Mitsuba's scene alone."""
         medium, transport = self.medium, self.transport
         try:
             transport.march.check(None if transport.name == "straight" else medium)

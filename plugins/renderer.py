@@ -213,7 +213,7 @@ class Prepared:
 
     @staticmethod
     def of(arrangement: Arrangement, column: Columns | None = None) -> "Prepared":
-        """Find the lit pixels, all or those of some columns, and what tells of their samples."""
+        """Find the lit pixels, all or those of some columns, and what traces their samples."""
         given = arrangement.medium, arrangement.sources, arrangement.transport, column
         return Prepared(arrangement, find_lit_pixels(arrangement.straight, *given))
 
@@ -245,7 +245,7 @@ class Prepared:
             Samples a pixel; 0: as many as the scene's sampler has.
         seed : int
         progress : callable, optional
-            Told the fraction done.
+            Called with the fraction done.
         others : bool
             Whether pixels that no source lights are exposed too, if there are lamps.
         on_film : bool

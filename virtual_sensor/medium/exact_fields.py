@@ -105,7 +105,7 @@ def luneburg(radius_mm: float, **where: Any) -> ExactField:
 
 
 def hot_spot(depth: float, width_mm: float, **where: Any) -> ExactField:
-    """n^2 = 1 - depth exp(-r^2/2w^2): a soft ball of hot air; Bouguer's r x T is kept."""
+    """n^2 = 1 - depth exp(-r^2/2w^2): a soft ball of hot air; Bouguer's r x T is conserved."""
 
     def n_squared(p: Any) -> tuple[Any, Any, Any]:
         w2 = width_mm**2

@@ -8,7 +8,7 @@ and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (k
   instants of the flow. Between two of them the stored quantity is interpolated linearly. A single
   instant needs no coordinate;
 - a variable ``solid`` (x, y, z), 1 inside the solid: its nodes are filled from the air around, and
-  whatever the file has there, fill values or NaN, is not looked at;
+  whatever the file has there, fill values or NaN, is ignored;
 - the surrounding air, as attributes of the variable or of the file: ``ambient_temperature`` (in the
   variable's units), ``ambient_pressure`` (Pa) and ``ambient_relative_humidity`` (0 to 1) go with a
   temperature, ``ambient_density`` with a density, ``ambient_refractivity`` with a refractivity.

@@ -90,8 +90,8 @@ def open_netcdf(path: Path) -> Contents:
     try:
         nc = _File(io.BytesIO(content), "r", mmap=False)
     except Exception as error:  # of struct, NumPy and others, as the damage will have it
-        told = f"{error}".partition("\n")[0][:200] or type(error).__name__
-        raise InputError(f"is truncated or damaged ({told}); copy it again") from error
+        cause = f"{error}".partition("\n")[0][:200] or type(error).__name__
+        raise InputError(f"is truncated or damaged ({cause}); copy it again") from error
     for name, variable in nc.variables.items():
         attributes = getattr(variable, "_attributes", None)
         taken = _OF_VARIABLES & set(attributes if isinstance(attributes, dict) else _OF_VARIABLES)

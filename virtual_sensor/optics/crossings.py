@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 _MOST_STEPS = 20
 _SETTLED_MM = 1e-9
-_PROBES = 32  # straight crossings that tell how far bent ones may lie from them
+_PROBES = 32  # straight crossings that show how far bent ones may lie from them
 _ROOM = 3.0  # times the displacements there
 _MOST_MAPS = 4
 _FARTHEST = 2.0  # times its straight depth, a bent crossing is given up

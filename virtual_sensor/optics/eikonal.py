@@ -24,7 +24,7 @@ from virtual_sensor.optics.surfaces import NoSurface, Surface
 from virtual_sensor.poses import Pose
 
 LAST_PIECE_MM = 0.05
-"""The last, straight piece of a ray onto a surface: so short that Mitsuba's float32 is exact."""
+"""The last, straight segment of a ray onto a surface: so short that Mitsuba's float32 is exact."""
 
 _BORDER_MM = 1e-3  # rays overstep the border by this, so that rounding can't hold them there
 _SAFETY, _FACTOR = 0.9, 5.0  # of the step that the error estimate asks for; its largest change
@@ -239,7 +239,7 @@ def _march(
     box = _box(field, march)
     longest = dr.opaque(march.scalar, march.step_mm)  # one kernel for any step
     tolerance = dr.opaque(march.scalar, march.tolerance_mm)
-    lever = dr.norm(box[1] - box[0])  # a wrong slope leads astray all the way out
+    lever = dr.norm(box[1] - box[0])  # a wrong slope leads astray far beyond
     close = 1e-4 if march.precision == "single" else 1e-9
 
     def step(ray: BentRays, h: Any) -> BentRays:
@@ -390,7 +390,7 @@ def _run_straight(
 
 
 def _onto_surface(line: Straight, ray: BentRays, surface: Surface, active: Any) -> BentRays:
-    """Put rays that are within a micrometre or so of a surface onto it, by a straight piece."""
+    """Put rays that are within a micrometre or so of a surface onto it, by a straight segment."""
     T = ray.tangent(line)
     back = ray.moved(-LAST_PIECE_MM)
     length = dr.norm(T)

@@ -235,7 +235,7 @@ def _four_functions(
 class LinearTable:
     """Some functions of three coordinates in Dr.Jit: linear along two of them, cubic along one.
 
-    A cubic along the coordinate that would need most nodes, out of two linear look-ups (Sigg and
+    A cubic along the coordinate that would need most nodes, out of two linear lookups (Sigg and
     Hadwiger 2005, GPU Gems 2, chapter 20), keeps the table in the processor's cache.
 
     Parameters
@@ -269,7 +269,7 @@ class LinearTable:
         cell = dr.minimum(dr.floor(node[k]), dr.maximum(self._last[k] - 1.0, 0.0))
         f = node[k] - cell
         g = 1.0 - f
-        # Weights of the four coefficients; a pair is one linear look-up between the two.
+        # Weights of the four coefficients; a pair is one linear lookup between the two.
         first, third = g * g * g / 6.0, (1.0 + 3.0 * f * (1.0 + f * g)) / 6.0
         second, fourth = (1.0 + 3.0 * g * (1.0 + g * f)) / 6.0, f * f * f / 6.0
         values = []

@@ -4,7 +4,7 @@ The ray of a family (`ray_families`) through a point P is the root of
 
     F(s, t) = where the bent ray crosses the plane through P square to the family's axis, minus P,
 
-and the same Jacobian dF/d(s, t) that Newton needs tells how the field concentrates the light: flux
+and the same Jacobian dF/d(s, t) that Newton needs gives how the field concentrates the light: flux
 is conserved in a tube of rays.
 """
 
@@ -21,7 +21,7 @@ from virtual_sensor.optics.surfaces import NoSurface, Surface
 
 _SETTLED_MM = 5e-3  # of a miss: Newton's correction of it leaves about 0.01 um
 _MAX_MARCHES = 8
-_CLEARANCE_MM = 0.05  # shadows are looked for up to here before the point itself
+_CLEARANCE_MM = 0.05  # shadows are searched up to here before the point itself
 
 
 class LightStatus(IntEnum):
@@ -30,7 +30,7 @@ class LightStatus(IntEnum):
     LIT = 0
     """A ray of these coordinates arrives (its intensity may still be nil)."""
     SHADOWED = 1
-    """Something stands in its way."""
+    """The ray is blocked."""
     FOLDED = 2
     """Newton found no single ray: a caustic, or rays turned away."""
     NO_POINT = 3
@@ -91,7 +91,7 @@ def illuminate(
     Notes
     -----
     Without light near by the first two marches carry tangents, which give the Jacobian; the later
-    ones keep it (the chord method), and also look for shadows.
+    ones keep it (the chord method), and also search for shadows.
     """
     frame = FamilyFrame.of(family, march.vector)
     x, y, depth = frame.local(points)

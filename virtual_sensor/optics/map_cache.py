@@ -36,6 +36,8 @@ from virtual_sensor.optics.rays import Field, March
 
 Array = NDArray[np.float64]
 Make = Callable[[Field | None, RayFamily, Array, Array, March, float], RayMap]
+Asked = tuple[Field | None, RayFamily, Array, Array, March, float]
+"""Medium, family, lowest and highest corner of the box (3,), march and tolerance in mm of a map."""
 
 _MOST_BYTES = 512 << 20
 _MOST_MAPS = 256  # failures, which take no memory, among them
@@ -81,31 +83,15 @@ class MapCache:
         self._number = 0
         self._lock = threading.RLock()
 
-    def forward(
-        self,
-        medium: Field | None,
-        family: RayFamily,
-        low: Array,
-        high: Array,
-        march: March,
-        tolerance_mm: float,
-    ) -> ForwardMap:
+    def forward(self, *asked: *Asked) -> ForwardMap:
         """A map as `forward_map` makes it, of a box that holds the one asked for."""
-        found = self._found(self._forward, medium, family, low, high, march, tolerance_mm)
+        found = self._found(self._forward, *asked)
         assert isinstance(found, ForwardMap)
         return found
 
-    def inverse(
-        self,
-        medium: Field | None,
-        family: RayFamily,
-        low: Array,
-        high: Array,
-        march: March,
-        tolerance_mm: float,
-    ) -> InverseMap:
+    def inverse(self, *asked: *Asked) -> InverseMap:
         """A map as `inverse_map` makes it, of a box that holds the one asked for."""
-        found = self._found(self._inverse, medium, family, low, high, march, tolerance_mm)
+        found = self._found(self._inverse, *asked)
         assert isinstance(found, InverseMap)
         return found
 
@@ -233,7 +219,7 @@ def _rays(family: RayFamily, low: Array, high: Array) -> Array:
 
 
 def _of(found: RayMap | NoMapError, family: RayFamily) -> RayMap:
-    """A map for a family that may stand elsewhere in the world, with its medium."""
+    """A map for a family that may have another pose in the world, with its medium."""
     if isinstance(found, NoMapError):
         kind = CausticError if isinstance(found, CausticError) else NoMapError
         raise kind(str(found))

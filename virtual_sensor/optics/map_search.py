@@ -2,7 +2,7 @@
 
 A ray is followed by tangents: from before the part along the tangent at about where the ray ends,
 then from half a millimetre before the place found, along the tangent there. A line of sight needs
-no more than the tangent in the point that it is to see, unless something is met elsewhere. Rays
+no more than the tangent in the point that it is to see, unless something is met before it. Rays
 that run off a map, or see a caustic, are left to Newton's search.
 """
 
@@ -134,7 +134,7 @@ def _deeper(places: Array) -> Array:
 
 
 def _met(bent: ForwardMap, places: Array, surface: Surface) -> tuple[Array, Mask]:
-    """Where the rays of places (N, 3) meet a surface, which is looked for from their depths on.
+    """Where the rays of places (N, 3) meet a surface, which is searched from their depths on.
 
     Returns
     -------

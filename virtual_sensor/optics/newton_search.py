@@ -30,7 +30,7 @@ _NODES = (2001, 301)  # where it is seen by how much the next finer ones differ
 _DOUBLED = 2  # times at most that there are too few of them
 _GAIN = 4.0  # at least so much less do cubics err when their nodes are doubled
 _ALLOWED_PX = 1e-6  # estimate of what is interpolated wrongly
-_NEAR_MM = 0.01  # a point farther from what its neighbours tell lies behind an edge, or is hidden
+_NEAR_MM = 0.01  # a point farther from where it is expected lies behind an edge, or is hidden
 _LINEAR_PX = 1e-3  # so near the root the slopes do: they are good to 1e-4
 _NUDGE_PX = 0.01  # for slopes
 _SETTLED_PX = 1e-5  # what remains is this times the slopes' error
@@ -98,7 +98,7 @@ def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) 
 def newton_along_line(scene: SearchScene, b: Array) -> Roots:
     """Search by Newton's method with `REFERENCE`, with fine marches at some places b only.
 
-    Every ray is marched with long steps, to the surface and back, from where its neighbours tell
+    Every ray is marched with long steps, to the surface and back, from where its neighbours predict
     that its pixel is: what is seen is off by some 1e-5 px, and one of Newton's steps, without a
     march, puts the pixel right.  By how much long steps err is interpolated between nodes.  Rays
     where that is not good to 1e-6 px by an estimate, or that meet no smooth surface, or see
@@ -111,23 +111,23 @@ def newton_along_line(scene: SearchScene, b: Array) -> Roots:
     for step_mm, nodes in reversed(list(zip(_LADDER_MM, _NODES, strict=True))):
         table = _good_table(scene, np.linspace(b.min(), b.max(), nodes), step_mm, table, len(b))
     assert table is not None
-    told = table.at(b)
+    known = table.at(b)
     long = _steps_of(_LADDER_MM[0])
     target = incidence_points(scene, b, long)
-    start = camera.project(target) + told.bent_px
+    start = camera.project(target) + known.bent_px
     seen = seen_points(scene, start, long)
 
     away = (target - seen) @ camera.pose.rotation
     sight = camera.lines_of_sight(np.nan_to_num(start)) @ camera.pose.rotation
-    change = _step(told.slopes, away[:, :2] - sight[:, :2] * (away[:, 2] / sight[:, 2])[:, None])
+    change = _step(known.slopes, away[:, :2] - sight[:, :2] * (away[:, 2] / sight[:, 2])[:, None])
     linear = np.abs(change).max(axis=1) <= _LINEAR_PX
-    near = np.linalg.norm(np.stack([away, target - told.target]), axis=2).max(axis=0) <= _NEAR_MM
+    near = np.linalg.norm(np.stack([away, target - known.target]), axis=2).max(axis=0) <= _NEAR_MM
     off = ~(linear & near)  # NaN too
     found = Roots(
-        target + told.target_off,
-        start + change + told.pixel_off,
-        told.slopes,
-        seen + told.target_off,
+        target + known.target_off,
+        start + change + known.pixel_off,
+        known.slopes,
+        seen + known.target_off,
         np.zeros(len(b), int),
     )
     if off.any():
@@ -225,7 +225,7 @@ class _Row:
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows at places b (N,), and in which of the N - 1 intervals cubics tell what is between."""
+    """Rows at places b (N,), and in which of the N - 1 intervals cubics hold between them."""
 
     b: Array
     rows: _Row
@@ -260,15 +260,15 @@ def _table(scene: SearchScene, b: Array, step_mm: float, finer: _Table | None) -
         start, _ = _chords(scene, target, start, slopes, long, most=1)
         rest = np.zeros((len(b), 3)), np.zeros((len(b), 2))
     else:
-        told, fine = finer.at(b), _steps_of(_LADDER_MM[1])
-        start, slopes = scene.camera.project(target) + told.bent_px, told.slopes
-        rest = told.target_off, told.pixel_off
+        known, fine = finer.at(b), _steps_of(_LADDER_MM[1])
+        start, slopes = scene.camera.project(target) + known.bent_px, known.slopes
+        rest = known.target_off, known.pixel_off
     pixel, _ = _chords(scene, target, start, slopes, long, most=1)
     next_target = incidence_points(scene, b, fine)
     next_pixel, _ = _chords(scene, next_target, pixel, slopes, fine, most=1)
     target_off, pixel_off = next_target - target, next_pixel - pixel
 
-    # Every other node tells the one between: cubics through all of them err less.
+    # Every other node predicts the one between: cubics through all of them err less.
     both = np.concatenate([pixel_off, target_off / _mm_per_px(slopes)[:, None]], axis=1)
     between = (9.0 * (both[2:-4] + both[4:-2]) - both[:-6] - both[6:]) / 16.0
     wrong = np.abs(between - both[3:-3]).max(axis=1)

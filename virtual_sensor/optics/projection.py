@@ -68,7 +68,7 @@ def project(
 ) -> Array:
     """The pixels at which a scene's camera sees points, along bent lines of sight.
 
-    Good to 0.001 px; `projected_points` tells why a point has no pixel, and takes a tolerance.
+    Good to 0.001 px; `projected_points` says why a point has no pixel, and takes a tolerance.
 
     Parameters
     ----------

@@ -249,8 +249,8 @@ class Sheet(RayFamily):
 class Pinhole(RayFamily):
     """Rays through one point: a camera's lines of sight, or the light of a projector.
 
-    s = p and t = q are x/z and y/z of an ideal pinhole; the matrix and the distortion tell which
-    pixel has them (equations 2 and 3 of Beermann et al. 2018, where there is no distortion).
+    s = p and t = q are x/z and y/z of an ideal pinhole; the matrix and the distortion give the
+    pixel that has them (equations 2 and 3 of Beermann et al. 2018, where there is no distortion).
 
     Attributes
     ----------

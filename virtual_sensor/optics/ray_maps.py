@@ -6,7 +6,7 @@ the straight ray (s0, t0) is at a depth has the coordinates (s0, t0) + shift.  B
 any part's shape.  Only differences from straight rays are stored, so that float32 is exact to a
 nanometre.
 
-A map is made to a tolerance.  Rays along lines through the box tell about how many nodes each
+A map is made to a tolerance.  Rays along lines through the box show about how many nodes each
 coordinate needs; rays are marched to some depths, with cubics between them, and between the nodes,
 and the grid is refined along the axes that need it.  The inverse is found at the nodes of its own
 grid from the forward map by Newton's method, and checked by marching.
@@ -44,7 +44,7 @@ _ALONG = (
     193,
     193,
     17,
-)  # rays of a line along s, t and depth: they tell how fine a grid to begin with
+)  # rays of a line along s, t and depth: they show how fine a grid to begin with
 _LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 1_500, 30_000, 250_000, 10_000_000
 _MOST_FIRST_ALONG = 500
 _MANY = 20_000  # nodes, whose rays are marched once through all depths
@@ -274,7 +274,7 @@ class ForwardMap(RayMap):
         return np.asarray((_determinant(jacobian) / spread <= 0.0) | (trace <= 0.0))
 
     def _turned(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
-        """Where tubes are known to be turned over: only the map's own places tell."""
+        """Where tubes are known to be turned over: only the map's own places show it."""
         return self.table.grid.holds(places) & self._folded(places, jacobian)
 
     def _through(self, places: Array, moved: Array, jacobian: Array) -> "_Through":
@@ -319,7 +319,7 @@ class _Through:
     jacobian : ndarray of shape (N, 2, 2)
         There.
     folded, missed : ndarray of shape (N,)
-        Rays that met a fold on their way, and those that were not found.
+        Rays that met a fold on their path, and those that were not found.
     """
 
     start: Array

@@ -168,7 +168,7 @@ class Straight:
 
 @dataclass
 class BentRays:
-    """Rays on their way; every member is a Dr.Jit array over the rays.
+    """Rays being marched; every member is a Dr.Jit array over the rays.
 
     Attributes
     ----------
@@ -200,7 +200,7 @@ class BentRays:
         return line.direction + self.tau[0]
 
     def moved(self, dt: Any) -> "BentRays":
-        """The same rays a straight piece further on."""
+        """The same rays a straight segment further on."""
         offset = tuple(x + v * dt for x, v in zip(self.offset, self.tau, strict=True))
         return replace(self, t=self.t + dt, offset=offset)
 

@@ -114,7 +114,7 @@ def line_sensitivity(
     scene : Scene
         From `load_scene`, or what else a search can do with.
     laser_y_mm : array_like of shape (N,)
-        Positions b of the rays along the line; `laser_y_at` tells those that image columns see.
+        Positions b of the rays along the line; `laser_y_at` gives those that image columns see.
     parameters : iterable of str, optional
         Of `pose_parameters`; ``beta``, the sensor's turn in degrees about the analytic cylinder's
         axis; ``field_scale``, a factor at the field's difference from its surroundings, where it
@@ -144,7 +144,7 @@ def line_sensitivity(
         raise InputError(f"line_sensitivity: no parameter '{unknown[0]}'; there are: {names}")
     taken = [name for name in air if name in (*known, "field_scale")]
     if taken:
-        raise InputError(f"line_sensitivity: '{taken[0]}' has a meaning; name the variation anew")
+        raise InputError(f"line_sensitivity: '{taken[0]}' has a meaning; choose another name")
     asked = list(dict.fromkeys([*asked, *air]))
     if air and scene.field is None:
         raise InputError("line_sensitivity: the scene has no field that could vary; give it one")
@@ -305,7 +305,7 @@ def _carry(
 
 
 def _at_the_border(field: Field, rays: RayStarts, by_start: Array) -> Array:
-    """What `by_start` (N, 3, 6) lacks: rays that start elsewhere enter the field later or earlier.
+    """What `by_start` (N, 3, 6) lacks: rays shifted at their start enter it later or earlier.
 
     Where it has not quite faded at its border, they miss some of its pull, as if they were kicked
     there.  The march itself knows nothing of it: it carries derivatives through smooth fields.

@@ -122,7 +122,7 @@ def _to_surface(scene: SearchScene, origins: Array, directions: Array, march: Ma
     def hits(origins: Array, directions: Array) -> Array:
         line = _line(origins, directions, march)
         ray = bend(scene.field, scene.surface, line, march)
-        dr.eval(ray)  # once: what is asked of it one by one is marched anew each time
+        dr.eval(ray)  # once: each part evaluated alone would be marched again
         hit = np.array(ray.status) == RayStatus.HIT
         return np.where(hit[:, None], to_numpy(ray.position(line)), np.nan)
 

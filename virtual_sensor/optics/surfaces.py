@@ -14,7 +14,7 @@ _NEAR_MM = 1.0  # float32 hits from so near are good to 0.03 um
 
 
 class Surface(Protocol):
-    """Something that straight pieces of a ray can meet."""
+    """Something that straight segments of a ray can meet."""
 
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """Distance in mm to the first point met along unit directions; inf for none in reach."""
@@ -25,7 +25,7 @@ class Surface(Protocol):
 
 @dataclass(frozen=True)
 class NoSurface:
-    """Nothing stands in the way."""
+    """There is nothing to meet."""
 
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """Infinite."""
@@ -53,7 +53,7 @@ def own_variant(scene: Any) -> None:
 
 @dataclass(frozen=True)
 class SceneSurface:
-    """All shapes of a Mitsuba scene.  Its intersections are float32: keep the pieces short."""
+    """All shapes of a Mitsuba scene.  Its intersections are float32: keep the segments short."""
 
     scene: Any
 
@@ -106,7 +106,7 @@ class Cylinder:
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
         """Where the ray enters both the round tube and the slab between the end faces."""
         y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm
-        # Not zero, so that a ray along the axis is in the tube all the way, or never.
+        # Not zero, so that a ray along the axis is in the tube for its whole length, or never.
         a = dr.maximum(dr.square(direction.y) + dr.square(direction.z), 1e-30)
         b = y * direction.y + z * direction.z
         c = dr.square(y) + dr.square(z) - self.radius_mm**2

@@ -11,7 +11,7 @@ from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap
 from virtual_sensor.optics.surfaces import SceneSurface
 
 _REACH_MM = 0.5  # the last search for a surface reaches so far before and behind the place guessed
-_CLEARANCE_MM = 0.05  # shadows are looked for up to here before the point itself
+_CLEARANCE_MM = 0.05  # shadows are searched up to here before the point itself
 
 
 @dataclass
@@ -41,8 +41,8 @@ class Hits:
 def hits(rays: ForwardMap, surface: SceneSurface, ray: Any, march: March) -> Hits:
     """Where bent rays meet a surface.
 
-    The straight ray tells about where; the bent ray's tangent there, where nearly; the tangent at
-    this place, where.
+    The straight ray gives a first estimate, the bent ray's tangent there a second, and the tangent
+    at that place the result.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def light(
 ) -> tuple[Illumination, Any]:
     """Light of a family's bent rays at points, and which of these are off the map.
 
-    A shadow is looked for along the chord from where the ray comes among the shapes.
+    A shadow is searched along the chord from where the ray comes among the shapes.
     """
     frame = FamilyFrame.of(rays.family, mi.Array3f)
     table, family = rays.linear, frame.family

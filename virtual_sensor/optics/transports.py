@@ -186,7 +186,7 @@ class Marched:
 
 @dataclass(frozen=True)
 class Tabulated:
-    """Ray maps tell of camera and sources; rays of which they can't tell are marched.
+    """Ray maps answer for camera and sources; rays that they don't hold are marched.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Tabulated:
     maps : tuple of InverseMap
         Of the sources.
     pads : tuple of ndarray of shape (2,)
-        How near to a source's light, in its coordinates, its map must tell of a ray.
+        How near to a source's light, in its coordinates, its map must hold a ray.
     marched : Marched
     """
 

@@ -56,7 +56,7 @@ def test_debians_and_later_ones_of_upstream_are_found(machine, told, version):
     [
         (UPSTREAM.format(1806), "v1806 is too old; v1912"),
         ("Using: OpenFOAM-11 (see https://openfoam.org)", "11 is the OpenFOAM Foundation's"),
-        ("no such option", r"does not tell OpenFOAM's version \(no such option\); v1912"),
+        ("no such option", r"does not show OpenFOAM's version \(no such option\); v1912"),
     ],
 )
 def test_a_wrong_version_is_told_with_the_wanted_one(machine, told, message):

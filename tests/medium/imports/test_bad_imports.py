@@ -215,7 +215,7 @@ def test_a_missing_piece_is_refused(pv, tmp_path):
     mesh.cell_data["T"] = temperature(mesh.cell_centers().points)
     path = plume.write_parallel_mesh(tmp_path / "a.pvtu", mesh)
     (tmp_path / "piece1.vtu").unlink()
-    refused(path, "one of its pieces is missing", **K)
+    refused(path, "one of its parts is missing", **K)
 
 
 def test_an_openfoam_case_must_be_whole(pv, tmp_path):

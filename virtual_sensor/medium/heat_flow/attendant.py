@@ -1,4 +1,4 @@
-"""Run a program for a parent, and tell it by a signal when that parent dies: a script of its own.
+"""Run a program for a parent, and send it a signal when that parent dies: a script of its own.
 
     python -IS attendant.py SIGNAL PARENT PROGRAM [ARGUMENT ...]
 
@@ -24,14 +24,14 @@ def _tie(number: int, parent: int) -> None:
 
 def main(number: int, parent: int, command: list[str]) -> None:
     """Run the command to its end, and end as it did."""
-    told = {number, signal.SIGTERM} - {signal.SIGKILL}
-    signal.pthread_sigmask(signal.SIG_BLOCK, told)  # until there is a program to tell
+    passed_on = {number, signal.SIGTERM} - {signal.SIGKILL}
+    signal.pthread_sigmask(signal.SIG_BLOCK, passed_on)  # until there is a program
     _tie(number, parent)
     attendant = os.getpid()
 
     def begin() -> None:
         _tie(signal.SIGKILL, attendant)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, told)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, passed_on)
 
     program = subprocess.Popen(command, close_fds=False, preexec_fn=begin)
 
@@ -39,11 +39,11 @@ def main(number: int, parent: int, command: list[str]) -> None:
         signal.signal(given, signal.SIG_IGN)
         program.send_signal(given)
 
-    for given in told:
+    for given in passed_on:
         signal.signal(given, pass_on)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, told)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, passed_on)
     status = program.wait()
-    sys.exit(status if status >= 0 else 128 - status)  # as a shell tells of signals
+    sys.exit(status if status >= 0 else 128 - status)  # as a shell reports signals
 
 
 if __name__ == "__main__":

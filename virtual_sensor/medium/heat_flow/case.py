@@ -106,7 +106,7 @@ def divisions(processes: int, section: bool) -> str:
 def whole_step(write_interval_s: float, longest_s: float) -> str:
     """Time step, s, that goes into the interval a whole number of times; for `maxTimeStep`.
 
-    OpenFOAM rounds interval / step to whole steps. Where it lies half way between two (100 ms in
+    OpenFOAM rounds interval / step to whole steps. Where it lies midway between two (100 ms in
     steps of 8 ms), the last bit decided, and a run that was stopped went on with other steps.
     """
     count = math.ceil(write_interval_s / longest_s * (1.0 - 1e-9))
@@ -144,5 +144,5 @@ def write_parameters(
 
 def _entries(values: Mapping[str, tuple[str, str]]) -> str:
     """Lines of a dictionary, from names to values with a comment."""
-    lines = [f"{name:<24}{value + ';':<23} // {told}" for name, (value, told) in values.items()]
+    lines = [f"{name:<24}{value + ';':<23} // {words}" for name, (value, words) in values.items()]
     return "\n".join(lines) + "\n"

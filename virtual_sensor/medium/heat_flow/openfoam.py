@@ -106,16 +106,16 @@ def _version(environment: Mapping[str, str]) -> str:
         errors="replace",
         timeout=60,
     )
-    told = asked.stdout + asked.stderr
-    numbered = re.search(r"OpenFOAM-\S*\s+\(v?(\d{4})\)", told)
+    output = asked.stdout + asked.stderr
+    numbered = re.search(r"OpenFOAM-\S*\s+\(v?(\d{4})\)", output)
     if numbered and int(numbered[1]) >= OLDEST:
         return numbered[1]
-    name = re.search(r"OpenFOAM-(\S+)", told)
+    name = re.search(r"OpenFOAM-(\S+)", output)
     found = numbered or name
     which = found[1] if found else environment.get("WM_PROJECT_VERSION", "")
     if not which:
-        last = (told.strip().splitlines() or ["it says nothing"])[-1]
-        raise InputError(f"{SOLVER} -help does not tell OpenFOAM's version ({last}); {WANTED}")
+        last = (output.strip().splitlines() or ["it says nothing"])[-1]
+        raise InputError(f"{SOLVER} -help does not show OpenFOAM's version ({last}); {WANTED}")
     if numbered:
         raise InputError(f"OpenFOAM v{which} is too old; {WANTED}")
     raise InputError(
@@ -131,8 +131,8 @@ def _launcher() -> tuple[str, ...]:
             "several processes need mpirun, which is not on the PATH; apt-get install openmpi-bin,"
             " or ask for one process"
         )
-    told = subprocess.run(["mpirun", "--version"], capture_output=True, text=True, timeout=60)
-    if "Open MPI" not in told.stdout:
+    asked = subprocess.run(["mpirun", "--version"], capture_output=True, text=True, timeout=60)
+    if "Open MPI" not in asked.stdout:
         return ("mpirun", "-np")
     passed = ("-x", "WM_PROJECT_DIR", "-x", "FOAM_SIGFPE")
     root = ("--allow-run-as-root",) if os.geteuid() == 0 else ()
@@ -174,23 +174,23 @@ def run_tool(foam: OpenFoam, folder: Path, tool: str, *arguments: str) -> str:
 
 
 def fatal_error(text: str) -> str:
-    """The cause that a log tells with FOAM FATAL, in a line with file, line and remedy; or ""."""
+    """The cause that a log gives with FOAM FATAL, in a line with file, line and remedy; or ""."""
     lines = [re.sub(r"^\[\d+\] ?", "", line).strip() for line in text.splitlines()]
     starts = [i for i, line in enumerate(lines) if line.startswith("--> FOAM FATAL")]
     if not starts:
         return ""
-    told: list[str] = []
+    said: list[str] = []
     for line in lines[starts[0] + 1 :]:
         if line.startswith(("From ", "FOAM exiting", "FOAM aborting", "FOAM parallel run")):
             break
-        told += [line] if line else []
-    cause = "; ".join(told)
+        said += [line] if line else []
+    cause = "; ".join(said)
     remedies = [remedy for sign, remedy in _REMEDIES.items() if sign in cause]
     return "; ".join([cause, *remedies])
 
 
 def ending(text: str, status: int) -> str:
-    """How a program ended that tells no cause: by which signal, and its last line."""
+    """How a program ended that gives no cause: by which signal, and its last line."""
     if status in (-9, 137):
         return "it was killed; if not by you, then for want of memory"
     if status in (-8, 136) or "sigFpe::sigHandler" in text:

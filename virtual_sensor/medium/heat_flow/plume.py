@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 SIMILARITY = {"temperature": -0.6, "velocity": 0.2, "width": 0.4}
 """Exponents of height of a line plume."""
 
-_FINE = 2000  # points of a row in which its half width is looked for
+_FINE = 2000  # points of a row in which its half width is searched
 _LAYER_MM = 1e-3
 
 
@@ -116,7 +116,7 @@ def plume_exponents(
     """Exponents of height over the virtual origin, by least squares in logarithms.
 
     The virtual origin is where the straight line through (mass width)^(5/2) meets zero, so that
-    temperature and velocity, which did not choose it, tell whether the plume is similar to itself.
+    temperature and velocity, which did not choose it, show whether the plume is similar to itself.
 
     Parameters
     ----------

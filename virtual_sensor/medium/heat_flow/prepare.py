@@ -30,7 +30,7 @@ def prepare_case(
     Raises
     ------
     InputError
-        If the folder holds something else, or a case whose set-up differs; it tells wherein.
+        If the folder holds something else, or a case whose set-up differs; it says wherein.
     """
     if not folder.exists():
         return write_case(flow, folder, end_s, write_interval_s, processes)
@@ -59,9 +59,9 @@ def make_mesh(foam: OpenFoam, folder: Path) -> None:
     shutil.rmtree(mesh, ignore_errors=True)
     for command in mesh_commands(setup_of(folder)):
         run_tool(foam, folder, *command)
-    told = run_tool(foam, folder, "checkMesh", "-time", "0")
-    if "Mesh OK." not in told:
-        faults = [line.strip(" *") for line in told.splitlines() if line.startswith(" ***")]
+    output = run_tool(foam, folder, "checkMesh", "-time", "0")
+    if "Mesh OK." not in output:
+        faults = [line.strip(" *") for line in output.splitlines() if line.startswith(" ***")]
         raise InputError(f"{folder}: the mesh does not pass checkMesh: {'; '.join(faults)}")
 
 
@@ -113,7 +113,7 @@ def set_parameters(folder: Path, **values: str) -> None:
     for name, value in values.items():
         text, found = re.subn(rf"^({name}\s+)[^;]+;", rf"\g<1>{value};", text, flags=re.M)
         if not found:
-            raise InputError(f"{path}: has no entry {name}; write the case anew")
+            raise InputError(f"{path}: has no entry {name}; write the case again")
     if text != old:
         with written_whole(path) as new:
             new.write_text(text, encoding="utf-8")
@@ -135,5 +135,5 @@ def setup_of(folder: Path) -> dict[str, object]:
         ) from error
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{folder / SETUP}: can't be read ({error}); write the case anew"
+            f"{folder / SETUP}: can't be read ({error}); write the case again"
         ) from error

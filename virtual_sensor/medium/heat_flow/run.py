@@ -2,7 +2,7 @@
 
 The solver starts from the latest whole
 time, and writes at multiples of the interval of writing. It reckons those from where it starts: one
-that was stopped in between first does a leg to the next of them, told by the file `system/leg`.
+that was stopped in between first does a leg to the next of them, set by the file `system/leg`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from virtual_sensor.medium.heat_flow.prepare import (
 from virtual_sensor.medium.heat_flow.solver import LOG, Solver, Step, Watch
 
 SAME_TIME = 1e-6  # of the interval of writing; the names of times have eight digits
-PERIOD_S = 0.1  # at which the solver is looked at
+PERIOD_S = 0.1  # at which the solver is polled
 PACE_WINDOW_S = 30.0  # over which its pace is taken
 FULL_DISK_MB = 10.0
 PATIENCE_S = 120.0  # with the solver of a killed run, which writes its last step
@@ -89,7 +89,7 @@ def run_case(
     processes : int
         On which it is solved, over MPI if several; may change from run to run.
     report : callable
-        Is told the progress, a few times a second at most.
+        Called with the progress, a few times a second at most.
     stop : callable
         Is asked after each saved time, s, whether this will do.
 
@@ -97,9 +97,9 @@ def run_case(
     ------
     InputError
         If the folder is no case, another run is at work in it, OpenFOAM is not there or fails, or
-        the run diverges; all sound times are kept.
+        the run diverges; all sound times stay.
     Interrupted
-        On KeyboardInterrupt or SystemExit, after the solver has written the step under way.
+        On KeyboardInterrupt or SystemExit, after the solver has written the current step.
     """
     made = setup_of(folder)
     foam = find_openfoam(processes > 1)
@@ -160,7 +160,7 @@ class _Run:
             while running and not (trouble or stopped):
                 running = solver.running  # asked first, so that the last words are heard too
                 steps = solver.read()
-                trouble = watch.look(folder, steps)
+                trouble = watch.check(folder, steps)
                 if steps:
                     last = steps[-1]
                     self.report(self._progress(pace, last))
@@ -199,18 +199,18 @@ class _Run:
         return Progress("solving", step.time_s, self.end_s, left, step)
 
     def _failed(self, watch: Watch, when: float, trouble: str, cause: str) -> str:
-        """Put the folder in order after a failure, and tell of it."""
+        """Put the folder in order after a failure, and describe it."""
         saved.remove_unfinished(self.folder)
         diverged = trouble or any(s in cause for s in ("floating point", "number of iterations"))
         if diverged:
             saved.remove_later(self.folder, watch.sound_until_s)
-        kept = f"the last sound time, {_reached(self.folder):.8g} s, is kept"
+        left = f"the last sound time is {_reached(self.folder):.8g} s"
         if not diverged:
             full = "the disk is full; " if _free_mb(self.folder) < FULL_DISK_MB else ""
             what = f"the solver failed at {when:.8g} s of flow: {full}{cause}"
-            return f"{self.folder}: {what}; {kept}; see {LOG}"
+            return f"{self.folder}: {what}; {left}; see {LOG}"
         return (
-            f"{self.folder}: diverged at {when:.8g} s of flow: {trouble or cause}; {kept}; use"
+            f"{self.folder}: diverged at {when:.8g} s of flow: {trouble or cause}; {left}; use"
             f" smaller time steps (maxCourant in {self.folder / 'parameters'}) or other cells"
         )
 

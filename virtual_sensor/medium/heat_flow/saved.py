@@ -46,7 +46,7 @@ def processor_folders(folder: Path) -> list[Path]:
 
 
 def remove_unfinished(folder: Path) -> list[str]:
-    """Remove time folders that a killed run left half-written; tell their names."""
+    """Remove time folders that a killed run left half-written; give their names."""
     parts = processor_folders(folder)
     names = [p.name for p in time_folders(folder) if not _whole(p)]
     for path in (folder / name for name in names):
@@ -60,7 +60,7 @@ def remove_unfinished(folder: Path) -> list[str]:
 
 
 def remove_later(folder: Path, time_s: float) -> list[str]:
-    """Remove saved times later than a time; tell their names."""
+    """Remove saved times later than a time; give their names."""
     names = set()
     for place in (folder, *processor_folders(folder)):
         for path in time_folders(place):
@@ -71,7 +71,7 @@ def remove_later(folder: Path, time_s: float) -> list[str]:
 
 
 def remove_series_from(folder: Path, time_s: float) -> None:
-    """Remove series that start at a time or later: the run goes on from there and writes anew."""
+    """Remove series that start at a time or later, which the run will write again."""
     for path in folder.glob("postProcessing/*/*"):
         if _NUMBER.fullmatch(path.name) and float(path.name) >= time_s:
             remove_folder(path)
@@ -111,8 +111,8 @@ def series(folder: Path, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     for start, path in starts:
         rows = [row for row in rows if float(row[0]) <= start]
         for file in sorted(path.glob("*.dat")):
-            told, records = _records(file)
-            headings = told or headings
+            found, records = _records(file)
+            headings = found or headings
             rows += [r for r in records if len(r) == len(headings)]
     if not rows:
         raise InputError(f"{folder}: no records in postProcessing/{name}; has the case been run?")
@@ -139,8 +139,8 @@ def _records(file: Path) -> tuple[list[str], list[list[str]]]:
     text = file.read_text(encoding="utf-8", errors="replace")
     lines = text[: text.rfind("\n") + 1].splitlines()
     comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
-    told = next((c for c in reversed(comments) if c.startswith("Time")), "")
-    return told.split(), [s.split() for s in lines if s.strip() and not s.startswith("#")]
+    heading = next((c for c in reversed(comments) if c.startswith("Time")), "")
+    return heading.split(), [s.split() for s in lines if s.strip() and not s.startswith("#")]
 
 
 def _is_number(text: str) -> bool:

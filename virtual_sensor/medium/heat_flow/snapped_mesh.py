@@ -93,10 +93,10 @@ def _check_size(path: Path, part: Part) -> None:
     if SMALLEST_MM <= size.max() <= LARGEST_MM:
         return
     long = " x ".join(f"{s:.3g}" for s in size)
-    looks, factor = ("m", "1000") if size.max() < SMALLEST_MM else ("um", "0.001")
+    likely, factor = ("m", "1000") if size.max() < SMALLEST_MM else ("um", "0.001")
     raise InputError(
         f"{path}: the part is {long} mm; parts of {SMALLEST_MM:g} to {LARGEST_MM:g} mm can be"
-        f" simulated. The file must be in mm; if it is in {looks}, scale it by {factor}"
+        f" simulated. The file must be in mm; if it is in {likely}, scale it by {factor}"
     )
 
 

@@ -18,7 +18,7 @@ TEMPERATURE_MARGIN = 0.15  # of wall less ambient; coarse cells undershoot by 0.
 TEMPERATURE_MARGIN_K = 50.0  # at least
 SHORTEST_STEP_S = 1e-7
 UNEASY, EXPLODED = 3.0, 10.0  # times the largest Courant number that was asked for
-STOP_LIMIT_S = 60.0  # for the step under way and its files, or 30 such steps
+STOP_LIMIT_S = 60.0  # for the current step and its files, or 30 such steps
 _COURANT = re.compile(r"Courant Number mean: \S+ max: (\S+)")
 _RESIDUAL = re.compile(r"Solving for (\w+), Initial residual = ([^,\s]+)")
 
@@ -158,7 +158,7 @@ class Solver:
 
 @dataclass
 class Watch:
-    """Looks for the signs that a run diverges, and knows until when it was sound.
+    """Watches for signs that a run diverges, and knows until when it was sound.
 
     Attributes
     ----------
@@ -176,8 +176,8 @@ class Watch:
     sound_until_s: float
     _uneasy: bool = field(default=False, init=False)
 
-    def look(self, folder: Path, steps: list[Step]) -> str:
-        """Look at new steps and the newest extremes; tell what shows divergence, or ""."""
+    def check(self, folder: Path, steps: list[Step]) -> str:
+        """Check new steps and the newest extremes; give what shows divergence, or ""."""
         limit = max(self.max_courant, 1.0)
         for step in steps:
             self._uneasy |= not step.courant <= UNEASY * limit

@@ -231,8 +231,8 @@ def at_time(source: Source, time_s: float | None) -> Source:
             raise InputError("holds no times; leave --time out")
         return source
     wanted = pick_time(times, time_s)
-    kept = [replace(v, name=name) for v, name, t in found if t is None or t == wanted]
-    return replace(source, variables=kept, reader=f"{source.reader}, t = {wanted:g} s")
+    chosen = [replace(v, name=name) for v, name, t in found if t is None or t == wanted]
+    return replace(source, variables=chosen, reader=f"{source.reader}, t = {wanted:g} s")
 
 
 def _time_of(variable: Variable) -> tuple[str, float | None]:

@@ -113,7 +113,7 @@ def import_field(
     history : str
         The command, for the attributes.
     report : callable, optional
-        Told what is done, and the fraction.
+        Called with what is being done, and the fraction done.
 
     Returns
     -------

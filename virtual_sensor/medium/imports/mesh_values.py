@@ -22,7 +22,7 @@ from virtual_sensor.medium.imports.sources import Mesh
 PASSES = 2
 FLAT = 1e-3  # fullness of a tetrahedron, of which a regular one has 0.04
 ON_PLANE = 1e-4  # of the width that is reflected
-CHUNKS = 8  # of a sampling: VTK looks the cells up anew for each
+CHUNKS = 8  # of a sampling: VTK locates the cells again for each
 
 
 def at_points(mesh: Mesh, values: np.ndarray, cells: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +81,7 @@ def sample(
     axes : tuple of three ndarray
         Coordinates of the nodes, mm.
     report : callable, optional
-        Told the fraction done.
+        Called with the fraction done.
 
     Returns
     -------

@@ -68,7 +68,7 @@ def read_vtk(path: Path) -> Source:
     Feature                          What is done
     ===============================  =======================================================
     .vtk .vti .vtr .vts .vtu .vtp    heeded: ASCII, binary, appended, compressed
-    .pvti .pvtr .pvts .pvtu          heeded: pieces are joined, without their ghost cells
+    .pvti .pvtr .pvts .pvtu          heeded: parts are joined, without their ghost cells
     values at points or cells        heeded, both in one file too; of one name those at points
     origin, spacing, extent          heeded: an extent need not begin at 0
     negative spacing                 heeded: reversed
@@ -92,7 +92,7 @@ def read_vtk(path: Path) -> Source:
     Raises
     ------
     InputError
-        If it is truncated or damaged, one of its pieces is missing, or it holds no points.
+        If it is truncated or damaged, one of its parts is missing, or it holds no points.
     """
     pv = pyvista()
     (check_legacy if path.suffix.lower() == ".vtk" else check_xml)(path)
@@ -181,8 +181,8 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
     else:
         region = _region(case, regions, region)
         mesh, chosen = _mesh_of(blocks[region]), f", region {region}"
-    told = f"{_version(pv)}, OpenFOAM case, {kind}{chosen}, t = {wanted:g} s"
-    source = _source(mesh, "m", told)
+    read_by = f"{_version(pv)}, OpenFOAM case, {kind}{chosen}, t = {wanted:g} s"
+    source = _source(mesh, "m", read_by)
     if collated and not source.variables:
         raise InputError(COLLATED)
     if collated:
@@ -257,7 +257,7 @@ def _source(data: Any, length_units: str, reader: str) -> Source:
     pv = pyvista()
     if getattr(data, "n_points", 0) == 0 or not isinstance(data, pv.DataSet):
         raise InputError(
-            "holds no points: it is truncated, of several blocks, or one of its pieces is missing"
+            "holds no points: it is truncated, of several blocks, or one of its parts is missing"
         )
     notes = left_out(data)
     if isinstance(data, (pv.PolyData, pv.UnstructuredGrid)):
@@ -293,7 +293,7 @@ def _irregular(
     if set(np.unique(shown.celltypes)) <= {pv.CellType.VERTEX, pv.CellType.POLY_VERTEX}:
         cells, geometry = shown, None
     else:
-        cells = shown.clean()  # joins the points that pieces share
+        cells = shown.clean()  # joins the points that parts share
         cells = moved(cells, np.asarray(cells.points, dtype=np.float64))
         geometry = Mesh(cells, at_cells)
     variables = scalars(cells.cell_data if at_cells else cells.point_data)

@@ -133,7 +133,7 @@ def check_size(box: np.ndarray, units: str) -> None:
     Raises
     ------
     InputError
-        It tells the likely units.
+        It names the likely units.
     """
     size = box[1] - box[0]
     shown = " x ".join(f"{s:.4g}" for s in size)
@@ -195,8 +195,8 @@ def unfold(
         image = geometry.points[near] * np.where(np.arange(3) == axis, -1.0, 1.0)
         return Cloud(np.concatenate([geometry.points, image])), np.append(values, values[near])
     nodes = geometry.axes[axis]
-    kept = nodes > -0.01 * step
-    nodes, values = nodes[kept], values.compress(kept, axis)
+    inner = nodes > -0.01 * step
+    nodes, values = nodes[inner], values.compress(inner, axis)
     near = nodes > 0.01 * step
     if not near.all():
         nodes = np.where(near, nodes, 0.0)
@@ -219,7 +219,7 @@ def output_axes(
     ----------
     geometry : Grid, Cloud or Mesh
         In world coordinates, unfolded. Its own nodes are taken if they are evenly spaced and
-        nothing else is told.
+        nothing else is given.
     mirror : sequence of three bool
         Axes that begin at 0.
     box_mm : sequence of six float, optional

@@ -45,7 +45,7 @@ def read_source(
     Parameters
     ----------
     path : str or Path
-        The file or folder; its suffix tells what it is, and of text a % at its beginning.
+        The file or folder; its suffix says what it is, and of text a % at its beginning.
     time_s : float, optional
         Which of several times, s; the last by default.
     spacing_mm : sequence of three float, optional

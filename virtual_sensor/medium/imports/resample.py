@@ -44,7 +44,7 @@ def resample(
     axes : sequence of three ndarray
         The nodes' coordinates, mm.
     report : callable, optional
-        Told the fraction done.
+        Called with the fraction done.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def _thickness(
 
 
 def _where(place: tuple[slice, ...], axes: Sequence[np.ndarray], region: np.ndarray) -> str:
-    """Tell a region's place in mm."""
+    """A region's place in mm."""
     ends = [(n, a[s.start], a[s.stop - 1]) for n, a, s in zip("xyz", axes, place, strict=True)]
     if region.sum() == 1:
         return f"at ({', '.join(f'{low:.4g}' for _, low, _ in ends)}) mm"

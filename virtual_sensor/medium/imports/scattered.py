@@ -4,7 +4,7 @@ The tetrahedra fill the convex hull of the points, and so bridge the solid, whos
 One is a bridge, and left out, if its circumsphere, which is empty of points, has more than `BRIDGE`
 times the radius that is usual at each of its corners: the lower quartile there, which bridges do
 not raise. Neighbours of a bridge with more than `BANK` times that radius go with it. So a part must
-be some `BRIDGE` times as thick as the points are apart to be recognised; `--solid` tells others.
+be some `BRIDGE` times as thick as the points are apart to be recognised; `--solid` names others.
 Flat tetrahedra at the hull are left out too: a field's box must stay inside the points.
 """
 

@@ -118,7 +118,7 @@ def split_units(label: str) -> tuple[str, str]:
 
 
 def quantity_of(variable: Variable) -> str:
-    """Tell the quantity from a variable's name or else from its units; empty if neither tells."""
+    """The quantity by a variable's name or else by its units; empty if neither shows it."""
     name = variable.name.partition(" @")[0]  # without the parameters of COMSOL's sweeps
     bare = re.sub(r"[\s_]", "", name.rpartition(".")[2]).lower()
     named = next((kind for kind, names in NAMES.items() if bare in names), "")
@@ -135,10 +135,10 @@ def choose(source: Source, name: str | None, quantity: str | None) -> tuple[Sour
     source : Source
         What there is, at its points and at its cells.
     name : str, optional
-        The wanted one's name; else the only one whose name or units tell the quantity, or the only
+        The wanted one's name; else the only one whose name or units show the quantity, or the only
         one.
     quantity : str, optional
-        A key of `UNITS`; else what the name or the units tell.
+        A key of `UNITS`; else what the name or the units say.
 
     Returns
     -------
@@ -150,7 +150,7 @@ def choose(source: Source, name: str | None, quantity: str | None) -> tuple[Sour
     Raises
     ------
     InputError
-        If there is none, more than one comes into question, or nothing tells the quantity.
+        If there is none, there are several candidates, or nothing shows the quantity.
     """
     sources = [source, *([source.at_cells] if source.at_cells else [])]
     everything = [(where, v) for where in sources for v in where.variables]

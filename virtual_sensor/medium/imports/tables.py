@@ -166,9 +166,9 @@ def _loaded(path: Path) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
     except (
         Exception
     ) as error:  # of tokenize, ast, zipfile, zlib, struct, as the damage will have it
-        told = f"{error}".partition("\n")[0][:200] or type(error).__name__
+        cause = f"{error}".partition("\n")[0][:200] or type(error).__name__
         raise InputError(
-            f"is truncated, damaged or no NumPy file of numbers ({told}); write or copy it again"
+            f"is truncated, damaged or no NumPy file of numbers ({cause}); write or copy it again"
         ) from error
     names = content.dtype.names or ()
     return (None, {n: content[n] for n in names}) if names else (content, {})

@@ -25,7 +25,7 @@ BYTES = {
 COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 CELLS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 MOST_PACKED = 2000  # a value takes this part of a byte at least, compressed
-HEADER = 100_000  # bytes of an XML file's beginning, where its claims are looked for
+HEADER = 100_000  # bytes of an XML file's beginning, where its claims are searched
 # Corners of cells: vertex, line, triangle, pixel, quad, tetrahedron, voxel, hexahedron, wedge,
 # pyramid, pentagonal and hexagonal prism, then the quadratic ones.
 CORNERS = {
@@ -243,7 +243,7 @@ def check_xml(path: Path) -> None:
     Raises
     ------
     InputError
-        It tells the claim.
+        It names the claim.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
