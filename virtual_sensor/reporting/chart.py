@@ -623,7 +623,7 @@ _HOW = (
     " threads waited for; work that takes seconds runs less often. Errors are against rays in"
     " closed form where there are some, and else against float64 at its finest: each task names its"
     " reference, and errors of one task compare with no other's.",
-    "The Pareto front (filled marks, the stepped line, bold rows) holds the configurations that no"
+    "The Pareto front (filled marks, the stepped line) holds the configurations that no"
     " other of the task beats in both time and error. What fails in 1 % of its items more often"
     " than the most reliable is not on it. Settings that are not named are as the scene has them.",
     f"Enough is an error below {RESOLVED_PX:g} px, which no sensor resolves; where the noise of a"
@@ -653,7 +653,8 @@ def page(chart: Chart, picture: Picture, command: str) -> Page:
     sections.append(Section("Where methods fail", _FAIL, f"Made by {made_by()}.", *failed))
     if chart.scalings:
         table = scaling_table(chart.scalings)
-        memory = f"Peak memory of a process that renders a frame: {chart.frame_memory_mb:.0f} MB."
+        megabytes = in_words(chart.frame_memory_mb, "{:.0f} MB", "unknown")
+        memory = f"Peak memory of a process that renders a frame: {megabytes}."
         sections.append(Section("How time and memory grow", _GROW, table, memory))
     sections.append(Section("How it was measured", *_HOW))
     sections.append(Section("Files", file_table(_written(chart))))
