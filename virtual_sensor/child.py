@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import gc
 import importlib
 import os
 import pickle
@@ -205,6 +206,7 @@ def main(parent: int) -> None:
             return
         with contextlib.suppress(Exception):  # the child tells of it
             importlib.import_module(target.partition(":")[0])
+        gc.freeze()  # the child's collections then copy none of the memory that it shares
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         server, child = os.getpid(), os.fork()
         if not child:
