@@ -77,12 +77,7 @@ TRIAL = "trial --quick --no-frames --detector parabola --columns 100 --workers 1
 LOADING = "virtual_sensor.medium.index_field:from_arrays"  # called by Mitsuba, from C++
 MARCHING = "virtual_sensor.optics.eikonal:body"  # called by Dr.Jit's loop
 IMPORTS = ["numpy:<module>", "mitsuba:<module>", "cv2:<module>"]
-WORK = [
-    LOADING,
-    MARCHING,
-    "virtual_sensor.records:write_csv",
-    "virtual_sensor.reporting.pictures:_pixels",
-]
+WRITING = ["virtual_sensor.records:write_csv", "virtual_sensor.reporting.pictures:_pixels"]
 
 
 @pytest.fixture
@@ -98,11 +93,16 @@ def inputs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    ("number", "points"),
+    [
+        (signal.SIGINT, [LOADING, MARCHING]),
+        pytest.param(signal.SIGINT, WRITING, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, [LOADING, MARCHING, *WRITING], marks=pytest.mark.slow),
+    ],
 )
-def test_a_signal_while_measuring_ends_it_in_one_line_and_leaves_nothing(stopped, number):
+def test_a_signal_while_measuring_ends_it_in_one_line_and_leaves_nothing(stopped, number, points):
     """Rationale: an exception would be lost in C++, blamed on the scene, or abort an import."""
-    assert stopped(number, [(point, MEASURE) for point in WORK]) == [[]] * len(WORK)
+    assert stopped(number, [(point, MEASURE) for point in points]) == [[]] * len(points)
 
 
 @pytest.mark.parametrize(

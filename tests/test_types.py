@@ -23,6 +23,7 @@ vs.render(scene, samples=4)
 vs.render_frame(scene).radiances
 """
 
+pytestmark = pytest.mark.slow
 pytest.importorskip("mypy", reason="comes with the extra 'dev'")
 
 

@@ -123,7 +123,12 @@ def killed(folder, blow, after_s, processes=1):
 
 
 @pytest.mark.parametrize(
-    ("blow", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGKILL", -signal.SIGKILL)]
+    ("blow", "status"),
+    [
+        ("SIGINT", 130),
+        pytest.param("SIGTERM", 143, marks=pytest.mark.slow),
+        ("SIGKILL", -signal.SIGKILL),
+    ],
 )
 def test_a_killed_run_goes_on_to_the_same_end(uninterrupted, meshed, tmp_path, blow, status):
     """Rationale: Ctrl-C, a batch queue's limit, the out-of-memory killer: no time step is lost."""
