@@ -16,7 +16,8 @@ from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.pictures import Panel, draw_picture
 from virtual_sensor.reporting.reproduction import (
     FILES,
-    cylinder_sentences,
+    cylinder_answer,
+    cylinder_table,
     fit_table,
     markdown,
     save,
@@ -389,28 +390,29 @@ def changed(result, error_um, low_um, high_um):
     return dataclasses.replace(result, radius_mm=radius, interval_mm=interval)
 
 
-def test_the_sentence_on_the_cylinder_follows_the_numbers():
+def test_whether_a_hot_cylinder_measures_too_small_follows_the_numbers():
     """Rationale: the answer is computed at each run, with its sign, its size and its interval."""
-    for error_um, low_um, high_um, verdict in (
-        (-90.5, -100.0, -81.0, "it measures too small"),
-        (90.5, 81.0, 100.0, "it measures too large"),
-        (3.0, -4.0, 10.0, "neither small nor large for sure"),
-        (np.nan, np.nan, np.nan, "not every fit came to an end"),
+    for error_um, low_um, high_um, answer in (
+        (-90.5, -100.0, -81.0, "yes"),
+        (90.5, 81.0, 100.0, "too large"),
+        (3.0, -4.0, 10.0, "not for sure"),
+        (np.nan, np.nan, np.nan, "no fit"),
     ):
         results = {
             Setting(RESOLVED, 900.0, 0.0): changed(bumpy(1.0), error_um, low_um, high_um),
             Setting(RESOLVED, 900.0, 20.0): changed(bumpy(1.0), 7.3, 7.0, 8.0),
             Setting(BLURRED, 1250.0, 0.0): changed(bumpy(1.0), -33.0, -44.0, -22.0),
         }
-        first, second = cylinder_sentences(results)
-        number = f"{error_um:+.1f} µm at 900 °C (95 %: {low_um:+.1f} to {high_um:+.1f} µm)"
-        if np.isnan(error_um):
-            number = "no fit at 900 °C"
-        assert first == (
-            f"In resolved air, from above, {verdict}: {number}; from the side +7.3 µm at β = 20°"
-            " (95 %: +7.0 to +8.0 µm)."
-        )
-        assert second.startswith("In blurred air, from above, it measures too small: -33.0 µm at")
+        number = "no fit" if answer == "no fit" else f"{error_um:+.1f}"
+        interval = "" if answer == "no fit" else f"{low_um:+.1f} to {high_um:+.1f}"
+        first, *others = cylinder_table(results).rows
+        assert first == (RESOLVED, "900", "0", answer, number, interval, "1.0")
+        assert others == [
+            (RESOLVED, "900", "20", "too large", "+7.3", "+7.0 to +8.0", "1.0"),
+            (BLURRED, "1250", "0", "yes", "-33.0", "-44.0 to -22.0", "1.0"),
+        ]
+        small = 2 if answer == "yes" else 1
+        assert f"measures too small in {small} of 2 scans" in cylinder_answer(results)
 
 
 NASTY = "<script>alert('1')</script> $\\frac$ | *a* \""

@@ -40,7 +40,7 @@ def reproduce(
     poses, a dense reconstruction. Finished work stays: stopped or killed, the same command goes on.
     """
     from virtual_sensor.reporting.measure import save as save_case
-    from virtual_sensor.reporting.reproduction import cylinder_sentences, save
+    from virtual_sensor.reporting.reproduction import cylinder_answer, cylinder_table, save
     from virtual_sensor.reporting.words import heading, in_words
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
 
@@ -62,8 +62,8 @@ def reproduce(
     console.print(table)
     for name, value in vars(summary.rendered_minus_searched).items():
         console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
-    for line in cylinder_sentences(result.reconstructions):
-        console.print(f"  {line}", soft_wrap=True)
+    console.print(cylinder_answer(result.reconstructions), soft_wrap=True)
+    console.print(cylinder_table(result.reconstructions).rich())
     print_notes(summary.notes)
     console.print(f"{summary.made_now} of {summary.cases} cases measured now")
     print_end(output, "report/report.html")

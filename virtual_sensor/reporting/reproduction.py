@@ -256,7 +256,7 @@ def page(
             ),
             Section(
                 "Does a hot cylinder measure too small?",
-                Listing(tuple(cylinder_sentences(result.reconstructions))),
+                cylinder_answer(result.reconstructions),
                 cylinder_table(result.reconstructions),
                 pictures["reconstruction"],
             ),
@@ -296,73 +296,47 @@ def fit_table(fits: Mapping[str, Fit]) -> TextTable:
     return TextTable(head, tuple(rows))
 
 
-def cylinder_sentences(results: Mapping[Setting, Reconstruction]) -> list[str]:
-    """Does a hot cylinder measure too small?  The answer from above and the widest arc, by air."""
-    sentences = []
-    for air in dict.fromkeys(setting.air for setting in results):
-        mine = sorted(setting for setting in results if setting.air == air)
-        above = [setting for setting in mine if setting.beta_deg == mine[0].beta_deg]
-        bounds = np.array([results[setting].interval_um[-1, 1] for setting in above])
-        if np.isnan(bounds).any():
-            verdict = "not every fit came to an end"
-        elif (bounds < 0.0).all() or (bounds > 0.0).all():
-            verdict = f"it measures too {'small' if bounds[0, 0] < 0.0 else 'large'}"
-        else:
-            verdict = "neither small nor large for sure"
-        words = f"In {air} air, from above, {verdict}: {_errors(results, above, '°C')}"
-        aside = [s for s in mine if s not in above and s.temperature_c == above[-1].temperature_c]
-        if aside:
-            words += f"; from the side {_errors(results, aside, '°')}"
-        sentences.append(f"{words}.")
-    return sentences
-
-
-def _errors(
-    results: Mapping[Setting, Reconstruction], settings: Sequence[Setting], unit: str
-) -> str:
-    """Errors of hot radii with their intervals, by temperature or pose."""
-    words = []
-    for setting in settings:
-        result = results[setting]
-        low, high = result.interval_um[-1, 1]
-        at = f"{setting.temperature_c:g} °C" if unit == "°C" else f"β = {setting.beta_deg:g}°"
-        error = result.error_um[-1, 1]
-        if np.isnan(error):
-            words.append(f"no fit at {at}")
-        else:
-            words.append(f"{error:+.1f} µm at {at} (95 %: {low:+.1f} to {high:+.1f} µm)")
-    return listed(words)
+def cylinder_answer(results: Mapping[Setting, Reconstruction]) -> str:
+    """Whether a hot cylinder measures too small, seen from above."""
+    above = [result for setting, result in results.items() if setting.beta_deg == 0.0]
+    small = sum(bool(result.interval_um[-1, 1, 1] < 0.0) for result in above)
+    return (
+        f"Seen from above, the hot cylinder measures too small in {small} of {len(above)} scans:"
+        " the 95 % interval of its radius' error lies below 0."
+    )
 
 
 def cylinder_table(results: Mapping[Setting, Reconstruction]) -> TextTable:
-    """Errors of the hot cylinder's radius: a row for each setting, a column for each arc."""
-    arcs = next(iter(results.values())).arc_mm.tolist()
+    """The same in each setting, by the interval of the widest arc."""
     rows: list[dict[str, Any]] = []
     for setting, result in results.items():
         low, high = result.interval_um[-1, 1]
+        errors = result.error_um[:, 1]
+        answer = "yes" if high < 0.0 else "too large" if low > 0.0 else "not for sure"
         rows.append(
-            {
-                "air": setting.air,
-                "temperature_c": setting.temperature_c,
-                "beta_deg": setting.beta_deg,
-                **{f"arc {arc:g}": result.error_um[i, 1] for i, arc in enumerate(arcs)},
+            vars(setting)
+            | {f"arc {arc:g}": error for arc, error in zip(result.arc_mm, errors, strict=True)}
+            | {
+                "answer": "no fit" if np.isnan(low) else answer,
                 "interval": "" if np.isnan(low) else f"{low:+.1f} to {high:+.1f}",
                 "std": result.residual_std_um[-1, 1],
             }
         )
-    arc_columns = [
-        Column(f"arc {arc:g}", f"|y| ≤ {arc:g} mm", "{:+.1f}", "no fit") for arc in reversed(arcs)
+    widest, *arcs = [
+        Column(f"arc {arc:g}", f"|y| ≤ {arc:g} mm", "{:+.1f}", "no fit")
+        for arc in reversed(next(iter(results.values())).arc_mm)
     ]
     columns = [
         Column("air"),
         Column("temperature_c", "°C", "{:g}"),
         Column("beta_deg", "β in °", "{:g}"),
-        arc_columns[0],
+        Column("answer", "too small?"),
+        widest,
         Column("interval", "95 % interval"),
-        *arc_columns[1:],
+        *arcs,
         Column("std", "residual, std", "{:.1f}"),
     ]
-    return text_table(rows, columns, "Fitted minus true radius of the hot cylinder, µm")
+    return text_table(rows, columns, "Fitted minus true radius of the hot cylinder in µm")
 
 
 def _agreement(measured: SweepTable, kind: str) -> TextTable:
