@@ -13,7 +13,7 @@ from frames import FrameRow
 from problem import Row
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.studies.tables import write_csv
+from virtual_sensor.records import write_csv
 
 
 def write(

@@ -369,7 +369,8 @@ def test_a_killed_run_leaves_no_results_and_does_not_hinder_the_next(here, blow,
         assert run.stdout.readline() == "writing\n"
         run.send_signal(getattr(signal, blow))
         out, err = run.communicate()
-    said = {"SIGINT": "Stopped by Ctrl-C.\n", "SIGTERM": "Stopped by SIGTERM.\n"}.get(blow, "")
+    name = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM"}.get(blow)
+    said = f"Stopped by {name}; no results are written.\n" if name else ""
     assert (run.returncode, out.strip(), err) == (status, "", said)
     left = [path.name for path in here.iterdir()]
     assert len(left) == (blow == "SIGKILL")

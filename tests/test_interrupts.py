@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import OpenEXR
 import pytest
+from command_line import PROGRESS
 
 from virtual_sensor import interrupts
 
@@ -62,6 +63,7 @@ def stopped(tmp_path):
         left = []
         for point, folder, process in runs:
             out, err = process.communicate(timeout=300)
+            err = PROGRESS.sub("", err)
             assert (point, process.returncode, out) == (point, STATUS[number], ""), err
             assert err.startswith(LINE[number] + more), (point, err)
             assert err.count("\n") == 1, (point, err)

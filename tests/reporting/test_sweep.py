@@ -239,6 +239,23 @@ def test_files_are_written_and_listed(tmp_path, faults_of):
     }
 
 
+def test_combinations_that_are_not_drawn_are_counted():
+    """Rationale: seven panels of twelve would be taken for all there is."""
+    numbers = [str(i) for i in range(3)]
+    result = swept({"beta": numbers, "method": ["a", "b"], "spp": numbers, "step": numbers})
+    drawn = draw(result)
+    assert len(drawn.panels) == 12
+    words = page(result, drawn, "c").sections[0].content[0]
+    assert words == "The first 6 of 9 combinations of spp and step are drawn."
+
+
+def test_a_parameter_that_is_called_as_a_column_has_one_of_its_own():
+    """Rationale: a scene's $status must not take the place of the cases'."""
+    columns = swept({"status": ["0", "1"]}).table.columns()
+    assert columns["parameter_status"].tolist() == ["0", "1"]
+    assert columns["status"].tolist() == ["ok", "ok"]
+
+
 def test_the_page_tells_failures_before_files():
     """Rationale: why a case failed is asked before what the files are."""
     result = swept({"beta": ["0", "15"]}, failed=(1,))

@@ -60,7 +60,7 @@ def burst(
     from virtual_sensor.studies.burst import burst as run
 
     with (
-        reporting("loading the scene", "an unfinished burst leaves nothing") as report,
+        reporting("loading the scene") as report,
         folder_written_whole(output, overwrite) as place,
     ):
         loaded = load_scene(scene, **definitions(define)).only(camera, source)

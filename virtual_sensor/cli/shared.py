@@ -73,6 +73,7 @@ Source = Annotated[
 ]
 NOTHING_FOUND = 3
 """Exit status of a command that has results, but found nothing in them."""
+NOTHING_STAYS = "no results are written"
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 
@@ -90,7 +91,9 @@ def definitions(define: list[str] | None) -> dict[str, str]:
 
 @contextmanager
 def reporting(
-    first: str, if_stopped: str = "", clock: Callable[[], float] = time.monotonic
+    first: str,
+    if_stopped: str = NOTHING_STAYS,
+    clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Callable[[str, float], None]]:
     """Give a function that is called with what is being done and the fraction done.
 

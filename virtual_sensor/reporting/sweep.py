@@ -164,7 +164,7 @@ def draw(result: Sweep) -> Picture:
     panels: list[Panel] = []
     first, second, rest, mapped = _arranged(axes)
     facets = list(_facets(result.table, rest))
-    for words, rows in facets[:_MOST_FACETS]:
+    for words, rows in facets[:_MOST_FACETS]:  # sweep.csv and the page's table have all
         for quantity in quantities if len(facets) == 1 else quantities[::2]:
             title = quantity.title + (f"\n{words}" if words else "")
             alt = f"{_alt(quantity, rows, first, second)}{f', {words}' if words else ''}"
@@ -231,6 +231,16 @@ def _arranged(axes: list[_Axis]) -> tuple[_Axis | None, _Axis | None, list[_Axis
     others = [axis for axis in axes if axis is not along]
     second = next((axis for axis in others if len(axis.values) <= _MOST_CURVES), None)
     return along, second, [axis for axis in others if axis is not second], False
+
+
+def _undrawn(result: Sweep) -> list[str]:
+    """Says that there are more combinations than panels, if so."""
+    rest = _arranged([_Axis.of(parameter) for parameter in result.summary.swept])[2]
+    count = len(list(_facets(result.table, rest)))
+    if count <= _MOST_FACETS:
+        return []
+    names = listed([axis.name for axis in rest])
+    return [f"The first {_MOST_FACETS} of {count} combinations of {names} are drawn."]
 
 
 def _facets(table: SweepTable, rest: Sequence[_Axis]) -> Iterable[tuple[str, Rows]]:
@@ -326,7 +336,7 @@ def _ticks(axes: Axes, axis: _Axis | None, key: str) -> None:
         return
     axes.set_xlabel(axis.label + (f"   ({key})" if key else ""))
     if not axis.numeric:
-        words = [plain(Path(value).name)[-24:] or "none" for value in axis.values]
+        words = [plain(Path(value).name[-24:]) or "none" for value in axis.values]
         long = sum(map(len, words)) > 50
         axes.set_xticks(
             range(len(words)), words, rotation=25 if long else 0, ha="right" if long else "center"
@@ -576,7 +586,7 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
         for parameter in summary.swept
     ]
     sections = [
-        Section("Over the parameters", picture),
+        Section("Over the parameters", *_undrawn(result), picture),
         Section("Cases", _TABLE_WORDS, table(result, links=True)),
     ]
     if summary.failed:
