@@ -158,6 +158,19 @@ def test_it_ends_once_the_rays_stand_still_and_not_before_its_time():
     assert drifts[looked[-2]] / drifts[looked[-1]] == pytest.approx(np.exp(0.75), rel=0.15)
 
 
+def test_air_at_the_start_is_compared_with_nothing():
+    """Rationale: a flow of 0.3 s has no earlier field, and its start is a formula, not a field."""
+    searched = []
+    steadiness = Steadiness(
+        load_scene("hot_cylinder"), Until(0.3, 0.3), lambda t: searched.append(t) or shifted(t)
+    )
+    steadiness.look_back([0.0, 0.25, 0.3])
+    assert np.isnan(steadiness.drift_px_per_s)
+    steadiness.look_back([0.0, 0.25, 0.5])
+    assert steadiness.drift_px_per_s > 0.0
+    assert searched == [0.25, 0.5]
+
+
 def test_zero_steadiness_runs_to_the_end():
     """Rationale: who wants 15 s gets 15 s."""
     steadiness = Steadiness(load_scene("hot_cylinder"), Until(5.0, 1.0, 0.0), shifted)

@@ -12,7 +12,6 @@ from virtual_sensor.cli.shared import (
     ProbeRays,
     Source,
     check_suffix,
-    closing,
     command_line,
     console,
     definitions,
@@ -195,8 +194,9 @@ def import_(
 
     OpenFOAM, VTK and scattered points need `pip install 'virtual-sensor[fields]'`.
     """
-    from virtual_sensor.medium.imports.import_field import Choices, import_field, summary
+    from virtual_sensor.medium.imports.import_field import Choices, import_field
     from virtual_sensor.medium.netcdf import write_quantity
+    from virtual_sensor.reporting.new_fields import imported, written
 
     check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
@@ -225,7 +225,7 @@ def import_(
         # Of n - 1 nobody knows how many digits count; those of a temperature in 16 bits do.
         write_quantity(output, made.quantity, packed=made.quantity.kind != "refractivity")
         report("done", 1.0)
-    for line in summary(made):
+    for line in imported(made):
         console.print(f"  {line}", soft_wrap=True)
     print_notes(made.notes)
-    closing(output)
+    console.print(written(output), soft_wrap=True)

@@ -197,15 +197,6 @@ def print_notes(notes: Iterable[str]) -> None:
         console.print(f"Note: {note}", style="yellow", soft_wrap=True)
 
 
-def closing(output: Path) -> None:
-    """Tell where a field is, and how to look at it."""
-    console.print(
-        f"{output.stat().st_size / 1e6:.3g} MB in {output}; look at it with"
-        f" `virtual-sensor field info {output} -o picture.png`",
-        soft_wrap=True,
-    )
-
-
 def see_own_modules() -> None:
     """Let modules of the working folder be imported too, as `python -m` does; after all others."""
     try:

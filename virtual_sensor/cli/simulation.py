@@ -12,7 +12,6 @@ from virtual_sensor.cli.shared import (
     Source,
     check_folder,
     check_suffix,
-    closing,
     command_line,
     console,
     numbers,
@@ -103,7 +102,7 @@ def simulate(
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
     from virtual_sensor.medium.heat_flow.setup import HeatFlow
-    from virtual_sensor.reporting.simulation import outcome
+    from virtual_sensor.reporting.new_fields import simulated, written
     from virtual_sensor.studies.simulate import Until
     from virtual_sensor.studies.simulate import simulate as run
 
@@ -130,10 +129,10 @@ def simulate(
             history=command_line(),
             report=report,
         )
-    for line in outcome(result):
+    for line in simulated(result):
         console.print(f"  {line}", soft_wrap=True)
     print_notes(result.notes)
-    closing(output)
+    console.print(written(output), soft_wrap=True)
 
 
 @app.command(

@@ -126,7 +126,7 @@ class Steadiness:
 
     def look_back(self, times_s: list[float]) -> None:
         """Find the drift at the end of a run in which it was not searched."""
-        earlier = [t for t in times_s if t <= times_s[-1] - CHECK_S + 1e-6]
+        earlier = [t for t in times_s if 0.0 < t <= times_s[-1] - CHECK_S + 1e-6]  # not the start
         if np.isnan(self.drift_px_per_s) and earlier:
             self._last = None
             self._search(earlier[-1])

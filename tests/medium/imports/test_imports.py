@@ -7,9 +7,10 @@ from plume_files import K, X, Y, Z, lattice, temperature, warped
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import air_refractivity
-from virtual_sensor.medium.imports.import_field import Choices, import_field, summary
+from virtual_sensor.medium.imports.import_field import Choices, import_field
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import AMBIENT_DENSITY, write_quantity
+from virtual_sensor.reporting.new_fields import imported
 
 SMALL = (X[5:16], Y[6:19], Z[:16])  # a part of the plume, for what takes long
 MARGIN_MM = 2.0  # one cell
@@ -237,7 +238,7 @@ def test_half_a_field_is_mirrored(pv, kind, side, tmp_path):
     field, made = through_a_file(path, tmp_path, mirror=("y",), **choices)
     assert (field.mirror, field.origin[1]) == ((False, True, False), 0.0)
     assert deviation(field, CELLS_MM if kind == "cells" else MARGIN_MM) < 1e-4
-    assert "(mirrored)" in summary(made)[1]
+    assert "(mirrored)" in imported(made)[1]
 
 
 @pytest.mark.parametrize("kind", ["table", "scattered", "triangles", "one layer of cells"])
@@ -305,7 +306,7 @@ def test_the_part_is_found_and_filled(pv, kind, tmp_path):
     assert solid[~beside_the_part(placed, gap=-2.1)].all()
     assert not solid[beside_the_part(placed, gap=2.1)].any()
     assert deviation(field, keep=lambda p: beside_the_part(p, gap=7.0)) < 1e-4
-    assert summary(made)[-1].startswith("solid:")
+    assert imported(made)[-1].startswith("solid:")
 
 
 def grid_of(made):

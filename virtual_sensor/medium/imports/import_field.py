@@ -7,12 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from scipy import ndimage
-
 from virtual_sensor.child import physical_memory, run_in_child
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.air import ZERO_CELSIUS_K
 from virtual_sensor.medium.netcdf import GriddedQuantity
 
 NEEDS_PYVISTA = "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
@@ -146,36 +142,3 @@ def _memory(path: Path) -> int | None:
     if not path.is_file() or path.suffix.lower().startswith((".p", ".foam")):
         return None
     return min(LEAST_MEMORY + MEMORY_PER_BYTE * path.stat().st_size, physical_memory())
-
-
-def summary(imported: Imported) -> list[str]:
-    """Lines on extent, nodes, range and solid of what was imported."""
-    made = imported.quantity
-    axes = [
-        o + s * np.arange(n)
-        for o, s, n in zip(made.origin_mm, made.spacing_mm, made.values.shape, strict=True)
-    ]
-    extent = ", ".join(
-        f"{name} {axis[0]:.6g} to {axis[-1]:.6g}" + (" (mirrored)" if even else "")
-        for name, axis, even in zip("xyz", axes, made.mirror, strict=True)
-    )
-    low, high = np.nanmin(made.values), np.nanmax(made.values)
-    shown = {
-        "temperature": f"{low - ZERO_CELSIUS_K:.5g} to {high - ZERO_CELSIUS_K:.5g} °C",
-        "density": f"{low:.5g} to {high:.5g} kg/m³",
-        "refractivity": f"n - 1 from {low:.5g} to {high:.5g}",
-    }[made.kind]
-    steps = " x ".join(f"{s:.4g}" for s in made.spacing_mm)
-    lines = [
-        f"{made.kind}: {shown}",
-        f"extent: {extent} mm",
-        f"nodes: {' x '.join(map(str, made.values.shape))}, {steps} mm apart",
-    ]
-    if made.solid is not None:
-        places = ndimage.find_objects(made.solid.astype(int))[0]
-        box = ", ".join(
-            f"{name} {axis[s.start]:.4g} to {axis[s.stop - 1]:.4g}"
-            for name, axis, s in zip("xyz", axes, places, strict=True)
-        )
-        lines.append(f"solid: {made.solid.sum()} nodes in {box} mm")
-    return lines

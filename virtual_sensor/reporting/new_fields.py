@@ -1,0 +1,74 @@
+"""What is printed of a field that was simulated or imported."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy import ndimage
+
+from virtual_sensor.medium.air import ZERO_CELSIUS_K
+
+if TYPE_CHECKING:
+    from virtual_sensor.medium.imports.import_field import Imported
+    from virtual_sensor.studies.simulate import Simulation
+
+
+def simulated(result: Simulation) -> list[str]:
+    """When it ended, and how sound it is: heat balance, Nusselt number, wall layer."""
+    end = f"ended at {result.end.time_s:g} s of flow"
+    if np.isfinite(result.drift_px_per_s):
+        end += f", when the probe rays moved by {result.drift_px_per_s:.2g} px per s of flow"
+    balance = result.balance
+    lines = [
+        end,
+        f"heat: {balance.wall_w:.4g} W given off, {balance.outflow_w:.4g} W carried out"
+        f" ({balance.mismatch:+.1%})",
+    ]
+    if np.isfinite(result.nusselt):
+        lines.append(f"mean Nusselt number {result.nusselt:.3g}, by air of film temperature")
+    return [*lines, f"cells in the wall layer: {result.wall_layer_cells}"]
+
+
+def imported(result: Imported) -> list[str]:
+    """Range, extent, nodes and solid of a field that was imported, a line each."""
+    made = result.quantity
+    axes = [
+        o + s * np.arange(n)
+        for o, s, n in zip(made.origin_mm, made.spacing_mm, made.values.shape, strict=True)
+    ]
+    extent = ", ".join(
+        f"{name} {axis[0]:.6g} to {axis[-1]:.6g}" + (" (mirrored)" if even else "")
+        for name, axis, even in zip("xyz", axes, made.mirror, strict=True)
+    )
+    low, high = np.nanmin(made.values), np.nanmax(made.values)
+    shown = {
+        "temperature": f"{low - ZERO_CELSIUS_K:.5g} to {high - ZERO_CELSIUS_K:.5g} °C",
+        "density": f"{low:.5g} to {high:.5g} kg/m³",
+        "refractivity": f"n - 1 from {low:.5g} to {high:.5g}",
+    }[made.kind]
+    steps = " x ".join(f"{s:.4g}" for s in made.spacing_mm)
+    lines = [
+        f"{made.kind}: {shown}",
+        f"extent: {extent} mm",
+        f"nodes: {' x '.join(map(str, made.values.shape))}, {steps} mm apart",
+    ]
+    if made.solid is not None:
+        places = ndimage.find_objects(made.solid.astype(int))[0]
+        box = ", ".join(
+            f"{name} {axis[s.start]:.4g} to {axis[s.stop - 1]:.4g}"
+            for name, axis, s in zip("xyz", axes, places, strict=True)
+        )
+        lines.append(f"solid: {made.solid.sum()} nodes in {box} mm")
+    return lines
+
+
+def written(path: Path) -> str:
+    """Where a field is, and how it is examined."""
+    name = shlex.quote(f"{path}")
+    return (
+        f"{path.stat().st_size / 1e6:.3g} MB in {path}; examine it with `virtual-sensor field info"
+        f" {name} -o picture.png`"
+    )
