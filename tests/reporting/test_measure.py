@@ -85,7 +85,7 @@ def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
 def test_lengths_that_are_rounding_are_drawn_as_zero(measured):
     """Rationale: of the probe rays A - A_m is 1e-11 um, and looked like a curve on a cold scene."""
     axes = drawn(reporting._probe_panel(measured["hot"][0]))
-    [cold] = [line for line in axes.lines if line.get_label() == "A - A$_m$"]
+    [cold] = [line for line in axes.lines if line.get_label() == "A − Aₘ"]
     assert (cold.get_ydata() == 0.0).all()
     axes = drawn(reporting._section_panel(*measured["cold"][:2]))
     [searched] = [line for line in axes.lines if line.get_label() == "by ray search"]

@@ -2,7 +2,6 @@
 
 import numpy as np
 from scipy.constants import c, convert_temperature, h, k
-from scipy.integrate import quad
 
 _M_PER_NM = 1e-9
 _M2_PER_MM2 = 1e-6
@@ -32,6 +31,8 @@ def band_radiance(wavelength_nm: float, bandwidth_nm: float, temperature_c: floa
     temperature_c : float
         degC.
     """
+    from scipy.integrate import quad
+
     half = bandwidth_nm / 2.0
     ends = max(wavelength_nm - half, 1.0), wavelength_nm + half
     return float(quad(spectral_radiance, *ends, args=(temperature_c,), epsrel=1e-10)[0])

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from virtual_sensor_plugins.renderer import is_source
 
@@ -415,6 +414,8 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
 
 def _ply(part: Part, to_world: NDArray[np.float64], mirrored: bool) -> bytes:
     """A part in the world, its faces outwards, as a file that Mitsuba reads."""
+    import trimesh  # most scenes have no such part
+
     turn, place = to_world[:3, :3], to_world[:3, 3]
     normals = part.normals
     if normals is not None:

@@ -6,7 +6,6 @@ from io import BytesIO
 from typing import Any
 
 import numpy as np
-from trimesh.exchange.stl import load_stl
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.polygons import Array, Indices, Polygons, numbers
@@ -113,6 +112,8 @@ def read_stl(data: bytes) -> Polygons:
                     *counts
                 )
             )
+    from trimesh.exchange.stl import load_stl  # most scenes have no such part
+
     try:
         loaded = load_stl(BytesIO(data))
     except ValueError as error:

@@ -315,7 +315,7 @@ def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
 def write_png(path: Path, radiance: Image, white: float) -> None:
     """Write radiance as 16-bit grey, with `white` at the top of the range."""
     grey = np.clip(np.rint(radiance / white * 65535.0), 0, 65535).astype(np.uint16)
-    coded, data = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    coded, data = cv2.imencode(".png", grey)
     if not coded:
         raise OSError(f"{path}: OpenCV can't encode the PNG")
     with written_whole(path) as temporary:

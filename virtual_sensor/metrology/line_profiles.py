@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
-from scipy import signal
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
@@ -220,6 +219,8 @@ def _ranked(
     smooth: NDArray, height: Array, prominence: Array, count: int
 ) -> tuple[Index, Index, Index]:
     """Columns, rows and ranks of the `count` highest local maxima of each column, as (L,) each."""
+    from scipy import signal  # imports half of SciPy, and most lines are single
+
     rows = len(smooth) + 2  # between two columns, pixels that are lower than all
     line = np.pad(smooth.T, ((0, 0), (1, 1)), constant_values=smooth.min() - 1.0).ravel()
     least = (np.repeat(values, rows) for values in (height, prominence))

@@ -55,10 +55,10 @@ _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
 _LONGEST_STEP = 4.0  # times the usual one of searched points
 _LETTER_KEY = (
-    ("B - A", "incidence_um", "lit point: hot minus cold"),
-    ("B - B$_m$", "hot_um", "hot: lit minus measured"),
-    ("B$_m$ - A$_m$", "measured_um", "measured: hot minus cold"),
-    ("A - A$_m$", "cold_um", "cold: lit minus measured"),
+    ("B − A", "incidence_um", "lit point: hot minus cold"),
+    ("B − Bₘ", "hot_um", "hot: lit minus measured"),
+    ("Bₘ − Aₘ", "measured_um", "measured: hot minus cold"),
+    ("A − Aₘ", "cold_um", "cold: lit minus measured"),
 )
 
 
@@ -339,9 +339,9 @@ def _probe_rays_table(result: Measurement) -> TextTable:
         probe_table(result),
         (
             Column("y_mm", "y, mm"),
-            Column("incidence_shift_um_norm", "B \N{MINUS SIGN} A, µm"),
-            Column("hot_error_um_norm", "B \N{MINUS SIGN} B_m, µm"),
-            Column("measured_shift_um_norm", "B_m \N{MINUS SIGN} A_m, µm"),
+            Column("incidence_shift_um_norm", "B − A, µm"),
+            Column("hot_error_um_norm", "B − Bₘ, µm"),
+            Column("measured_shift_um_norm", "Bₘ − Aₘ, µm"),
             Column("pixel_shift_px_u", "shift in u, px"),
             Column("pixel_shift_px_v", "shift in v, px"),
             Column("status_hot", "status"),
@@ -508,7 +508,7 @@ def _air_panel(hot: State) -> Panel:
         axes[1].set_yticklabels([])
         bar = figure.add_axes((0.85, 0.14, 0.03, 0.64))
         figure.colorbar(drawn, cax=bar)
-        bar.set_title("$10^5\\,(n-1)$", fontsize=9.5, loc="center", fontweight="normal")
+        bar.set_title("10⁵ (n − 1)", fontsize=9.5, loc="center", fontweight="normal")
         figure.legend(*axes[0].get_legend_handles_labels(), loc=(0.12, 0.86), ncols=2)
 
     return Panel(
@@ -608,9 +608,9 @@ def _letters_panel() -> Panel:
         B_m = camera + share * towards
         axes.plot(*np.stack([camera, B_m]).T, ":", color=colour("hot"))
         for point, letter, aside in (
-            (A, "A = A$_m$", (-0.52, -0.22)),
+            (A, "A = Aₘ", (-0.52, -0.22)),
             (B, "B", (0.05, -0.22)),
-            (B_m, "B$_m$", (-0.3, 0.0)),
+            (B_m, "Bₘ", (-0.3, 0.0)),
         ):
             axes.plot(*point, "o", color="k", ms=5)
             axes.annotate(letter, point, point + np.array(aside), fontsize=12)
@@ -618,7 +618,7 @@ def _letters_panel() -> Panel:
         axes.text(*(camera + np.array([0.0, 0.05])), "camera", ha="center")
         words = (
             "A, B: lit point on the cold, the hot part\n"
-            "A$_m$, B$_m$: the points measured there\n"
+            "Aₘ, Bₘ: the points measured there\n"
             "dashed: cold; solid: hot; dotted: the line of\n"
             "sight if it were straight (not to scale)"
         )
@@ -627,7 +627,7 @@ def _letters_panel() -> Panel:
         axes.set_axis_off()
 
     return Panel(
-        "What A, B, A$_m$ and B$_m$ are",
+        "What A, B, Aₘ and Bₘ are",
         draw,
         "Sketch: straight laser light meets the part at A, which is measured rightly as A_m. Bent"
         " by hot air it meets it at B; the camera's line of sight is bent too, and where it would"

@@ -6,20 +6,20 @@ them all at a glance.
 
 from __future__ import annotations
 
-import io
 import textwrap
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 
 from virtual_sensor.files import written_whole
 from virtual_sensor.reporting.style import style
@@ -32,7 +32,6 @@ _MARGINS_IN = (0.8, 0.2, 0.6, 0.4)
 """Left, right, bottom and top of a panel's axes, without a layout engine."""
 _PAD_IN = 0.1
 _LINE_PX, _LETTER_PX = 26, 12.5
-_COMPRESSION = 1  # of PNG: a picture's bytes matter less than the time to pack them
 
 
 @dataclass(frozen=True)
@@ -133,8 +132,11 @@ def draw_picture(
     places = _places(panels, columns)
     rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
     wide, high = (round(inches * DPI) for inches in cell_in)
-    with style():
-        parts = [_drawn(panel, (panel.width * wide, panel.height * high)) for panel in panels]
+    parts, coded = [], []
+    with style(), ThreadPoolExecutor() as aside:
+        for panel in panels:
+            parts.append(_drawn(panel, (panel.width * wide, panel.height * high)))
+            coded.append(aside.submit(_png, parts[-1]))  # while the next one is drawn
         head = _title(title, columns * wide)
     whole = np.full((len(head) + rows * high, columns * wide, 3), 255, np.uint8)
     whole[: len(head)] = head
@@ -142,8 +144,8 @@ def draw_picture(
         top, left = len(head) + row * high, column * wide
         whole[top : top + part.shape[0], left : left + part.shape[1]] = part
     cut = tuple(
-        PanelPicture(panel.title, panel.alt, _png(part), part.shape[1], part.shape[0])
-        for panel, part in zip(panels, parts, strict=True)
+        PanelPicture(panel.title, panel.alt, png.result(), part.shape[1], part.shape[0])
+        for panel, part, png in zip(panels, parts, coded, strict=True)
     )
     return Picture(title, _png(whole), cut)
 
@@ -217,8 +219,6 @@ def _cells(panel: Panel, row: int, column: int) -> set[tuple[int, int]]:
 
 
 def _png(image: Image8) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(
-        buffer, format="png", compress_level=_COMPRESSION
-    )
-    return buffer.getvalue()
+    done, data = cv2.imencode(".png", image[..., ::-1])
+    assert done
+    return bytes(data)

@@ -86,6 +86,7 @@ _RC = {
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # else each title is placed anew, beside all that was drawn above the axes
     "axes.labelsize": 10.0,
     "xtick.labelsize": 9.5,
     "ytick.labelsize": 9.5,

@@ -180,7 +180,10 @@ def pixel_loss(
     """
     steps, common = _thinning(field)
     solid = None if solid is None else solid[common]
-    whole = pixels(_thinned(field, solid, common, [1, 1, 1]))
+    every = _thinned(field, solid, common, [1, 1, 1])
+    same = (every.interpolation, every.dimensions) == (field.interpolation, field.dimensions)
+    # The field itself is prepared for rays already.
+    whole = pixels(field if same and np.array_equal(every.nodes, field.nodes) else every)
 
     def shift(k: int) -> float:
         if max(steps[k]) < k:
