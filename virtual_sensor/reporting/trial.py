@@ -38,8 +38,8 @@ _HOW = (
     "The Cramer-Rao bound is the smallest error that an unbiased estimate from one column can have:"
     " var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)). A detector that also looks along the"
     " line, as steger does, may go below it, and rounds off what is sharp.",
-    "Times are of one column on one core, the best of three runs or more, while the other cores do"
-    " the same.",
+    "Times are the processor's for one column on one core, the best of three runs or more, while the"
+    " other cores do the same.",
     "Saturated lines are clipped at half their height. Speckle is of an aperture of f/5.6 at"
     " 532 nm, pixels of 5.5 µm and light of both polarisations. Ambient light has 100 electrons a"
     " pixel."
@@ -299,7 +299,7 @@ def _speed(trial: Trial, key: _Key) -> Picture:
         axes.margins(0.1)
         decimal_ticks(axes.xaxis, fine=True)
         decimal_ticks(axes.yaxis, fine=True)
-        axes.set(xlabel="time of a column on one core in µs", ylabel="error over the bound")
+        axes.set(xlabel="processor time of a column in µs", ylabel="error over the bound")
         _key_beside(axes)
 
     def bars(axes: Axes) -> None:
