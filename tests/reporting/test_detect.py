@@ -268,7 +268,7 @@ def test_of_many_images_the_page_shows_one_panel_each(tmp_path, undrawn, monkeyp
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("<img ") == 2
     assert 'href="a%20b.png"' in page
-    assert len(set(re.findall(r'<section id="([^"]*)"', page))) == 4
+    assert len(set(re.findall(r'<section id="([^"]*)"', page))) == 5
     assert seen == [("a b", 0.0), ("a b", 0.5), ("a-b", 1.0)]
 
 

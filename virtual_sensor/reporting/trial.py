@@ -15,7 +15,7 @@ from virtual_sensor.errors import printable
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.metrology.detectors import NAMES, STEGER
 from virtual_sensor.records import Record, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.files import FileOf, file_table
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, colours, decimal_ticks
@@ -38,8 +38,8 @@ _HOW = (
     "The Cramer-Rao bound is the smallest error that an unbiased estimate from one column can have:"
     " var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)). A detector that also looks along the"
     " line, as steger does, may go below it, and rounds off what is sharp.",
-    "Times are the processor's for one column on one core, the best of three runs or more, while the"
-    " other cores do the same.",
+    "Times are the processor's for one column, the best of three runs or more, while all cores do"
+    " the same.",
     "Saturated lines are clipped at half their height. Speckle is of an aperture of f/5.6 at"
     " 532 nm, pixels of 5.5 µm and light of both polarisations. Ambient light has 100 electrons a"
     " pixel."
@@ -157,10 +157,8 @@ def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> T
 
 def markdown(trial: Trial) -> str:
     """The scores in the task, as the documentation shows them."""
-    return (
-        f"{table(trial.of('task')).markdown()}\nThe task: {described(trial.task)}. Made by"
-        f" `virtual-sensor trial` in {time_in_words(trial.time_s)}.\n"
-    )
+    shown = table(trial.of("task")).markdown()
+    return f"{shown}\nThe task: {described(trial.task)}. Made by `virtual-sensor trial`.\n"
 
 
 def described(condition: Condition) -> str:
@@ -232,6 +230,9 @@ def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
         Section("All scores", Details(f"Tables of {len(tables)} images", tuple(tables)))
     )
     sections.append(Section("How it was done", *_HOW))
+    drawn = {f"{name}.png" for name in pictures}
+    written = [f for f in FILES if f.pattern in drawn or not f.pattern.endswith(".png")]
+    sections.append(Section("Files", file_table(written)))
     return Page(
         title="A trial of line detectors",
         lead=lead(trial),
