@@ -63,7 +63,7 @@ def reproduce(
     for name, value in vars(summary.rendered_minus_searched).items():
         console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
     console.print(cylinder_answer(result.reconstructions), soft_wrap=True)
-    console.print(cylinder_table(result.reconstructions).rich())
+    console.print(cylinder_table(result.reconstructions, narrow=True).rich())
     print_notes(summary.notes)
     console.print(f"{summary.made_now} of {summary.cases} cases measured now")
     print_end(output, "report/report.html")

@@ -306,8 +306,8 @@ def cylinder_answer(results: Mapping[Setting, Reconstruction]) -> str:
     )
 
 
-def cylinder_table(results: Mapping[Setting, Reconstruction]) -> TextTable:
-    """The same in each setting, by the interval of the widest arc."""
+def cylinder_table(results: Mapping[Setting, Reconstruction], narrow: bool = False) -> TextTable:
+    """The same in each setting, by the interval of the widest arc; `narrow` has that arc alone."""
     rows: list[dict[str, Any]] = []
     for setting, result in results.items():
         low, high = result.interval_um[-1, 1]
@@ -333,8 +333,7 @@ def cylinder_table(results: Mapping[Setting, Reconstruction]) -> TextTable:
         Column("answer", "too small?"),
         widest,
         Column("interval", "95 % interval"),
-        *arcs,
-        Column("std", "residual, std", "{:.1f}"),
+        *([] if narrow else [*arcs, Column("std", "residual, std", "{:.1f}")]),
     ]
     return text_table(rows, columns, "Fitted minus true radius of the hot cylinder in µm")
 
