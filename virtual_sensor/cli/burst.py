@@ -5,20 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    Camera,
-    Definitions,
-    Overwrite,
-    ProbeRays,
-    SceneArgument,
-    Source,
-    command_line,
-    console,
-    definitions,
-    print_end,
-    print_notes,
-    reporting,
-)
+from virtual_sensor.cli import shared
 from virtual_sensor.files import folder_written_whole
 
 EPILOG = (
@@ -32,11 +19,11 @@ EPILOG = (
 
 
 def burst(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
+    scene: shared.SceneArgument,
+    define: shared.Definitions = None,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
+    y: shared.ProbeRays = None,
     start: Annotated[
         float | None,
         typer.Option(help="Flow time of the first frame, s; by default the field's last second."),
@@ -49,7 +36,7 @@ def burst(
     output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
         "sway"
     ),
-    overwrite: Overwrite = False,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Measure a burst of frames in moving air: how much the line and the measured points sway.
 
@@ -60,10 +47,10 @@ def burst(
     from virtual_sensor.studies.burst import burst as run
 
     with (
-        reporting("loading the scene") as report,
+        shared.reporting("loading the scene") as report,
         folder_written_whole(output, overwrite) as place,
     ):
-        loaded = load_scene(scene, **definitions(define)).only(camera, source)
+        loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
         result = run(
             loaded,
             start,
@@ -74,9 +61,9 @@ def burst(
             **({"each_frame": FrameFiles(place, loaded)} if images else {}),
         )
         report("writing the results", 0.95)
-        figures = fill(result, place, command_line()).summary
+        figures = fill(result, place, shared.command_line()).summary
         report("done", 1.0)
-    console.print(table(figures).rich())
-    console.print(lead(figures), soft_wrap=True)
-    print_notes(figures.notes)
-    print_end(output)
+    shared.console.print(table(figures).rich())
+    shared.console.print(lead(figures), soft_wrap=True)
+    shared.print_notes(figures.notes)
+    shared.print_end(output)

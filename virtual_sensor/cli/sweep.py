@@ -7,21 +7,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    FINISHED_STAYS,
-    NOTHING_FOUND,
-    Camera,
-    ProbeRays,
-    SceneArgument,
-    Scheduler,
-    Source,
-    command_line,
-    console,
-    definitions,
-    print_end,
-    print_notes,
-    reporting,
-)
+from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
 
 EPILOG = (
@@ -49,15 +35,15 @@ Choices = Annotated[
 
 
 def sweep(
-    scene: SceneArgument,
+    scene: shared.SceneArgument,
     define: Choices = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
+    y: shared.ProbeRays = None,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
     ] = Path("swept"),
-    scheduler: Scheduler = None,
+    scheduler: shared.Scheduler = None,
 ) -> None:
     """Measure a scene over any of its parameters: a page and a table, and a folder for each case.
 
@@ -65,7 +51,7 @@ def sweep(
     makes only what is missing. Exit status 1: some cases could not be measured, or have no line;
     3: none has a line.
     """
-    choices = {name: values(name, text) for name, text in definitions(define).items()}
+    choices = {name: values(name, text) for name, text in shared.definitions(define).items()}
     if len(choices) < len(define or []):
         raise InputError("-D: a parameter is given twice; give all values at once, as -D beta=0,15")
 
@@ -75,7 +61,7 @@ def sweep(
     from virtual_sensor.studies.sweep import CaseStatus, plan, run
     from virtual_sensor.studies.sweep_table import results
 
-    with reporting("planning the cases", FINISHED_STAYS) as report:
+    with shared.reporting("planning the cases", shared.FINISHED_STAYS) as report:
         cases = plan(scene, choices, y or None, camera, source)
         finished = run(
             cases,
@@ -86,26 +72,26 @@ def sweep(
         )
         report("writing the table", 0.98)
         result = results(finished, output)
-        save(result, output, command_line())
+        save(result, output, shared.command_line())
         report("done", 1.0)
-    console.print(table(result).rich())
+    shared.console.print(table(result).rich())
     summary = result.summary
     for name, message in summary.failed.items():
-        console.print(f"{name}: {message}", style="red", soft_wrap=True)
-    print_notes(summary.notes[:_SHOWN])
+        shared.console.print(f"{name}: {message}", style="red", soft_wrap=True)
+    shared.print_notes(summary.notes[:_SHOWN])
     if len(summary.notes) > _SHOWN:
-        print_notes([f"{len(summary.notes) - _SHOWN} notes more: see summary.json"])
+        shared.print_notes([f"{len(summary.notes) - _SHOWN} notes more: see summary.json"])
     there, failed = sum(end.already_there for end in finished), len(summary.failed)
     measured = len(finished) - there - failed
-    console.print(
+    shared.console.print(
         f"{counted(len(finished), 'case')}: {measured} measured, {there} already there,"
         f" {failed} failed",
         soft_wrap=True,
     )
-    print_end(output)
+    shared.print_end(output)
     if len(summary.nothing_found) == len(finished):
-        print_notes(["no case has a line centre or a dot"])
-        raise typer.Exit(NOTHING_FOUND)
+        shared.print_notes(["no case has a line centre or a dot"])
+        raise typer.Exit(shared.NOTHING_FOUND)
     if any(status != CaseStatus.OK for status in result.table.status):
         raise typer.Exit(1)
 

@@ -25,7 +25,7 @@ from virtual_sensor.records import Record, Table, status_names
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.probes import probe_rays
-from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 from virtual_sensor.studies.section import SectionErrors, section_errors, true_section
 
 MIN_FRAMES = 3
@@ -344,21 +344,13 @@ class BurstField(Record):
 
 
 @dataclass(frozen=True)
-class BurstSummary(Record):
+class BurstSummary(SceneFacts):
     """What sways how much.
 
     Attributes
     ----------
-    scene : str
-        Its file.
-    camera, source : str
-        Their names in the scene.
-    parameters : dict
-        The scene's parameters as they were used.
     field : BurstField
         The air.
-    notes : tuple of str
-        What the user should know.
     frames : int
         Their number.
     first_frame_s, last_frame_s : float
@@ -379,16 +371,9 @@ class BurstSummary(Record):
         Time spent on field, search, render and centres, in all frames.
     time_per_frame_s : float
         All of that for one frame.
-    made_with : MadeWith
-        Engine and versions.
     """
 
-    scene: str
-    camera: str
-    source: str
-    parameters: dict[str, str]
     field: BurstField
-    notes: tuple[str, ...]
     frames: int
     first_frame_s: float
     last_frame_s: float
@@ -400,7 +385,6 @@ class BurstSummary(Record):
     static_error_at_largest_um: float
     stage_s: dict[str, float]
     time_per_frame_s: float
-    made_with: MadeWith
 
 
 def instants(
@@ -638,10 +622,7 @@ def summary(result: Burst, line: SwayTable, rays: RayTable) -> BurstSummary:
     height = _sway(line.std_height_um, line.y_mm, line.frames)
     at = np.flatnonzero(line.std_height_um == height.largest)
     return BurstSummary(
-        scene=str(scene.path),
-        camera=scene.camera_name,
-        source=scene.source_name,
-        parameters=dict(scene.parameters),
+        **vars(scene_facts(scene, result.notes)),
         field=BurstField(
             file=str(file),
             source=scene.field.source if scene.field else "",
@@ -649,7 +630,6 @@ def summary(result: Burst, line: SwayTable, rays: RayTable) -> BurstSummary:
             first_s=float(stored[0]),
             last_s=float(stored[-1]),
         ),
-        notes=result.notes,
         frames=frames,
         first_frame_s=float(result.time_s[0]),
         last_frame_s=float(result.time_s[-1]),
@@ -670,7 +650,6 @@ def summary(result: Burst, line: SwayTable, rays: RayTable) -> BurstSummary:
         static_error_at_largest_um=float(line.static_error_um[at[0]]) if at.size else float("nan"),
         stage_s={name: round(value, 2) for name, value in result.stage_s.items()},
         time_per_frame_s=round(sum(result.stage_s.values()) / frames, 2),
-        made_with=made_with(scene),
     )
 
 

@@ -39,7 +39,7 @@ from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_sear
 from virtual_sensor.records import Record, Table, counts_of, status_names
 from virtual_sensor.studies.notes import coarse_grid, frame_notes, unlit_rays, upright_line
 from virtual_sensor.studies.probes import dense_rays, probe_rays
-from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 from virtual_sensor.studies.section import Section, SectionErrors, section_errors, true_section
 
 Array = NDArray[np.float64]
@@ -561,57 +561,36 @@ class FieldFacts(Record):
 
 
 @dataclass(frozen=True)
-class Summary(Record):
+class Summary(SceneFacts):
     """What tells whether a measurement is sound, and how good it is.
 
     Attributes
     ----------
-    scene : str
-        Its file.
-    camera, source : str
-        Their names in the scene.
-    parameters : dict
-        The scene's parameters as they were used.
     field : FieldFacts or None
         The air; None of a cold scene.
-    notes : tuple of str
-        What the user should know.
     states : dict of StateSummary
         By "cold" and "hot".
     probe_rays : ProbeRays
         How far hot air moves points.
     time_s : float
         Of the whole measurement, without the writing of results.
-    made_with : MadeWith
-        Engine and versions.
     """
 
-    scene: str
-    camera: str
-    source: str
-    parameters: dict[str, str]
     field: FieldFacts | None
-    notes: tuple[str, ...]
     states: dict[str, StateSummary]
     probe_rays: ProbeRays
     time_s: float
-    made_with: MadeWith
 
 
 def summary(result: Measurement) -> Summary:
     """The figures that tell whether the measurement is sound, for ``summary.json``."""
     scene = result.scene
     return Summary(
-        scene=str(scene.path),
-        camera=scene.camera_name,
-        source=scene.source_name,
-        parameters=dict(scene.parameters),
+        **vars(scene_facts(scene, result.notes)),
         field=_field_facts(scene.field) if scene.field else None,
-        notes=result.notes,
         states={name: _state_summary(state) for name, state in result.states.items()},
         probe_rays=_probe_rays(result),
         time_s=round(result.time_s, 2),
-        made_with=made_with(scene),
     )
 
 

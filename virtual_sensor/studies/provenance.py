@@ -74,6 +74,44 @@ def versions() -> Versions:
     )
 
 
+@dataclass(frozen=True)
+class SceneFacts(Record):
+    """The scene that results come from.
+
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    camera, source : str
+        Their names in the scene.
+    parameters : dict
+        The scene's parameters as they were used.
+    notes : tuple of str
+        What the user should know.
+    made_with : MadeWith
+        Engine and versions.
+    """
+
+    scene: str
+    camera: str
+    source: str
+    parameters: dict[str, str]
+    notes: tuple[str, ...]
+    made_with: MadeWith
+
+
+def scene_facts(scene: Scene, notes: tuple[str, ...]) -> SceneFacts:
+    """What results of a scene with one camera and one source come from."""
+    return SceneFacts(
+        str(scene.path),
+        scene.camera_name,
+        scene.source_name,
+        dict(scene.parameters),
+        notes,
+        made_with(scene),
+    )
+
+
 def made_with(scene: Scene | None = None) -> MadeWith:
     """What runs here, and how a scene is rendered; `scene` has one camera."""
     from virtual_sensor import engine
