@@ -425,7 +425,7 @@ def workers(count):
     """A cluster of processes on this machine, one thread each, Dr.Jit's included."""
     distributed = pytest.importorskip("distributed", reason="needs virtual-sensor[cluster]")
     return distributed.LocalCluster(
-        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=count, threads_per_worker=1, processes=True, dashboard_address=":0"
     )
 
 

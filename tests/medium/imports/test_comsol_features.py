@@ -105,6 +105,22 @@ def comsol_complex(folder):
         same(made)
         assert any("complex" in note for note in made.notes)
     refused(path("+2.5i"), "'T .K.' is complex, with imaginary parts up to 2.5; export its real")
+    grid = plume.write_comsol_grid(folder / "b.txt", X, Y, Z, VALUES)
+    lines = grid.read_text(encoding="utf-8").splitlines()
+    axis, first = lines.index("% Grid") + 1, 1 + lines.index("% T (K)")
+    for row, imaginary, said in (
+        (first, "+0i", ""),
+        (first, "+2.5i", "'T .K.'"),
+        (axis, "-1i", "x"),
+    ):
+        changed = [*lines[:row], lines[row] + imaginary, *lines[row + 1 :]]
+        path = written(folder / "c.txt", "\n".join(changed) + "\n")
+        if said:
+            refused(path, f"{said}.* is complex, with imaginary parts up to")
+        else:
+            made = imported(path)
+            same(made)
+            assert any("complex" in note for note in made.notes)
 
 
 def comsol_unfit(folder):

@@ -183,20 +183,26 @@ def from_columns(labels: Sequence[str], table: np.ndarray, reader: str) -> Sourc
         raise InputError(f"coordinates in different units: {', '.join(sorted(units))}; use one")
     points = np.zeros((len(table), 3))
     for axis, i in places.items():
-        points[:, axis] = _real_column(labels[i], table[:, i])[0]
+        points[:, axis] = real_numbers(labels[i], table[:, i])[0]
     if not np.isfinite(points).all():
         raise InputError("a coordinate is not finite; remove such rows")
     variables, notes = [], ""
     for i, label in enumerate(labels):
         if i not in places.values():
-            values, note = _real_column(label, table[:, i])
+            values, note = real_numbers(label, table[:, i])
             variables.append(Variable(*split_sweep(label), values))
             notes = notes or note
     return Source(variables, Cloud(points), units.pop(), reader, (notes,) if notes else ())
 
 
-def _real_column(label: str, values: np.ndarray) -> tuple[np.ndarray, str]:
-    """The real numbers of a column of complex ones, and a note on it."""
+def real_numbers(label: str, values: np.ndarray) -> tuple[np.ndarray, str]:
+    """Give the real numbers of complex ones, and a note on it.
+
+    Raises
+    ------
+    InputError
+        If they have an imaginary part.
+    """
     if not np.iscomplexobj(values):
         return values, ""
     real = np.where(np.isnan(values), np.nan, values.real)

@@ -17,6 +17,7 @@ from virtual_sensor.medium.imports.columns import (
     from_columns,
     numbers,
     read_lines,
+    real_numbers,
     split_sweep,
 )
 from virtual_sensor.medium.imports.sources import Grid, Source, Variable
@@ -68,8 +69,8 @@ def read_comsol(path: Path, time_s: float | None) -> Source:
     reader = f"COMSOL's text export ({said.get('Version', 'unknown version')}), NumPy"
     unit = said.get("Length unit", "")
     if any(re.match(r"%\s*Grid\s*$", line) for line in lines):
-        variables, geometry = _grid(lines)
-        return at_time(Source(variables, geometry, unit, reader), time_s)
+        variables, geometry, notes = _grid(lines)
+        return at_time(Source(variables, geometry, unit, reader, notes), time_s)
     count = next((i for i, line in enumerate(lines) if not line.startswith("%")), len(lines))
     if count == 0:
         raise InputError("has no header; export from COMSOL with the header included")
@@ -100,7 +101,7 @@ def _labels(line: str, count: int) -> list[str]:
     return [label.strip() for label in parted]
 
 
-def _grid(lines: Sequence[str]) -> tuple[list[Variable], Grid]:
+def _grid(lines: Sequence[str]) -> tuple[list[Variable], Grid, tuple[str, ...]]:
     """Parse the grid form: % Grid, one line per axis, then % Data and blocks of values."""
     first = next(i for i, line in enumerate(lines) if re.match(r"%\s*Grid\s*$", line)) + 1
     blocks: list[tuple[str, list[str]]] = []
@@ -116,11 +117,15 @@ def _grid(lines: Sequence[str]) -> tuple[list[Variable], Grid]:
             blocks.append((inner[1] if inner else "", []))
     if len(axes) not in (2, 3) or not blocks or not blocks[-1][1]:
         raise InputError("is truncated: no two or three axes after % Grid, or no values after them")
-    nodes = [np.ravel(numbers([line], first)) for line in axes] + [np.zeros(1)] * (3 - len(axes))
+    nodes = [
+        real_numbers(f"axis {name}", np.ravel(numbers([line], first)))[0]
+        for name, line in zip("xyz", axes, strict=False)
+    ] + [np.zeros(1)] * (3 - len(axes))
     shape = [len(axis) for axis in nodes]
-    variables = []
+    variables, notes = [], set()
     for label, rows in blocks:
-        table = numbers(rows, first + len(axes))
+        table, note = real_numbers(label, numbers(rows, first + len(axes)))
+        notes |= {note} - {""}
         if table.size != np.prod(shape):
             raise InputError(
                 f"is truncated: {table.size} values of '{label}' on a grid of "
@@ -128,4 +133,4 @@ def _grid(lines: Sequence[str]) -> tuple[list[Variable], Grid]:
             )
         # Each row runs along x; the rows go through y first, then z.
         variables.append(Variable(*split_sweep(label), table.reshape(shape[::-1]).T))
-    return ascending(variables, nodes)
+    return *ascending(variables, nodes), tuple(notes)
