@@ -63,8 +63,8 @@ def info(
         typer.Option(
             "-o",
             "--output",
-            help="Picture (.png) of three cuts and of the shift of the image; beside it is written"
-            " the page: air.html beside air.png.",
+            help="Picture (.png, .svg, .pdf) of three cuts and of the image's shift; the page is"
+            " written beside it: air.html beside air.png.",
         ),
     ] = None,
     figures: Annotated[
@@ -77,7 +77,7 @@ def info(
     from virtual_sensor.studies.field_info import field_info
 
     if output:
-        check_suffix(output, (".png",), "the picture")
+        check_suffix(output, words.PICTURES, "the picture")
         check_output(words.page_beside(output), overwrite)
         check_output(output, overwrite)
     if figures:

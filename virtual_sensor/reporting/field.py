@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +21,7 @@ from virtual_sensor.metrology.truth import FINE_PX
 from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
-from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
+from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, write_vector
 from virtual_sensor.reporting.style import BLACK, colour
 from virtual_sensor.reporting.style import plain as plain_text
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
@@ -33,11 +32,15 @@ Array = NDArray[np.float64]
 
 COMMAND = "field info"
 FILES = (
-    FileOf("*.png", "Cuts through the field, and what it does to light (-o)."),
+    FileOf("*.png", "Cuts through the field, and what it does to light (-o; also .svg, .pdf)."),
     FileOf("*.html", "Page with the same, the tables and the file's own texts (-o)."),
     FileOf("*.json", "Every figure (--json).", FieldInfo),
 )
 
+PICTURES = (".png", ".svg", ".pdf")
+"""Formats of the picture."""
+
+_COLUMNS = 3
 _LEAST_PX = 1e-4  # as far as a march is good for
 _LONG_TEXT = 300
 _CUT_PX = 400  # along the longest side
@@ -63,14 +66,15 @@ def save(
         If a file can't be written.
     """
     if picture:
-        drawn = draw(info)
+        panels = panels_of(info)
+        drawn = draw_picture(title(info), panels, _COLUMNS)
         html = page_html(page(info, drawn, command))
-        with ExitStack() as both:
-            image, text = (
-                both.enter_context(written_whole(path)) for path in (picture, page_beside(picture))
-            )
-            image.write_bytes(drawn.png)
+        with written_whole(page_beside(picture)) as text:
             text.write_text(html, encoding="utf-8", errors="backslashreplace")
+            if picture.suffix.lower() == ".png":
+                drawn.write(picture)
+            else:
+                write_vector(picture, title(info), panels, _COLUMNS)
     if figures:
         write_json(figures, info)
 
@@ -378,7 +382,7 @@ class Cut:
         return 3 - self.across - self.up
 
 
-def draw(info: FieldInfo) -> Picture:
+def panels_of(info: FieldInfo) -> list[Panel]:
     """Cuts x = 0, y = 0 (or through the middle) and a level one; the shift of the probe rays."""
     low, high = info.box_mm
     middle = np.where((low < 0.0) & (high > 0.0), 0.0, 0.5 * (low + high))
@@ -411,8 +415,13 @@ def draw(info: FieldInfo) -> Picture:
                 f" {_pixels(light.largest_shift_px)} px.",
             )
         )
+    return panels
+
+
+def title(info: FieldInfo) -> str:
+    """Above all panels."""
     instant = "" if info.time_s is None else f", flow time {info.time_s:g} s"
-    return draw_picture(f"{plain_text(info.file.name)}{instant}: {lead(info)}", panels, columns=3)
+    return f"{plain_text(info.file.name)}{instant}: {lead(info)}"
 
 
 def level_mm(info: FieldInfo) -> float:

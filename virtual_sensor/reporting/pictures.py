@@ -17,8 +17,9 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
 from virtual_sensor.files import written_whole
@@ -128,7 +129,7 @@ def draw_picture(
     cell_in : pair of float
         Width and height of a cell, inches.
     """
-    columns = max(min(columns, sum(p.width for p in panels)), *(p.width for p in panels))
+    columns = _columns(panels, columns)
     places = _places(panels, columns)
     rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
     wide, high = (round(inches * DPI) for inches in cell_in)
@@ -150,6 +151,43 @@ def draw_picture(
     return Picture(title, _png(whole), cut)
 
 
+def write_vector(
+    path: Path,
+    title: str,
+    panels: Sequence[Panel],
+    columns: int = 2,
+    cell_in: tuple[float, float] = CELL_IN,
+) -> None:
+    """Write a picture as curves and letters, by its suffix as SVG or PDF; see `draw_picture`.
+
+    Raises
+    ------
+    InputError
+        If it can't be written.
+    """
+    columns = _columns(panels, columns)
+    places = _places(panels, columns)
+    rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
+    with style(), written_whole(path) as temporary:
+        lines = _lines(title, round(columns * cell_in[0] * DPI))
+        figure = Figure(figsize=(columns * cell_in[0], rows * cell_in[1]), layout="constrained")
+        grid = figure.add_gridspec(rows, columns)
+        for panel, (row, column) in zip(panels, places, strict=True):
+            part = figure.add_subfigure(
+                grid[row : row + panel.height, column : column + panel.width]
+            )
+            _draw_in(part, panel)
+        if lines:
+            figure.suptitle("\n".join(lines), x=0.01, ha="left", fontsize=14, fontweight="bold")
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph")
+            figure.savefig(temporary, format=path.suffix.lower().lstrip("."))
+
+
+def _columns(panels: Sequence[Panel], most: int) -> int:
+    return max(min(most, sum(p.width for p in panels)), *(p.width for p in panels))
+
+
 def _drawn(panel: Panel, size_px: tuple[int, int]) -> Image8:
     """A panel of some width and height as pixels (H, W, 3)."""
     figure = _figure(size_px, panel.layout)
@@ -164,23 +202,36 @@ def _drawn(panel: Panel, size_px: tuple[int, int]) -> Image8:
                 bottom=bottom / height,
                 top=1.0 - top / height,
             )
+        _draw_in(figure, panel, axes)
+    else:
+        _draw_in(figure, panel)
+    return _pixels(figure)
+
+
+def _draw_in(figure: FigureBase, panel: Panel, axes: Axes | None = None) -> None:
+    """Draw a panel in its figure, or in axes of it."""
+    if panel.axes:
+        axes = axes or figure.add_subplot()
         axes.set_title(panel.title)
         panel.draw(axes)
     else:
         figure.suptitle(panel.title, x=0.02, ha="left", fontsize=11, fontweight="bold")
         panel.draw(figure)
-    return _pixels(figure)
 
 
 def _title(title: str, width_px: int) -> Image8:
     """The picture's title as a strip of pixels; lines that are too long are broken."""
     if not title:
         return np.zeros((0, width_px, 3), np.uint8)
-    lines = textwrap.wrap(title, max(round(width_px / _LETTER_PX), 20))
+    lines = _lines(title, width_px)
     figure = _figure((width_px, _LINE_PX * len(lines) + 12), None)
     text = "\n".join(lines)
     figure.text(12 / width_px, 0.5, text, va="center", fontsize=14, fontweight="bold")
     return _pixels(figure)
+
+
+def _lines(title: str, width_px: int) -> list[str]:
+    return textwrap.wrap(title, max(round(width_px / _LETTER_PX), 20))
 
 
 def _figure(size_px: tuple[int, int], layout: Literal["constrained"] | None) -> Figure:
