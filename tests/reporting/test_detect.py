@@ -45,6 +45,14 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+def shots(folder):
+    """Images of such names, and one of a plain one."""
+    data = cv2.imencode(".png", picture(255, np.uint8))[1].tobytes()
+    for name in (b"plain", *NASTY):
+        (folder / os.fsdecode(name.replace(b"/", b"") + b".png")).write_bytes(data)
+    return find_images([folder])[0]
+
+
 @pytest.fixture
 def undrawn(monkeypatch):
     """Commands that draw one panel only: of each image a picture's time is saved."""
@@ -230,28 +238,30 @@ def test_what_a_calibration_leaves_open_is_noted(tmp_path, undrawn):
     assert all(note in ended.output for note in notes)
 
 
-def test_names_of_every_kind_are_drawn_and_written(tmp_path, faults_of):
+def test_names_of_every_kind_are_drawn_and_written(tmp_path):
     """Bytes that are no UTF-8, formulas, letters that the font lacks, control characters, HTML."""
-    folder = tmp_path / "shots"
-    folder.mkdir()
-    data = cv2.imencode(".png", picture(255, np.uint8))[1].tobytes()
-    for name in NASTY:
-        name = name.replace(b"/", b"")
-        (folder / f"{os.fsdecode(name)}.png").write_bytes(data)
-    paths, _ = find_images([folder])
+    paths = shots(tmp_path)
     paths.append(paths[-1])
     found = detect(paths, Settings())
     summary = reporting.save(found, paths, Settings(), tmp_path / "out", "the <command>")
-    assert len(summary.images) == len(NASTY) + 1
+    assert len(summary.images) == len(NASTY) + 2
     for shown in summary.images:
         assert (tmp_path / "out" / f"{shown}.png").stat().st_size > 20_000
         assert shown.isprintable()
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "<script" not in page
-    assert faults_of(tmp_path / "out" / "report.html") == []
     assert "the &lt;command&gt;" in page
     files = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))["images"]
     assert [each["file"] for each in files.values()] == [str(path) for path in paths]
+
+
+def test_pages_open_in_a_browser_whatever_the_names(tmp_path, faults_of, undrawn):
+    """Of one image and of several: pictures are there, links lead somewhere, nothing runs."""
+    paths = shots(tmp_path)
+    for some in (paths, paths[:1]):
+        out = tmp_path / f"of_{len(some)}"
+        reporting.save(detect(some, Settings()), some, Settings(), out, "<command>")
+        assert faults_of(out / "report.html") == []
 
 
 def test_of_many_images_the_page_shows_one_panel_each(tmp_path, undrawn, monkeypatch):

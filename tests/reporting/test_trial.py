@@ -119,6 +119,8 @@ def test_detectors_are_told_apart_by_colour_and_keep_it():
     all_of_them = colours((*OURS, "a:mine", "b:mine"))
     assert len(set(all_of_them.values())) == 12
     assert all(colours((name,))[name] == all_of_them[name] for name in OURS)
+    own = reporting._Key(("gaussian", "a:mine")).colours
+    assert own["a:mine"] not in {all_of_them[name] for name in OURS}
     key = reporting._Key((*OURS, "a:mine", "b:mine", OWN))
     assert len(set(key.names.values())) == 13
     assert key.names["a:mine"] == "a:mine"

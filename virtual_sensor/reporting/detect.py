@@ -164,13 +164,13 @@ def table(summary: Summary, page: bool = False) -> TextTable:
 
     On a page it has links to the images' pictures, and more columns.
     """
-    rows = []
+    rows, many = [], page and len(summary.images) > 1
     for number, (name, image) in enumerate(summary.images.items(), 1):
         others = {s: n for s, n in image.statuses.items() if s != "ok"}
         rows.append(
             plain(image)
             | {
-                "name": Link(name, f"#{anchor(_title(number, name))}") if page else name,
+                "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
                 "size": f"{image.columns} x {image.rows} px".replace(" ", _JOINED),
                 "others": _most(others, len(others) if page else 2),
                 "time": time_in_words(image.time_s).replace(" ", _JOINED),
@@ -247,7 +247,7 @@ def lead(summary: Summary) -> str:
     if summary.settings.peaks > 1:
         of = f" of {lines} peaks at most"
     missing = f" Without a centre: {why}." if why else ""
-    return f"{summary.centres} line centres{of}{error}.{missing}"
+    return f"{counted(summary.centres, 'line centre')}{of}{error}.{missing}"
 
 
 def draw(found: Detected, name: str, settings: Settings) -> Picture:

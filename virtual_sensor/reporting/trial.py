@@ -260,14 +260,15 @@ class _Key:
 
     def __init__(self, detectors: Sequence[str]) -> None:
         self.detectors = detectors
-        self.colours = colours(tuple(detectors))
+        self.all = (*NAMES, *(name for name in detectors if name not in NAMES))
+        self.colours = colours(self.all)
         short = {name: _shortened(name.rpartition(":")[2] or name) for name in detectors}
         count = Counter(short.values())
         self.names = {n: short[n] if count[short[n]] == 1 else _shortened(n) for n in detectors}
 
     def line(self, detector: str) -> dict[str, Any]:
         """Colour, marker, line style and label; a user's own detector is drawn bolder."""
-        number = list(self.detectors).index(detector)
+        number = self.all.index(detector)
         own = detector not in NAMES
         return {
             "color": self.colours[detector],
