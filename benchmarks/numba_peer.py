@@ -34,7 +34,7 @@ def _weights(t):
 def _cubic(c, shape, origin, inverse, x, y, z):
     """Value and gradient of the spline.
 
-    One flat array with unsigned indices spares the look for negative ones, and contracting y first
+    One flat array with unsigned indices avoids the check for negative ones, and contracting y first
     leaves four neighbours along z to the vector unit: 1.5 times as fast as the plain sum.
     """
     gx, gy, gz = (
@@ -97,7 +97,7 @@ def _linear(c, shape, origin, inverse, x, y, z):
 
 
 def _kernels(lookup):
-    """Leapfrog and RK4 through one way of looking up."""
+    """Leapfrog and RK4 with one lookup."""
 
     @_inline
     def pull(c, m, o, q, x, y, z):
@@ -161,7 +161,7 @@ _CUBIC, _LINEAR = _kernels(_cubic), _kernels(_linear)
 def solver(
     method: str, cubic: bool = True, dtype: type = np.float64
 ) -> Callable[[Problem, float], Callable[[], Array]]:
-    """Peer's `prepare`; `dtype` is what the grid is kept in, the rays are float64."""
+    """Peer's `prepare`; `dtype` is that of the grid, the rays are float64."""
     kernel = (_CUBIC if cubic else _LINEAR)[method]
 
     def prepare(problem: Problem, step_mm: float) -> Callable[[], Array]:

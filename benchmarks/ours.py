@@ -1,4 +1,4 @@
-"""Our own march, and the problem as it stands in the scene that comes along."""
+"""Our own march, and the problem as it stands in the shipped scene."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def marching(
 
 
 def peers(scene: Scene) -> list[Peer]:
-    """Our rungs."""
+    """Our configurations."""
     found = []
     for precision in ("single", "double"):
         for method in ("leapfrog", "sharma", "rk4", "dopri5"):

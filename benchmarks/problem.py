@@ -107,7 +107,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Peer:
-    """One way of solving the problem.
+    """A method that solves the problem.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Does `tolerance` keep what it promises?  Random scenes against a float64 reference."""
+"""Does `--tolerance` keep its promise?  Random scenes against a float64 reference."""
 
 import argparse
 import csv
@@ -46,9 +46,9 @@ EXAMPLES = """examples:
 """
 CLOCKS = {"wall": time.perf_counter, "cpu": time.process_time, "none": None}
 
-KEPT = 0.99  # of the scenes have an error within the tolerance...
+WITHIN = 0.99  # of the scenes have an error within the tolerance...
 WORST = 3.0  # ...and none has one this many times as large
-COST = 1.5  # no rung takes so many times as long as the cheapest that would have done
+COST = 1.5  # no configuration takes so many times as long as the cheapest that would have done
 
 TOLERANCES_PX = (0.003, 0.3)
 NOISE_S = 0.02
@@ -56,7 +56,7 @@ NOISE_S = 0.02
 
 _FIELD_OF_VIEW_MM = 45.056
 _TILT_DEG = -30.0
-_LEAST_SIGMA_PX = 0.55  # of the line; narrower ones have no centres, whatever the rung
+_LEAST_SIGMA_PX = 0.55  # of the line; narrower ones have no centres, whatever the configuration
 _REFERENCE = March(0.5, "leapfrog", "double")  # within 2e-6 px of RK4 by 0.25 mm
 _REFERENCE_SPP = 25  # within 1e-4 px of 900
 _BESIDE = 3  # columns: a centre is found beside others only
@@ -65,7 +65,7 @@ _RUNS = 3
 
 
 @dataclass(frozen=True)
-class Trial:
+class Check:
     """A tolerance asked of a scene, and what came of it.
 
     Attributes
@@ -73,23 +73,23 @@ class Trial:
     parameters : dict
         Of the scene `hot_cylinder`.
     tolerance_px : float
-    rung : Rung or None
+    configuration : Rung or None
         None if none was found.
     error_px : float
         The true one: the largest of the columns that have a centre in the reference and by the
-        rung; infinite if the rung finds too few.
+        configuration; infinite if the configuration finds too few.
     seconds : float
-        For a frame by the rung.
+        For a frame by the configuration.
     cheapest : str
         What of all that was tried keeps the tolerance in the least time; "" if nothing does.
     cheapest_seconds : float
     failure : str
-        Why there is no rung; "" if there is one.
+        Why there is no configuration; "" if there is one.
     """
 
     parameters: dict[str, Any]
     tolerance_px: float
-    rung: Rung | None
+    configuration: Rung | None
     error_px: float = float("nan")
     seconds: float = float("nan")
     cheapest: str = ""
@@ -103,7 +103,7 @@ class Trial:
 
     @property
     def cost_ratio(self) -> float:
-        """The rung's time over that of the cheapest that would have done."""
+        """The configuration's time over that of the cheapest that would have done."""
         if self.seconds - self.cheapest_seconds < NOISE_S:
             return 1.0
         return self.seconds / self.cheapest_seconds
@@ -140,14 +140,14 @@ def random_tolerance(rng: np.random.Generator) -> float:
     return round(float(np.exp(rng.uniform(low, high))), 5)
 
 
-def trial(
+def check(
     scene: Scene,
     parameters: dict[str, Any],
     tolerance_px: float,
     rng: np.random.Generator,
     clock: Callable[[], float] | None = time.perf_counter,
-) -> Trial:
-    """Choose a rung, and compare it with the reference and with all that would have done.
+) -> Check:
+    """Choose a configuration, and compare it with the reference and with all that would have done.
 
     Parameters
     ----------
@@ -160,22 +160,22 @@ def trial(
         Tells the time in s.  None: the cost is left out, and the cheapest is not looked for.
     """
     try:
-        rung = choose(scene, tolerance_px)
-    except InputError as told:
-        return Trial(parameters, tolerance_px, None, failure=str(told))
+        configuration = choose(scene, tolerance_px)
+    except InputError as error:
+        return Check(parameters, tolerance_px, None, failure=str(error))
     middle = np.concatenate([[0.0, 1.0], rng.random(_GROUPS - 2)])
     truth = _reference(scene, middle)
-    chosen = scene_on(scene, rung.transport, rung.step_mm, rung.table_px)
+    chosen = scene_on(scene, configuration.transport, configuration.step_mm, configuration.table_px)
     columns = _columns(truth)
-    error = largest_error(line_of(chosen, columns, rung.spp), truth)
-    result = Trial(parameters, tolerance_px, rung, error)
+    error = largest_error(line_of(chosen, columns, configuration.spp), truth)
+    result = Check(parameters, tolerance_px, configuration, error)
     if clock is None:
         return result
     others = {
         f"{tried.transport.name}, {tried.transport.march.step_mm:g} mm, {spp} spp": (tried, spp)
         for tried, spp in _that_would_do(scene, truth, tolerance_px)
     }
-    seconds = _seconds([(chosen, rung.spp), *others.values()], clock)
+    seconds = _seconds([(chosen, configuration.spp), *others.values()], clock)
     if not others:
         return replace(result, seconds=seconds[0])
     best = int(np.argmin(seconds[1:]))
@@ -206,7 +206,7 @@ def _columns(truth: TrueLine) -> Index:
 
 
 def _that_would_do(scene: Scene, truth: TrueLine, tolerance_px: float) -> list[tuple[Scene, int]]:
-    """Rungs that keep the tolerance, none of which has both shorter steps and more samples."""
+    """What keeps the tolerance, none with both shorter steps and more samples than another."""
 
     def fewest(tried: Scene, choices: tuple[int, ...]) -> int | None:
         for spp in choices:
@@ -230,11 +230,11 @@ def _that_would_do(scene: Scene, truth: TrueLine, tolerance_px: float) -> list[t
     return found
 
 
-def _seconds(rungs: list[tuple[Scene, int]], clock: Callable[[], float]) -> list[float]:
+def _seconds(configurations: list[tuple[Scene, int]], clock: Callable[[], float]) -> list[float]:
     """Median times of whole frames, warm; taken in turn, so that all suffer from the same load."""
-    taken: list[list[float]] = [[] for _ in rungs]
+    taken: list[list[float]] = [[] for _ in configurations]
     for run in range(_RUNS + 1):
-        for (scene, spp), times in zip(rungs, taken, strict=True):
+        for (scene, spp), times in zip(configurations, taken, strict=True):
             dr.sync_thread()
             began = clock()
             render_uncached(scene, spp)
@@ -245,7 +245,7 @@ def _seconds(rungs: list[tuple[Scene, int]], clock: Callable[[], float]) -> list
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run it; the exit status is 1 if a bound is not kept."""
+    """Run it; the exit status is 1 if a bound does not hold."""
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -263,44 +263,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--output",
         type=Path,
         default=Path("random_scenes"),
-        help="folder for trials.csv and summary.txt (random_scenes)",
+        help="folder for checks.csv and summary.txt (random_scenes)",
     )
     given = parser.parse_args(arguments)
     if given.scenes < 1:
         parser.error("--scenes must be at least 1")
     given.output.mkdir(parents=True, exist_ok=True)
-    began, trials = time.perf_counter(), []
+    began, checks = time.perf_counter(), []
     for number in range(given.first, given.first + given.scenes):
         rng = np.random.default_rng((given.seed, number))  # a scene can be looked at by itself
         scene, parameters = random_scene(rng)
-        done = trial(scene, parameters, random_tolerance(rng), rng, CLOCKS[given.clock])
-        trials.append(done)
+        done = check(scene, parameters, random_tolerance(rng), rng, CLOCKS[given.clock])
+        checks.append(done)
         spent = time.perf_counter() - began
-        left = spent / len(trials) * (given.scenes - len(trials))
+        left = spent / len(checks) * (given.scenes - len(checks))
         print(f"{number}: {_words(done)}; {left:.0f} s left", file=sys.stderr, flush=True)
-        _write(given.output / "trials.csv", trials, given.first)
-    told, kept = summary(trials)
+        _write(given.output / "checks.csv", checks, given.first)
+    words, hold = summary(checks)
     with written_whole(given.output / "summary.txt") as file:
-        file.write_text(told + "\n", encoding="utf-8")
-    print(told)
-    return 0 if kept else 1
+        file.write_text(words + "\n", encoding="utf-8")
+    print(words)
+    return 0 if hold else 1
 
 
-def summary(trials: list[Trial]) -> tuple[str, bool]:
-    """What came of all trials in words, and whether the bounds are kept."""
-    chosen = [t for t in trials if t.rung]
+def summary(checks: list[Check]) -> tuple[str, bool]:
+    """What came of all checks in words, and whether the bounds hold."""
+    chosen = [t for t in checks if t.configuration]
     error = np.array([t.error_ratio for t in chosen])
     cost = np.array([t.cost_ratio for t in chosen if t.cheapest])
     within = float(np.mean(error <= 1.0)) if chosen else 0.0
     worst = float(error.max(initial=0.0))
-    by_name = {n: sum(t.rung.transport == n for t in chosen) for n in ("straight", "tabulated")}
+    names = [t.configuration.transport for t in chosen if t.configuration]
+    by_name = {name: names.count(name) for name in ("straight", "tabulated")}
     lines = [
-        f"{len(trials)} scenes; {len(trials) - len(chosen)} without a rung;"
+        f"{len(checks)} scenes; {len(checks) - len(chosen)} without a configuration;"
         f" {', '.join(f'{count} {name}' for name, count in by_name.items())}",
         f"error within the tolerance: {100.0 * within:.1f} % of {len(chosen)};"
         f" largest {worst:.2f} times it; median {np.median(error):.2f}",
     ]
-    kept = bool(chosen) and within >= KEPT and worst <= WORST
+    hold = bool(chosen) and within >= WITHIN and worst <= WORST
     if cost.size:
         shares = "  ".join(f"{p} %: {np.percentile(cost, p):.2f}" for p in (50, 90, 95, 99, 100))
         lines.append(
@@ -308,37 +309,38 @@ def summary(trials: list[Trial]) -> tuple[str, bool]:
             f" {1e3 * NOISE_S:.0f} ms apart counts as the same): {shares};"
             f" over {COST}: {np.sum(cost > COST)}"
         )
-        kept = kept and bool(cost.max() <= COST)
-    return "\n".join([*lines, "all bounds are kept" if kept else "a bound is NOT kept"]), kept
+        hold = hold and bool(cost.max() <= COST)
+    return "\n".join([*lines, "all bounds hold" if hold else "a bound does NOT hold"]), hold
 
 
-def _words(done: Trial) -> str:
-    if done.rung is None:
+def _words(done: Check) -> str:
+    if done.configuration is None:
         return f"{done.tolerance_px:g} px: {done.failure}"
     cost = f"; cost {done.cost_ratio:.2f} times that of {done.cheapest}" if done.cheapest else ""
     miss = "" if done.error_ratio <= 1.0 else " MISSED"
-    return f"{done.tolerance_px:g} px: {done.error_ratio:.2f} of it{miss}, by {done.rung}{cost}"
+    found = f"{done.error_ratio:.2f} of it{miss}, by {done.configuration}"
+    return f"{done.tolerance_px:g} px: {found}{cost}"
 
 
-def _write(path: Path, trials: list[Trial], first: int) -> None:
+def _write(path: Path, checks: list[Check], first: int) -> None:
     """A row per scene."""
     with written_whole(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.DictWriter(file, list(_row(0, trials[0])))
+        rows = csv.DictWriter(file, list(_row(0, checks[0])))
         rows.writeheader()
-        rows.writerows(_row(number, done) for number, done in enumerate(trials, first))
+        rows.writerows(_row(number, done) for number, done in enumerate(checks, first))
 
 
-def _row(number: int, done: Trial) -> dict[str, Any]:
-    rung = done.rung
+def _row(number: int, done: Check) -> dict[str, Any]:
+    used = done.configuration
     return {
         "scene": number,
         **done.parameters,
         "tolerance_px": done.tolerance_px,
-        "transport": rung.transport if rung else "",
-        "step_mm": rung.step_mm if rung else "",
-        "spp": rung.spp if rung else "",
-        "estimate_px": rung.error_px if rung else "",
-        "estimates": "; ".join(f"{k} {v:.3g}" for k, v in rung.estimate_px.items()) if rung else "",
+        "transport": used.transport if used else "",
+        "step_mm": used.step_mm if used else "",
+        "spp": used.spp if used else "",
+        "estimate_px": used.error_px if used else "",
+        "estimates": "; ".join(f"{k} {v:.3g}" for k, v in used.estimate_px.items()) if used else "",
         "error_px": done.error_px,
         "error_ratio": done.error_ratio,
         "seconds": done.seconds,

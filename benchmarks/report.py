@@ -35,14 +35,14 @@ def write(
 
 def lines(rows: Sequence[Row], frames: Sequence[FrameRow], facts: dict[str, str]) -> list[str]:
     """Everything in Markdown."""
-    told = ["# Side by side with peers", ""]
-    told += _rays_table([row for row in rows if row.chosen])
-    told += _floors([row for row in rows if row.field == "linear gradients"])
+    text = ["# Side by side with peers", ""]
+    text += _rays_table([row for row in rows if row.chosen])
+    text += _floors([row for row in rows if row.field == "linear gradients"])
     never = {row.peer for row in rows} - {row.peer for row in rows if row.chosen}
     never -= {row.peer for row in rows if row.field == "linear gradients"}
-    told += [f"Never within the stated error: {', '.join(sorted(never))}.", ""] if never else []
-    told += _frames_table(frames)
-    return told + [f"- {name}: {fact}" for name, fact in facts.items()]
+    text += [f"Never within the stated error: {', '.join(sorted(never))}.", ""] if never else []
+    text += _frames_table(frames)
+    return text + [f"- {name}: {fact}" for name, fact in facts.items()]
 
 
 def _rays_table(chosen: Sequence[Row]) -> list[str]:
@@ -52,7 +52,7 @@ def _rays_table(chosen: Sequence[Row]) -> list[str]:
     ours = [row for row in chosen if row.peer.startswith("ours") and "tab" not in row.peer]
     best = max(ours, key=lambda row: row.rays_per_s) if ours else None
     thrifty = min(ours, key=lambda row: row.cpu_us) if ours else None
-    told = [
+    text = [
         "Bent rays, each at the loosest setting that keeps the stated error. Ratios: how many times"
         " as many rays as this the fastest of our marches bends, by the clock and by CPU time.",
         "",
@@ -62,18 +62,18 @@ def _rays_table(chosen: Sequence[Row]) -> list[str]:
     for row in sorted(chosen, key=lambda row: -row.rays_per_s):
         ratio = _number(best.rays_per_s / row.rays_per_s) if best else ""
         spared = _number(row.cpu_us / thrifty.cpu_us) if thrifty else ""
-        told.append(
+        text.append(
             f"| {row.peer} | {row.setting:.3g} {row.unit} | {row.rms_px:.1e} | {row.largest_px:.1e}"
             f" | {row.rays_per_s:.3g} | {row.cpu_us:.3g} | {ratio} | {spared} |"
         )
-    return [*told, ""]
+    return [*text, ""]
 
 
 def _floors(rows: Sequence[Row]) -> list[str]:
     """Linear gradients: the error against the setting, which stops falling."""
     if not rows:
         return []
-    told = [
+    text = [
         "Gradients by differences at the nodes, interpolated linearly: the error in px rms"
         " (largest) stops falling, whatever the setting.",
         "",
@@ -84,19 +84,19 @@ def _floors(rows: Sequence[Row]) -> list[str]:
             for row in rows
             if row.peer == peer
         )
-        told.append(f"- {peer}: {', '.join(each)}")
-    return [*told, ""]
+        text.append(f"- {peer}: {', '.join(each)}")
+    return [*text, ""]
 
 
 def _frames_table(frames: Sequence[FrameRow]) -> list[str]:
     if not frames:
         return []
-    told = ["| light | renderer | s/frame | CPU s | times stock |", "|---|---|---|---|---|"]
-    told += [
+    text = ["| light | renderer | s/frame | CPU s | times stock |", "|---|---|---|---|---|"]
+    text += [
         f"| {f.light} | {f.renderer} | {f.seconds:.3f} | {f.cpu_s:.3f} | {f.times_stock:.2f} |"
         for f in frames
     ]
-    return [*told, ""]
+    return [*text, ""]
 
 
 def _number(value: Any) -> str:

@@ -29,7 +29,7 @@ NOISES = (3.0, 10.0)
 STEP = 30.0  # of the level under every fifth line
 _MARGIN_PX = 12.0
 _MATCHED_PX = 1.5
-_FINE = 4  # samples a pixel, each way
+_FINE = 4  # samples a pixel, along each axis
 
 # The peer's line width w makes its filter's sigma w/(2 sqrt(3)) + 0.5: 1.94, 2.52, 2.81, 3.10 px
 # here; 2.83 px passes least noise on.  Its own contrasts of 100 and 200 let no noise through (with
@@ -40,19 +40,20 @@ import numpy as np
 from ridge_detector import RidgeDetector
 source, target = sys.argv[1:]
 images = np.load(source)
-ways = [dict(line_widths=np.array([w]), correct_pos=c)
+options = [dict(line_widths=np.array([w]), correct_pos=c)
         for w in (5, 7, 8, 9) for c in (False, True)]
 found = {}
 once = RidgeDetector(line_widths=np.array([5]), dark_line=False, correct_pos=True)
 once.detect_lines(images["0000"])  # so that no time counts for compiling
-for number, way in enumerate(ways):
+for number, option in enumerate(options):
     for name in images.files:
         if name == "large" and number:
             continue
         took = []
         for _ in range(3 if name == "large" else 1):
             detector = RidgeDetector(low_contrast=100, high_contrast=200, min_len=5,
-                                     dark_line=False, estimate_width=way["correct_pos"], **way)
+                                     dark_line=False, estimate_width=option["correct_pos"],
+                                     **option)
             started = time.perf_counter()
             try:
                 detector.detect_lines(images[name])
@@ -65,7 +66,7 @@ for number, way in enumerate(ways):
         found[f"seconds/{number}/{name}"] = sorted(took)[len(took) // 2]
 np.savez(target, **found)
 """
-WAYS = [
+OPTIONS = [
     f"line width {w}{', position corrected' if c else ''}" for w in (5, 7, 8, 9) for c in (0, 1)
 ]
 
@@ -132,7 +133,7 @@ def score(lines: list[Line], points: list[Array], seconds: float) -> Score:
 
 
 def _inside(line: Line) -> int:
-    """How many pieces of the line, of 2 px, lie inside the margin."""
+    """How many parts of the line, of 2 px, lie inside the margin."""
     middle = np.full(2, (SIZE_PX - 1) / 2.0)
     heading = middle - line.centre
     start = np.arctan2(heading[1], heading[0])
@@ -143,7 +144,7 @@ def _inside(line: Line) -> int:
 
 
 def _cells(line: Line, points: Array) -> Array:
-    """Number of the piece of the line, of 2 px, that a point belongs to."""
+    """Number of the part of the line, of 2 px, that a point belongs to."""
     middle = np.full(2, (SIZE_PX - 1) / 2.0) - line.centre
     offset = points - line.centre
     cross = middle[0] * offset[:, 1] - middle[1] * offset[:, 0]
@@ -172,7 +173,7 @@ def ours(images: dict[str, NDArray[np.uint8]]) -> tuple[list[Array], float, floa
 
 
 def peer(images: dict[str, NDArray[np.uint8]], python: str | None) -> dict[str, Array]:
-    """What `ridge-detector` gives, in each of its ways."""
+    """What `ridge-detector` gives, with each set of options."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         if python is None:
@@ -206,9 +207,9 @@ def main() -> int:
     points, seconds, seconds_large = ours(images)
     found = peer(images, asked.python)
     contenders = [("ours", points, seconds / len(lines))]
-    for way, name in enumerate(WAYS):
-        each = [found[f"{way}/{n:04d}"] for n in range(len(lines))]
-        took = sum(float(found[f"seconds/{way}/{n:04d}"]) for n in range(len(lines)))
+    for option, name in enumerate(OPTIONS):
+        each = [found[f"{option}/{n:04d}"] for n in range(len(lines))]
+        took = sum(float(found[f"seconds/{option}/{n:04d}"]) for n in range(len(lines)))
         contenders.append((f"ridge-detector, {name}", each, took / len(lines)))
     print(f"{len(lines)} images of {SIZE_PX} x {SIZE_PX} px, line width {WIDTH_PX} px, height")
     print(f"{HEIGHT}, noise {' or '.join(map(str, NOISES))} grey values, seed {asked.seed}\n")
@@ -217,11 +218,11 @@ def main() -> int:
     for kind, chosen in kinds.items():
         for name, each, took in contenders:
             s = score([lines[n] for n in chosen], [each[n] for n in chosen], took)
-            told = f"{s.rms_px:.4f} | {s.bias_px:+.4f} | {s.found:.1%} | {s.strays}"
-            print(f"| {kind} | {name} | {told} | {s.seconds * 1e3:.1f} ms |")
+            figures = f"{s.rms_px:.4f} | {s.bias_px:+.4f} | {s.found:.1%} | {s.strays}"
+            print(f"| {kind} | {name} | {figures} | {s.seconds * 1e3:.1f} ms |")
     theirs = float(found["seconds/0/large"])
     print(f"\n2048 x 2048, median of three: ours {seconds_large:.3f} s,", end=" ")
-    print(f"ridge-detector, {WAYS[0]}, {theirs:.2f} s:", end=" ")
+    print(f"ridge-detector, {OPTIONS[0]}, {theirs:.2f} s:", end=" ")
     print(f"{theirs / seconds_large:.0f} times")
     return 0
 

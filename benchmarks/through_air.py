@@ -31,7 +31,7 @@ def main(count: int) -> None:
     along = depth / (sight @ camera.pose.rotation[:, 2])
     points = camera.pose.origin_mm + sight * along[:, None]
     for tolerance in (2e-3, 1e-3):
-        told(
+        compare(
             f"project {count} points, {tolerance:g} px",
             lambda: projected_points(scene, points, method="newton").pixel,
             lambda t=tolerance: (
@@ -40,7 +40,7 @@ def main(count: int) -> None:
             "px",
         )
     y = rng.uniform(-10.4, 10.4, count)
-    told(
+    compare(
         f"search {count} rays",
         lambda: vs.ray_search(scene, y, "newton").pixel,
         lambda: vs.ray_search(scene, y, "tabulated").pixel,
@@ -53,18 +53,18 @@ def main(count: int) -> None:
         print(f"triangulate 401 pixels, {name}: {1e3 * np.linalg.norm(off, axis=1).max():.4f} um")
 
 
-def told(what: str, newton: Callable[[], Any], maps: Callable[[], Any], unit: str) -> None:
+def compare(what: str, newton: Callable[[], Any], maps: Callable[[], Any], unit: str) -> None:
     """Both by turns, and the least time of each."""
-    best = {"newton": np.inf, "made": np.inf, "kept": np.inf}
+    best = {"newton": np.inf, "made": np.inf, "cached": np.inf}
     result: dict[str, Any] = {}
     for _ in range(RUNS):
         covering_maps.MAPS.clear()
-        for name, job in (("newton", newton), ("made", maps), ("kept", maps)):
+        for name, job in (("newton", newton), ("made", maps), ("cached", maps)):
             start = time.perf_counter()
             result[name] = job()
             best[name] = min(best[name], time.perf_counter() - start)
-    apart = np.nanmax(np.abs(result["kept"] - result["newton"]))
-    ratios = ", ".join(f"{best['newton'] / best[name]:.1f} {name}" for name in ("made", "kept"))
+    apart = np.nanmax(np.abs(result["cached"] - result["newton"]))
+    ratios = ", ".join(f"{best['newton'] / best[name]:.1f} {name}" for name in ("made", "cached"))
     print(f"{what}: {best['newton']:.2f} s by Newton; times as fast {ratios}; {apart:.1e} {unit}")
 
 

@@ -8,9 +8,8 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import arrangement, render, render_frame
-from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.studies.chart.frames import with_lamp
 
 FILM = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.8}
 
@@ -53,9 +52,13 @@ def test_the_cold_part_does_not_glow(glowing):
     assert glowing.with_transport(glowing.transport.by("straight")).hot
 
 
-def test_beside_a_lamp_the_cold_part_does_not_glow_either():
+def test_beside_a_lamp_the_cold_part_does_not_glow_either(tmp_path):
     """A lamp has all pixels looked at, and what they see is no emitter unless the part is hot."""
-    glowing, dull = (with_lamp(emissivity=share, **FILM) for share in (0.8, 0.0))
+    emitter = '<emitter type="point"><point name="position" x="0" y="0" z="300"/></emitter></scene>'
+    path, air = tmp_path / "lamp.xml", load_scene("hot_cylinder").air.path
+    text = find_scene("hot_cylinder").read_text(encoding="utf-8")
+    path.write_text(text.replace("</scene>", emitter), encoding="utf-8")
+    glowing, dull = (load_scene(path, field=air, emissivity=share, **FILM) for share in (0.8, 0.0))
     part = np.s_[:20, 118:138]
     lamp = render(dull)[part].mean()
     assert render(glowing.cold())[part].mean() == pytest.approx(lamp, rel=0.01)

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 from command_line import command
-from random_scenes import random_scene, random_tolerance, trial
+from random_scenes import check, random_scene, random_tolerance
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
@@ -182,7 +182,7 @@ def test_the_tolerance_is_kept_in_random_scenes():
     for number in range(12):
         rng = np.random.default_rng((1, number))
         scene, parameters = random_scene(rng)
-        done = trial(scene, parameters, random_tolerance(rng), rng, clock=None)
+        done = check(scene, parameters, random_tolerance(rng), rng, clock=None)
         assert not done.failure
         ratios.append(done.error_ratio)
     assert max(ratios) <= 1.0
