@@ -175,6 +175,8 @@ def test_failed_cases_are_seen(axes_of):
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
     assert [line.get_xdata().tolist() for line in crosses] == [[15.0]]
     assert axes.get_xlabel() == "beta in °   (× failed)"
+    none = axes_of(swept({"beta": ["0", "5", "9"], "alpha": ["30", "60"]}, failed=(1, 3, 5)))[ERROR]
+    assert {text.get_text() for text in none.texts} == {"30°", "60°: none", "alpha"}
 
 
 def test_every_kind_of_sweep_can_be_drawn():

@@ -402,22 +402,21 @@ def _label_ends(
     for value in drawn:
         same = [group for group in groups if _coincide(axes, drawn[group[0]], drawn[value])]
         (same[0].append(value)) if same else groups.append([value])
-    ends = []
+    ends: list[tuple[float, tuple[float, float] | None, list[str]]] = []
     for group in groups:
         x, y = drawn[group[0]]
         known = np.flatnonzero(np.isfinite(y))
-        if known.size:
-            ends.append((_height(axes, y[known[-1]]), (x[known[-1]], y[known[-1]]), group))
-    if not ends:
-        return
+        at = (float(x[known[-1]]), float(y[known[-1]])) if known.size else None
+        ends.append((_height(axes, at[1]) if at else 0.0, at, group))
     ends.sort(key=lambda end: end[0])
     places = _spread([height for height, *_ in ends], 0.07)
-    for (_, end, group), place in zip(ends, places, strict=True):
+    for (_, at, group), place in zip(ends, places, strict=True):
         alike = len(group) == len(drawn) > 1
         words = "all alike" if alike else "\n= ".join(labels[value] for value in group)
         axes.annotate(
-            *(words, end),
+            *(words if at else f"{words}: none", at or (1.0, place)),
             xytext=(1.045, place),
+            xycoords="data" if at else "axes fraction",
             textcoords="axes fraction",
             va="center",
             fontsize=9.5,
