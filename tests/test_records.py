@@ -301,9 +301,11 @@ def test_a_record_is_a_json_object(tmp_path):
         "path": "a/b.xml",
     }
     assert summary.to_dict()["path"] == "a/b.xml"
-    names = [each.name for each in documented(Summary)]
-    nested = ["states.rms_px", "states.status", "hot", "hot.rms_px", "hot.status"]
-    assert names == ["states", *nested, "path"]
+    assert [(each.name, each.records) for each in documented(Summary)] == [
+        ("states", (Found,)),
+        ("hot", (Found,)),
+        ("path", ()),
+    ]
     assert [each.unit for each in documented(Found)] == ["px", ""]
 
 

@@ -146,20 +146,23 @@ class Described:
     Attributes
     ----------
     name : str
-        Its key or column; of a nested record with dots in between.
+        Its key or column.
     unit : str
         As people read it; "" if it has none.
     words : str
         What it is.
+    records : tuple of type
+        Records that it holds: itself, or by name, or in a row.
     """
 
     name: str
     unit: str
     words: str
+    records: tuple[type, ...] = ()
 
 
 def documented(kind: type) -> list[Described]:
-    """The fields of a record or table with their words, those of nested records too.
+    """The fields of a record or table with their words.
 
     Raises
     ------
@@ -173,14 +176,10 @@ def documented(kind: type) -> list[Described]:
             f"{kind.__name__}: documented are {sorted(words)}, fields are {sorted(names)}"
         )
     hints = typing.get_type_hints(kind)
-    found = []
-    for name in names:
-        found.append(Described(name, unit_of(name), words[name]))
-        for nested in _records_in(hints[name]):
-            found += [
-                dataclasses.replace(each, name=f"{name}.{each.name}") for each in documented(nested)
-            ]
-    return found
+    return [
+        Described(name, unit_of(name), words[name], tuple(_records_in(hints[name])))
+        for name in names
+    ]
 
 
 def _fields(record: Any) -> list[dataclasses.Field[Any]]:

@@ -113,7 +113,9 @@ def test_the_dictionary_lists_names_units_and_words():
         "## virtual-sensor measure",
         "### points_\\*.csv",
         "| `point_mm` | mm | Where \\| it is. |",
-        "| `states.rms_px` | px | Error. |",
+        "| `states` |  | By name. [State](#state) |",
+        "### State",
+        "| `rms_px` | px | Error. |",
         "| `Y` | W | Radiance. |",
     ):
         assert line in text.splitlines()

@@ -54,8 +54,11 @@ class Summary(Record):
     Attributes
     ----------
     command : str
+        The exact command that was given.
     made_with : Versions
+        Versions.
     settings : Settings
+        How the line was sought.
     calibration : Path or None
         File that the points come by.
     images : dict of str to ImageSummary
@@ -120,6 +123,7 @@ def save(
         With which it was found.
     folder : Path
     command : str
+        The exact command that was given.
     overwrite : bool
         Whether earlier results are replaced.
     calibration : Path, optional

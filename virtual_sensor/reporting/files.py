@@ -51,22 +51,27 @@ class FileOf:
 
 
 def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
-    """The data dictionary in Markdown, command by command."""
+    """The data dictionary in Markdown: command by command, then the objects within JSON files."""
     parts = [
         "# Data dictionary\n\nEvery file that a command writes, with its columns, keys and layers."
         " Names end with their unit. CSV columns of vectors end with their axis: `point_mm` is"
-        " `point_mm_x`, `point_mm_y`, `point_mm_z`, and `pixel` is `pixel_u`, `pixel_v`;"
-        " `_norm` is a vector's length. A key of a"
-        " nested object is written with dots; what has no answer is an empty cell, or `null`.\n"
+        " `point_mm_x`, `point_mm_y`, `point_mm_z`, and `pixel` is `pixel_u`, `pixel_v`. What has"
+        " no answer is an empty cell, or `null`. Objects within an object are listed"
+        " [at the end](#objects), each once.\n"
     ]
+    objects: dict[str, type] = {}
     for command, written in files.items():
         parts.append(f"## virtual-sensor {command}\n")
         for each in written:
             parts.append(f"### {each.pattern}\n\n{each.words}\n".replace("*", "\\*"))
-            if fields := each.fields:
-                rows = tuple((f"`{f.name}`", f.unit, f.words) for f in fields)
-                text = TextTable(("name", "unit", "what it is"), rows).markdown()
-                parts.append(text.replace("\\`", "`"))
+            parts += _listed(each.fields, objects)
+    parts.append("## Objects\n")
+    done: set[str] = set()
+    while waiting := sorted(objects.keys() - done):
+        name = waiting[0]
+        done.add(name)
+        words = (objects[name].__doc__ or "").splitlines()[0]
+        parts += [f"### {name}\n\n{words}\n", *_listed(documented(objects[name]), objects)]
     return "\n".join(parts)
 
 
@@ -82,6 +87,18 @@ def file_table(files: Sequence[FileOf], names: Sequence[str] | None = None) -> T
             place = name if "*" not in name else name[: name.rfind("/", 0, name.index("*")) + 1]
             rows.append((Link(name, quote(place)) if place else name, file.words))
     return TextTable(("file", "what it holds"), tuple(rows))
+
+
+def _listed(fields: Sequence[Described], objects: dict[str, type]) -> list[str]:
+    """A table of fields, if there are any; records within them are added to `objects`."""
+    if not fields:
+        return []
+    rows = []
+    for each in fields:
+        objects |= {kind.__name__: kind for kind in each.records}
+        links = ", ".join(f"[{kind.__name__}](#{kind.__name__.lower()})" for kind in each.records)
+        rows.append((f"`{each.name}`", each.unit, f"{each.words} {links}".strip()))
+    return [TextTable(("name", "unit", "what it is"), tuple(rows)).markdown().replace("\\`", "`")]
 
 
 def undocumented(folder: Path, files: Sequence[FileOf]) -> list[str]:

@@ -55,6 +55,7 @@ class Summary(Record):
     Attributes
     ----------
     command : str
+        The exact command that was given.
     machine : Machine
         What the times were measured on.
     task : Condition

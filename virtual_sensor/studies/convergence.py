@@ -117,6 +117,7 @@ class Coarsest(Record):
     Attributes
     ----------
     bound_px : float
+        Allowed change of the line's centres.
     change : Change or None
         The quickest run, and of these the smallest file; None if none stays within it.
     """
@@ -142,6 +143,7 @@ class Convergence(Record):
     longer_run : Change
         Of the paper's flow time against the reference's, on one mesh.
     made_with : MadeWith
+        Engine and versions.
     notes : tuple of str
         What the user should know of the scene that is seen through the air.
     """

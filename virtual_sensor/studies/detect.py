@@ -32,6 +32,7 @@ class Settings(Record):
     Attributes
     ----------
     detector : str
+        Its name.
     along : str
         "columns", which the line crosses where it lies flat, or "rows".
     peaks : int
@@ -144,6 +145,7 @@ class ImageSummary(Record):
     Attributes
     ----------
     file : Path
+        Its path.
     columns, rows : int
         Of the image.
     centres : int

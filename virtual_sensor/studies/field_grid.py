@@ -27,6 +27,7 @@ class Structure(Record):
     Attributes
     ----------
     axis : str
+        Of the grid.
     at_wall : bool
         Whether its peak lies in the wall layer or in the air beyond.
     half_width_mm : float

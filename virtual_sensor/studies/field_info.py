@@ -101,6 +101,7 @@ class Light(Record):
     Attributes
     ----------
     scene : Path
+        Its file.
     parameters : dict of str
         Values of the scene's parameters.
     laser_angle_mrad, camera_angle_mrad : float
@@ -133,7 +134,9 @@ class FieldInfo(Record):
     Attributes
     ----------
     file : Path
+        Its path.
     size_mb : float
+        Size of the file.
     quantity : str
         "temperature", "density" or "refractivity".
     attributes : dict of str
@@ -161,13 +164,17 @@ class FieldInfo(Record):
     light : Light or None
         None if the field suits no scene, or no probe ray is in the picture.
     border : Border
+        How the field ends at its box.
     faces : tuple of Face
+        Its six faces.
     grid : Grid
+        Whether its nodes are close enough.
     losses : tuple of Loss
         What fewer nodes lose, along x, y, z and all together.
     structures : tuple of Structure
         The narrowest ones.
     made_with : MadeWith
+        Engine and versions.
     notes : tuple of str
         What of the file is ignored; what is left out here, and why.
     """

@@ -33,6 +33,7 @@ class Score(Condition):
     Attributes
     ----------
     detector : str
+        Its name.
     bias_px, std_px, rms_px : float
         Of the errors: mean, standard deviation, root mean square.
     predicted_px : float
@@ -117,6 +118,7 @@ class Phases(Table):
     Attributes
     ----------
     detector : sequence of str
+        Its name.
     width_px : sequence of float
         Standard deviation of the line's profile.
     phase_px : sequence of float

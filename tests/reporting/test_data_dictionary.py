@@ -1,0 +1,39 @@
+"""The data dictionary lists what the program writes, as the program's own words say it."""
+
+import importlib.util
+from pathlib import Path
+
+from virtual_sensor.records import documented
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def maker():
+    """The program that writes the page."""
+    spec = importlib.util.spec_from_file_location("maker", DOCS / "make_data_dictionary.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_is_as_the_program_makes_it():
+    """Rationale: a dictionary that is kept by hand lists what there once was."""
+    made = maker()
+    assert made.PAGE.read_text(encoding="utf-8") == made.dictionary(made.files()), (
+        "python docs/make_data_dictionary.py"
+    )
+
+
+def test_every_command_that_writes_files_lists_them_with_every_column_and_key():
+    """Rationale: what nobody documents, users guess at."""
+    files = maker().files()
+    commands = {"measure", "search", "burst", "sweep", "detect", "trial", "chart", "reproduce"}
+    assert commands | {"field info", "field convergence"} <= files.keys()
+    for command, written in files.items():
+        for each in written:
+            assert each.words.endswith("."), (command, each.pattern)
+            fields = each.fields
+            assert all(field.words for field in fields), (command, each.pattern)
+            for field in fields:
+                for kind in field.records:
+                    assert documented(kind)
