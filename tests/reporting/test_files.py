@@ -110,7 +110,7 @@ def test_the_dictionary_lists_names_units_and_words():
     """Rationale: a reader finds the column of a CSV by its name."""
     text = dictionary({"measure": FILES})
     for line in (
-        "## virtual-sensor measure",
+        "## measure",
         "### points_\\*.csv",
         "| `point_mm` | mm | Where \\| it is. |",
         "| `states` |  | By name. [State](#state) |",

@@ -61,7 +61,7 @@ def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
     ]
     objects: dict[str, type] = {}
     for command, written in files.items():
-        parts.append(f"## virtual-sensor {command}\n")
+        parts.append(f"## {command}\n")
         for each in written:
             parts.append(f"### {each.pattern}\n\n{each.words}\n".replace("*", "\\*"))
             parts += _listed(each.fields, objects)
