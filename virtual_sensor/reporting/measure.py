@@ -44,7 +44,7 @@ from virtual_sensor.studies.measure import (
 Array = NDArray[np.float64]
 
 CALIBRATION = "calibration.yaml"
-"""The sensor as `virtual-sensor detect --calibration` reads it."""
+"""The sensor as `detect --calibration` reads it."""
 
 NIL_UM = 1e-6
 """Below this, lengths are rounding: drawn as zero."""
@@ -74,7 +74,7 @@ FILES = (
     FileOf("points_*.ply", "The measured points, mm, world, with the line's brightness."),
     FileOf("probe_rays.csv", "The probe rays: points lit and measured.", ProbeTable),
     FileOf("dense_search.csv", "The rays searched along the whole line.", DenseTable),
-    FileOf(CALIBRATION, "The sensor, as `virtual-sensor detect --calibration` reads it."),
+    FileOf(CALIBRATION, "The sensor, as `detect --calibration` reads it."),
 )
 
 
