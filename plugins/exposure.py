@@ -24,7 +24,7 @@ _GOLDEN = 0x9E3779B9  # seeds of chunks lie so far apart
 
 
 def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
-    """A sampler like the sensor's, of as many samples a pixel; 0: as many as it has."""
+    """A sampler like the sensor's, of as many samples per pixel; 0: as many as it has."""
     sampler = sensor.sampler().fork()
     if spp:
         level = mi.logger().log_level()
@@ -36,7 +36,7 @@ def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
     taken = sampler.sample_count()
     if taken != (spp or taken) or not taken:
         raise InputError(
-            f"{spp} samples a pixel: the scene's <sampler> would take {taken}; give a number that"
+            f"{spp} samples per pixel: the scene's <sampler> would take {taken}; give a number that"
             " it has (spp), such as 1, 4, 9 or 16"
         )
     return sampler

@@ -242,7 +242,7 @@ class Prepared:
         Parameters
         ----------
         spp : int
-            Samples a pixel; 0: as many as the scene's sampler has.
+            Samples per pixel; 0: as many as the scene's sampler has.
         seed : int
         progress : callable, optional
             Called with the fraction done.

@@ -39,7 +39,7 @@ def test_impossible_samples_and_seeds_are_refused(ask, capfd):
     for seed in (-1, 0.5, NAN, 2**32):
         with pytest.raises(vs.InputError, match="seed must be a whole number from 0"):
             ask(scene, seed=seed)
-    with pytest.raises(vs.InputError, match=r"7 samples a pixel: .* would take 9; give"):
+    with pytest.raises(vs.InputError, match=r"7 samples per pixel: .* would take 9; give"):
         ask(scene, spp=7)
     assert capfd.readouterr() == ("", "")  # Mitsuba's own warning would say the same
 

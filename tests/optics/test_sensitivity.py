@@ -345,7 +345,7 @@ def test_a_column_beside_the_line_sees_no_laser_ray(scene):
 def test_the_detected_line_follows_too():
     """Rendered and detected: its row in each column moves by beta and by the field's scale.
 
-    What is left is the noise of frames of 16 samples a pixel, and the lopsided line's own change:
+    What is left is the noise of frames of 16 samples per pixel, and the lopsided line's own change:
     measured 0.5 % of the largest derivative by beta, 0.04 % by the scale.
     """
     options = {"width": 1024, "height": 1024, "precision": "double", "step": 0.5}

@@ -107,7 +107,7 @@ def test_dots_are_refused():
 def test_it_says_what_it_weighed(rung):
     """Rationale: a user must be able to see which part of the error rules."""
     assert set(rung.estimate_px) == {"march", "tables", "samples"}
-    for words in ("refraction moves the line", "a step of", "samples a pixel err"):
+    for words in ("refraction moves the line", "a step of", "per pixel"):
         assert any(words in each for each in rung.why)
     for part, px in rung.estimate_px.items():
         assert f"{part} {px:.2g}" in str(rung)
@@ -171,7 +171,9 @@ def test_the_command_tells_the_rung(tmp_path):
         "measure", "hot_cylinder", *film, "--tolerance", 0.02, "-o", tmp_path / "out"
     )
     assert status == 0, err
-    assert re.search(r"0\.02 px: tabulated, steps of \d+ mm, \d+ samples a pixel: about 0\.0", out)
+    assert re.search(
+        r"0\.02 px: tabulated, steps of \d+ mm, \d+ samples? per pixel: about 0\.0", out
+    )
     assert "because refraction moves the line by up to" in out
 
 

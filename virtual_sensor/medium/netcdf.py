@@ -131,7 +131,7 @@ class GriddedQuantity:
 
 @dataclass(frozen=True)
 class FieldFile:
-    """What a field file says of one instant, in the units of this house.
+    """What a field file says of one instant, in mm, s, K and n - 1.
 
     Attributes
     ----------

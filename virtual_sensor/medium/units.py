@@ -5,7 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 
-# The name that this house uses, and how else it is spelt, without blanks, _, ^, * and dots.
+# The name that is used here, and how else it is spelt, without blanks, _, ^, * and dots.
 _SPELLINGS = {
     "K": "kelvin kelvins degk °k degkelvin degreekelvin degreeskelvin",
     "degC": "c °c oc celsius degcelsius degreec degreesc degreecelsius degreescelsius centigrade",

@@ -25,7 +25,7 @@ Mask = NDArray[np.bool_]
 MANY = 2000
 """So many laser rays lie close enough for the short cut."""
 
-_LADDER_MM = (2.0, 0.5)  # long steps, 2e-3 and 1e-5 px off on the field that comes with the program
+_LADDER_MM = (2.0, 0.5)  # long steps, 2e-3 and 1e-5 px off on the shipped field
 _NODES = (2001, 301)  # where it is seen by how much the next finer ones differ
 _DOUBLED = 2  # times at most that there are too few of them
 _GAIN = 4.0  # at least so much less do cubics err when their nodes are doubled

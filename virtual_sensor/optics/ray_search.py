@@ -116,7 +116,7 @@ def ray_search(
         locations y).
     method : str
         "paper": step 2 of section 4.2 to the letter.  "newton": the same root by Newton's method,
-        to 1e-6 px on the field that comes with the program.  "tabulated": by ray maps, which take
+        to 1e-6 px on the shipped field.  "tabulated": by ray maps, which take
         a while to make and then serve any number of rays; rays that they don't hold are searched
         by Newton's method.
     grid_px : tuple of float

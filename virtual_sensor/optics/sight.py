@@ -19,7 +19,7 @@ from virtual_sensor.optics.surfaces import NoSurface, Surface
 Array = NDArray[np.float64]
 
 REFERENCE = March(step_mm=0.1, method="leapfrog", precision="double")
-"""The march of the searches: it errs by 3e-7 px on the field that comes with the program, less than
+"""The march of the searches: it errs by 3e-7 px on the shipped field, less than
 methods of higher order with as many lookups, and one lookup a step keeps its kernels small."""
 
 

@@ -153,7 +153,11 @@ def table(result: Measurement, figures: Summary) -> TextTable:
         (f"The paper's search: distance of {probes} rays", f"{paper}.largest_distance_um", _UM),
         ("Newton's search: the same", f"{newton}.largest_distance_um", _UM),
         ("Newton's search: marches a ray", f"{newton}.iterations", "{}"),
-        (f"Frame of {size[0]} x {size[1]} px, {spp} samples a pixel", "render_time_s", "{:.1f} s"),
+        (
+            f"Frame of {size[0]} x {size[1]} px, {spp} samples per pixel",
+            "render_time_s",
+            "{:.1f} s",
+        ),
         (f"Search of {result.rays} rays", "search_time_s", "{:.2f} s"),
     )
     states = figures.states

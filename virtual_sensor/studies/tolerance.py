@@ -84,7 +84,7 @@ class Rung:
     def __str__(self) -> str:
         parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
         step = f", steps of {self.step_mm:g} mm" if self.transport != "straight" else ""
-        made = f"{self.transport}{step}, {self.spp} samples a pixel"
+        made = f"{self.transport}{step}, {_per_pixel(self.spp)}"
         return f"{made}: about {self.error_px:.2g} px ({parts})"
 
 
@@ -278,7 +278,7 @@ def _step(
 
 
 def _samples(scene: Scene, column: Index, tolerance_px: float) -> tuple[int, float, str]:
-    """The fewest samples a pixel whose centres keep a tolerance, their error in px, and words."""
+    """The fewest samples per pixel that keep a tolerance, their error in px, and words."""
     best = TrueLine.of_rows(line_of(scene, column, _MANY_SAMPLES).row)
     if not best.columns().size:
         raise InputError(
@@ -289,4 +289,8 @@ def _samples(scene: Scene, column: Index, tolerance_px: float) -> tuple[int, flo
         error = largest_error(line_of(scene, column, spp), best)
         if error <= tolerance_px:
             break
-    return spp, error, f"{spp} samples a pixel err by {error:.2g} px"
+    return spp, error, f"an error of {error:.2g} px by {_per_pixel(spp)}"
+
+
+def _per_pixel(spp: int) -> str:
+    return f"{spp} sample{'s' * (spp != 1)} per pixel"

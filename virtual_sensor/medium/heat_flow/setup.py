@@ -24,7 +24,7 @@ CELLS_IN_WALL_LAYER = 6
 class HeatFlow:
     """A hot part in still air: natural convection, laminar, with the air's density varying.
 
-    The world frame is the house's: x along the cylinder's axis, z up, the origin on its top line.
+    The world frame: x along the cylinder's axis, z up, the origin on its top line.
     A cylinder is simulated in a quarter (x, y >= 0), a `section` in half of the plane across it;
     a part from an STL file as a whole, in the frame of the file.
 
@@ -39,7 +39,7 @@ class HeatFlow:
     section : bool
         Only the plane across an endless cylinder.
     whole : bool
-        A section without its mirror plane, so that the plume may sway; a breath of 2 cm/s across
+        A section without its mirror plane, so that the plume may sway; a draught of 2 cm/s across
         it at the start breaks the symmetry.
     unsteady : bool
         Small time steps that follow the flow's own motion, for bursts. Else large implicit ones,
