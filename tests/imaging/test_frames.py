@@ -262,8 +262,8 @@ def test_line_breaks_off_where_the_camera_cannot_look():
 def test_a_frame_is_the_same_to_the_bit_with_any_number_of_threads():
     """Rationale: a worker of a cluster has other cores, and its results are compared as bytes.
 
-    25 samples per pixel do not fill up the blocks that threads take, so that a pixel's samples are in
-    two threads' hands.
+    25 samples per pixel do not fill up the blocks that threads take, so that two threads make a
+    pixel's samples.
     """
     scene = load("cold", spp=25, line_radius=1.0, width=1024, height=1024)
     threads, frames = dr.thread_count(), []

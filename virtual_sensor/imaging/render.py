@@ -272,7 +272,7 @@ def _checked(
     camera: str | None = None,
     source: str | None = None,
 ) -> tuple[Scene, int, int]:
-    """The scene with what is asked for by name, samples per pixel (0: the scene's own), and seed."""
+    """The scene of the named devices, samples per pixel (0: the scene's own), and seed."""
     check_scene_given(asker, scene)
     samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
     seed = whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
