@@ -163,24 +163,21 @@ class Curve:
         """All series of these rays; with pixels rounded to a step, if one is given."""
         exact = self.pixel_cold, self.pixel_hot
         cold, hot = (round_pixel(p, step_px) for p in exact) if step_px else exact
-        A, B, sensor, camera = (
-            self.incidence_cold_mm,
-            self.incidence_hot_mm,
-            self.sensor,
-            self.sensor.camera,
-        )
+        A, B = self.incidence_cold_mm, self.incidence_hot_mm
+        sensor, camera = self.sensor, self.sensor.camera
         d = deviations(A, B, triangulate(sensor, cold), triangulate(sensor, hot), cold, hot)
         # The cold frame shows A seen straight; B seen straight no frame shows: the search has it.
         start = camera.project(A) if self.method == SEARCHED else cold
         straight = camera.project(B)
+        to_object, to_camera = straight - start, hot - straight
         axes = camera.pose.rotation
         found = self.method == SEARCHED
         pixels: dict[str, Any] = {
             "pixel_shift_px": d.pixel_px,
-            "laser_to_object_px": straight - start,
-            "object_to_camera_px": hot - straight,
+            "laser_to_object_px": to_object,
+            "object_to_camera_px": to_camera,
             "laser_to_camera_px": d.pixel_px,
-            "paths_minus_whole_px": hot - start - d.pixel_px,
+            "paths_minus_whole_px": to_object + to_camera - d.pixel_px,
             "rounding_px": d.pixel_px - (self.pixel_hot - self.pixel_cold),
             "pixel_cold": start,
             "pixel_straight": straight,
