@@ -132,7 +132,6 @@ def test_a_quick_trial_is_the_same_for_any_number_of_processes(tmp_path, monkeyp
     """The command's scores do not depend on who computed them; a user's own is found beside it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     own = "def brightest(image): return image.argmax(axis=0)\n"
     Path("test_trial_mine.py").write_text(own, encoding="utf-8")
     monkeypatch.setattr(reporting, "draw", lambda trial: {})

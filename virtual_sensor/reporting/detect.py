@@ -117,7 +117,7 @@ def save(
     Parameters
     ----------
     found : iterable of Detected
-        One for each path, in order; none is kept.
+        One for each path, in order; none stays in memory.
     paths : sequence of Path
     settings : Settings
         With which it was found.

@@ -381,13 +381,13 @@ def _signal(trial: Trial, key: _Key) -> Picture:
     known = np.array([each.ratio for each in clean if np.isfinite(each.ratio)])
     limits = (0.8 * min(known.min(initial=0.9), 0.9), 1.25 * max(known.max(initial=2.0), 2.0))
     panels = [Panel("The bound, for lines of each width", bounds, "Falls as the signal grows.")] + [
-        Panel(f"Line of sigma {w:g} px", ratios(w), _told(clean, w)) for w in widths
+        Panel(f"Line of sigma {w:g} px", ratios(w), _at_the_strongest(clean, w)) for w in widths
     ]
     title = f"Error over the Cramér-Rao bound of one column, read noise {noise:g} e"
     return draw_picture(title, panels, 3)
 
 
-def _told(scores: Sequence[Score], width: float) -> str:
+def _at_the_strongest(scores: Sequence[Score], width: float) -> str:
     """The errors over the bound at the strongest signal, in words."""
     here = [each for each in scores if each.width_px == width]
     most = max(each.column_electrons for each in here)
