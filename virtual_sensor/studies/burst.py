@@ -158,17 +158,17 @@ class SwayTable(Table):
     frames : ndarray of int of shape (W,)
         Frames in which a centre was found; of fewer than three there are no figures.
     mean_v_px, std_v_px : ndarray of shape (W,)
-        Row of the line's centre.
+        Row of the line's centre, its mean and standard deviation.
     y_mm : ndarray of shape (W,)
         Position of the mean point along the line, as that of probe rays.
     mean_mm : ndarray of shape (W, 3)
         The measured point, world, averaged.
     mean_height_mm : ndarray of shape (W,)
-        Its component against the laser's axis.
+        Height of the measured point against the laser's axis, averaged.
     std_um : ndarray of shape (W, 3)
         Standard deviation of the measured point.
     std_height_um : ndarray of shape (W,)
-        Standard deviation of its height.
+        Standard deviation of the measured point's height.
     static_error_um : ndarray of shape (W,)
         Distance of the mean point from the part's true section, positive outside the part.
     status : ndarray of str of shape (W,)
@@ -199,25 +199,25 @@ class RayTable(Table):
     frames : ndarray of int of shape (N,)
         Frames in which a pixel was found.
     mean_px, std_px : ndarray of shape (N, 2)
-        The pixel that sees the ray.
+        The pixel that sees the ray, its mean and standard deviation.
     mean_incidence_mm : ndarray of shape (N, 3)
-        B, where the ray meets the part, world.
+        B, where the ray meets the part, world, averaged.
     mean_incidence_height_mm : ndarray of shape (N,)
-        Its component against the laser's axis.
+        Height of B against the laser's axis, averaged.
     std_incidence_um : ndarray of shape (N, 3)
         Standard deviation of B.
     std_incidence_height_um : ndarray of shape (N,)
-        Standard deviation of its height.
+        Standard deviation of the height of B.
     mean_measured_mm : ndarray of shape (N, 3)
-        B_m, the point measured of it, world.
+        B_m, the point measured of it, world, averaged.
     mean_measured_height_mm : ndarray of shape (N,)
-        Its component against the laser's axis.
+        Height of B_m against the laser's axis, averaged.
     std_measured_um : ndarray of shape (N, 3)
         Standard deviation of B_m.
     std_measured_height_um : ndarray of shape (N,)
-        Standard deviation of its height.
+        Standard deviation of the height of B_m.
     mean_error_um, std_error_um : ndarray of shape (N,)
-        Height of B_m above B.
+        Height of B_m above B, its mean and standard deviation.
     status : ndarray of str of shape (N,)
         "found", or why most frames have no pixel for it.
     """
@@ -250,7 +250,7 @@ class FrameTable(Table):
     column : ndarray of int of shape (M,)
         Of the image.
     row, sigma : ndarray of shape (M,)
-        The line's centre, and the standard deviation that its detector expects of it, px.
+        The line's centre, px, and the standard deviation that its detector expects of it.
     point_mm : ndarray of shape (M, 3)
         The measured point, world.
     status : ndarray of str of shape (M,)
@@ -366,11 +366,11 @@ class BurstSummary(SceneFacts):
     static_error : SectionErrors
         The mean points beside the part's true section: the error that stays.
     static_error_at_largest_um : float
-        The same where the measured height sways most.
+        Distance of the mean point from the true section where the height sways most.
     stage_s : dict
         Time spent on field, search, render and centres, in all frames.
     time_per_frame_s : float
-        All of that for one frame.
+        Time spent on a frame, all stages together.
     """
 
     field: BurstField

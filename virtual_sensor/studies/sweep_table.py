@@ -55,29 +55,29 @@ class SweepTable(Table):
     cold_centres, hot_centres : ndarray of shape (N,)
         Columns of the image, or dots, whose centre was found, in the cold and in the hot frame.
     cold_compared, hot_compared : ndarray of shape (N,)
-        Of these, how many were compared with the ray search.
+        Centres, or dots, that were compared with the ray search.
     cold_wrong, hot_wrong : ndarray of shape (N,)
         Centres of a line that are ok and wrong by the frame's own truth.
     cold_section_rms_um, hot_section_rms_um : ndarray of shape (N,)
         Distance of the measured points from the part's true section, rms.
     cold_section_largest_um, hot_section_largest_um : ndarray of shape (N,)
-        The same, the largest.
+        Distance of the measured points from the part's true section, the largest.
     cold_line_rms_px, hot_line_rms_px : ndarray of shape (N,)
         Rendered line minus ray search, across the line, rms.
     cold_line_largest_px, hot_line_largest_px : ndarray of shape (N,)
-        The same, at most.
+        Rendered line minus ray search, across the line, at most.
     cold_dots_largest_u_px, hot_dots_largest_u_px : ndarray of shape (N,)
         Rendered dots minus ray search, along the line, at most.
     cold_dots_largest_v_px, hot_dots_largest_v_px : ndarray of shape (N,)
-        The same across the line.
+        Rendered dots minus ray search, across the line, at most.
     rays_lit : ndarray of shape (N,)
         How many of the probe rays the laser lights.
     largest_incidence_shift_um : ndarray of shape (N,)
         Of the probe rays: how far hot air moves the point that a ray lights, |B - A|.
     largest_hot_error_um : ndarray of shape (N,)
-        How far the point measured hot is from the point that is lit, |B - B_m|.
+        Of the probe rays: how far the point measured hot is from the one that is lit, |B - B_m|.
     largest_measured_shift_um : ndarray of shape (N,)
-        How far the points measured hot and cold are apart, |B_m - A_m|.
+        Of the probe rays: how far hot air moves the measured point, |B_m - A_m|.
     folder : tuple of str
         Of the case's results, relative to the sweep's; "" if there are none.
     message : tuple of str
