@@ -309,14 +309,14 @@ def _draw_rays(diagram: Diagram, rays: Rays, axes: Axes) -> None:
 
 def _curve(axes: Axes, rays: Rays, values: Array, label: str, shade: str, marker: str) -> Line2D:
     """The search as a line, rendered dots as markers, a rendered line as crosses; its key."""
-    looks: dict[str, dict[str, Any]] = {
+    marks: dict[str, dict[str, Any]] = {
         SEARCHED: {},
         DOTS: {"marker": marker, "ls": "none", "mfc": "white"},
         LINE: {"marker": "x", "ls": "none", "ms": 6.0},
     }
-    for method, look in looks.items():
+    for method, mark in marks.items():
         mine = (rays.method == method) & np.isfinite(values)
-        axes.plot(rays.y_mm[mine], values[mine], color=shade, **look)
+        axes.plot(rays.y_mm[mine], values[mine], color=shade, **mark)
     seen = marker if (rays.method != SEARCHED).any() else ""
     return Line2D([], [], color=shade, marker=seen, mfc="white", label=label)
 
@@ -359,9 +359,9 @@ def _draw_arrow(diagram: Diagram, rays: Rays, axes: Axes) -> None:
     axes.plot([start[0], end[0], end[0]], [start[1], start[1], end[1]], color=GREY, lw=0.8, ls=":")
     keys = []
     for name, (label, of, filling) in _POINTS.items():
-        look = {"color": colour(of), "mfc": filling or colour(of), "marker": "o", "ms": 6.0}
-        axes.plot(*places[name], ls="none", **look)
-        keys.append(Line2D([], [], ls="none", label=label.replace("B (hot), if", "B,"), **look))
+        mark = {"color": colour(of), "mfc": filling or colour(of), "marker": "o", "ms": 6.0}
+        axes.plot(*places[name], ls="none", **mark)
+        keys.append(Line2D([], [], ls="none", label=label.replace("B (hot), if", "B,"), **mark))
     corners = np.array(list(places.values()))
     half = 0.65 * max(float(np.ptp(corners, axis=0).max()), _LEAST_PX)
     u, v = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
@@ -440,8 +440,8 @@ def draw_fits(fits: Mapping[str, Fit]) -> Picture:
 
 def _draw_costs(fits: Mapping[str, Fit], axes: Axes) -> None:
     for marker, (air, fit) in zip(_MARKERS, fits.items(), strict=False):
-        look = {"color": colour(air), "marker": marker}
-        axes.plot(fit.tried_mm, fit.cost, label=f"{air}, least at {fit.fitted_mm:g} mm", **look)
+        mark = {"color": colour(air), "marker": marker}
+        axes.plot(fit.tried_mm, fit.cost, label=f"{air}, least at {fit.fitted_mm:g} mm", **mark)
         axes.axvline(fit.fitted_mm, color=colour(air), ls=":")
     axes.set(yscale="log", xlabel="blur in mm", ylabel="sum of squared relative residuals")
     decimal_ticks(axes.yaxis)

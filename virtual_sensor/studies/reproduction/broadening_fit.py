@@ -34,7 +34,7 @@ FAMILIES: dict[str, Callable[[float], Broadening]] = {
 }
 """The broadening of an air by its one parameter, a blur in mm."""
 TRIED_MM = (4.0, 6.0, 8.0, 10.0)
-"""First looked at, before the least cost among them is refined."""
+"""Tried first, before the least cost among them is refined."""
 STEP_MM = 0.1
 """A fitted parameter is rounded to it: the paper's numbers have one or two digits."""
 
@@ -48,7 +48,7 @@ class Fit:
     air : str
         BLURRED or WIDENED.
     tried_mm, cost : ndarray of shape (K,)
-        Blurs that were looked at, ascending, and the sum of squares of relative residuals.
+        Blurs that were tried, ascending, and the sum of squares of relative residuals.
     fitted_mm : float
         The blur of least cost, rounded to `STEP_MM`.
     ours, resolved, residual : ndarray of shape (J,)
@@ -73,7 +73,7 @@ class Fit:
 def fit_broadening(scenes: Scenes, air: str, report: Report = lambda stage, fraction: None) -> Fit:
     """Fit the blur: bracket the least cost, refine it by a bounded search, round it.
 
-    The cost is the sum of squared relative residuals; a bound that is kept adds nothing.
+    The cost is the sum of squared relative residuals; a bound that is met adds nothing.
     """
     numbers: dict[float, Array] = {}
     broadened, expected = FAMILIES[air], len(TRIED_MM) + 5

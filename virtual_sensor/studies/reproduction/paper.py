@@ -1,7 +1,7 @@
 """The statements of section 5 of Beermann et al. 2018, and whether our curves bear them out.
 
 ``paper.toml`` holds the statements. Each is checked, in each of our airs, by one of six kinds of
-check over named series of the nine rays. Numbers are met within 15 %, bounds if they are kept.
+check over named series of the nine rays. Numbers are met within 15 %, bounds exactly.
 """
 
 from __future__ import annotations
@@ -120,14 +120,14 @@ class Statement:
         return next((each for each in numbers if each is not None), np.nan)
 
     def residual(self, ours: float) -> float:
-        """Relative difference of ours from the paper's number; 0 where a bound is kept."""
+        """Relative difference of ours from the paper's number; 0 where a bound is met."""
         apart = ours / self.stated - 1.0
         if self.number is not None:
             return apart
         return min(apart, 0.0) if self.above is not None else max(apart, 0.0)
 
     def met(self, ours: float) -> bool:
-        """Whether a number is the paper's within the tolerance, or keeps its bound."""
+        """Whether a number is the paper's within the tolerance, or meets its bound."""
         return abs(self.residual(ours)) <= (0.0 if self.number is None else TOLERANCE)
 
 
@@ -251,7 +251,7 @@ Met = tuple[bool | np.bool_, dict[str, Any]]
 
 
 def _monotone(s: Statement, curves: Curves, air: str) -> Met:
-    """Each step goes the one way; over settings, each ray's or the taken number's."""
+    """Each step rises, or falls; over settings, each ray's or the taken number's."""
     if s.over:
         x = np.stack([s.of.values(curves, air, **{s.over: v}) for v in _SETTINGS[s.over]])
     else:

@@ -167,7 +167,7 @@ class FittedCylinders(Table):
 
 @dataclass(frozen=True)
 class _Moved:
-    """What a search needs of a scene, with the sensor elsewhere: nothing is loaded again."""
+    """What a search needs of a scene, with the sensor moved: nothing is loaded again."""
 
     sensor: SensorModel
     field: Any
@@ -199,7 +199,7 @@ def reconstruct(
     arcs_mm : sequence of float
         Largest abs(y) of the rays that take part in a fit, ascending.
     report : callable
-        Is told what is being done, and which fraction of the whole is.
+        Called with what is being done, and which fraction of the whole is.
 
     Raises
     ------
@@ -232,7 +232,7 @@ def reconstruct(
         taken = points[:, :, np.abs(y) <= arc * (1.0 + 1e-9)]
         for state in range(2):
             # All lines' points of a ray, then the next ray's: lines repeat each other's residuals,
-            # and only points some way apart along the line are independent.
+            # and only points some distance apart along the line are independent.
             fit, interval = _fitted(np.swapaxes(taken[state], 0, 1).reshape(-1, 3))
             fits.append(fit)
             intervals.append(interval)
@@ -283,7 +283,7 @@ def _fitted(
 
 
 def _moved(sensor: SensorModel, along_mm: float) -> SensorModel:
-    """The same sensor elsewhere along x."""
+    """The same sensor, moved along x."""
     motion = Pose(np.eye(3), np.array([along_mm, 0.0, 0.0]))
     return SensorModel(
         sensor.camera.with_pose(sensor.camera.pose.moved(motion)),
