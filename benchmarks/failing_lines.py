@@ -90,7 +90,9 @@ def cases() -> Iterator[Case]:
                 lambda amount, trouble=trouble, draw=draw, method=method: _detected(
                     trouble, amount, draw, method
                 ),
-                f"{_COLUMNS} columns, sigma {SIGMA_PX:g} px, noise {NOISE:.1%}",
+                f"{_COLUMNS} columns, sigma {SIGMA_PX:g} px, noise {NOISE:.1%}; wrong is a centre"
+                " off by more than 0.05 px and three of its own standard errors",
+                "nearer lines are one broader line" if "doubled" in trouble else "",
                 share=0.02,  # more than three standard errors happen by chance
             )
 
