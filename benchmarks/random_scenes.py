@@ -25,7 +25,7 @@ from virtual_sensor.optics.transports import Transport
 from virtual_sensor.studies.tolerance import (
     SAMPLES,
     STEPS_MM,
-    Rung,
+    Configuration,
     choose,
     groups,
     largest_error,
@@ -73,7 +73,7 @@ class Check:
     parameters : dict
         Of the scene `hot_cylinder`.
     tolerance_px : float
-    configuration : Rung or None
+    configuration : Configuration or None
         None if none was found.
     error_px : float
         The true one: the largest of the columns that have a centre in the reference and by the
@@ -89,7 +89,7 @@ class Check:
 
     parameters: dict[str, Any]
     tolerance_px: float
-    configuration: Rung | None
+    configuration: Configuration | None
     error_px: float = float("nan")
     seconds: float = float("nan")
     cheapest: str = ""

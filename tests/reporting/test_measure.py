@@ -67,7 +67,7 @@ def test_the_page_begins_with_how_wrong_the_section_is(measured):
             continue
         assert lead.startswith(f"In {name} air the measured section is wrong by ")
         assert f"{section.rms_um:.3g} µm rms" in lead
-        assert f"y = {section.largest_y_mm:.3g} mm" in lead
+        assert f"y = {section.largest_y_mm:.3g} mm".replace("-", "\N{MINUS SIGN}") in lead
 
 
 def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
@@ -77,6 +77,8 @@ def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
     assert list(panels) == ["section", "check", "frame"]
     _, panels = reporting.picture(*measured["hot"][:2])
     assert {"section", "paths", "frame", "air", "probes", "letters", "check"} == set(panels)
+    _, panels = reporting.picture(*measured["nothing"][:2])
+    assert "check" not in panels
     assert reporting.micrometres(5e-11) == "below 1e-6 µm"
     assert reporting.micrometres(-0.5) == "\N{MINUS SIGN}0.5 µm"
     assert reporting.micrometres(None) == "none"

@@ -1,4 +1,4 @@
-"""A tolerance in px: the rung chosen keeps it, costs no more than it must, and says why."""
+"""A tolerance in px: the chosen settings keep it, cost no more than they must, and say why."""
 
 import re
 
@@ -11,7 +11,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.studies import tolerance
-from virtual_sensor.studies.tolerance import STEPS_MM, choose, whole_columns, with_rung
+from virtual_sensor.studies.tolerance import STEPS_MM, choose, configured, whole_columns
 
 FILM = {"width": 512, "height": 512}
 WEAK = {"blur": 12, "beta": 60}
@@ -30,7 +30,7 @@ def hot():
 
 
 @pytest.fixture(scope="module")
-def rung(hot):
+def configuration(hot):
     """What is chosen for 0.02 px there."""
     return choose(hot, 0.02)
 
@@ -50,9 +50,9 @@ def moved_px(scene):
 def test_a_weak_field_needs_no_bent_rays(weak):
     """Rationale: the line moves by less than is asked for; to bend its light is wasted work."""
     px = moved_px(weak)
-    rung = choose(weak, 1.3 * px)
-    assert rung.transport == "straight"
-    assert rung.estimate_px["refraction left out"] == pytest.approx(px, rel=0.01)
+    configuration = choose(weak, 1.3 * px)
+    assert configuration.transport == "straight"
+    assert configuration.estimate_px["refraction left out"] == pytest.approx(px, rel=0.01)
 
 
 def test_where_the_line_moves_further_light_is_bent(weak, hot):
@@ -62,19 +62,21 @@ def test_where_the_line_moves_further_light_is_bent(weak, hot):
 
 
 def test_less_tolerance_is_never_had_for_less(hot):
-    """Rationale: each rung asked for less error is as costly in every respect, or more."""
-    rungs = [choose(hot, px) for px in (100.0, 0.1, 0.01, 0.003)]
-    cost = [(-r.step_mm, r.spp, -r.table_px) for r in rungs]
-    assert [r.transport for r in rungs] == ["straight"] + 3 * ["tabulated"]
+    """Rationale: each configuration asked for less error is as costly in every respect, or more."""
+    configurations = [choose(hot, px) for px in (100.0, 0.1, 0.01, 0.003)]
+    cost = [(-r.step_mm, r.spp, -r.table_px) for r in configurations]
+    assert [r.transport for r in configurations] == ["straight"] + 3 * ["tabulated"]
     assert (np.diff(cost[1:], axis=0) >= 0).all()
-    assert all(r.error_px <= px for r, px in zip(rungs, (100.0, 0.1, 0.01, 0.003), strict=True))
+    assert all(
+        r.error_px <= px for r, px in zip(configurations, (100.0, 0.1, 0.01, 0.003), strict=True)
+    )
 
 
 def test_a_cold_scene_is_rendered_straight():
     """Rationale: without a field there is nothing to weigh but samples."""
-    rung = choose(load_scene("cold_cylinder", **FILM), 0.01)
-    assert (rung.transport, set(rung.estimate_px)) == ("straight", {"samples"})
-    assert rung.error_px <= 0.01
+    configuration = choose(load_scene("cold_cylinder", **FILM), 0.01)
+    assert (configuration.transport, set(configuration.estimate_px)) == ("straight", {"samples"})
+    assert configuration.error_px <= 0.01
 
 
 @pytest.mark.parametrize("px", [0.0, -0.01, float("nan"), float("inf")])
@@ -85,7 +87,7 @@ def test_a_tolerance_that_is_none_is_refused(hot, px):
 
 
 def test_a_tolerance_that_cannot_be_kept_is_refused_with_the_best(hot):
-    """Rationale: float32 ends at about 1e-5 px; a rung that misses must not be handed out."""
+    """Rationale: float32 ends at about 1e-5 px; settings that miss must not be handed out."""
     with pytest.raises(InputError, match=r"tolerance 1e-07 px: the best that was found is .*march"):
         choose(hot, 1e-7)
 
@@ -104,22 +106,22 @@ def test_dots_are_refused():
         choose(scene, 0.01)
 
 
-def test_it_says_what_it_weighed(rung):
+def test_it_says_what_it_weighed(configuration):
     """Rationale: a user must be able to see which part of the error rules."""
-    assert set(rung.estimate_px) == {"march", "tables", "samples"}
+    assert set(configuration.estimate_px) == {"march", "tables", "samples"}
     for words in ("refraction moves the line", "a step of", "per pixel"):
-        assert any(words in each for each in rung.why)
-    for part, px in rung.estimate_px.items():
-        assert f"{part} {px:.2g}" in str(rung)
+        assert any(words in each for each in configuration.why)
+    for part, px in configuration.estimate_px.items():
+        assert f"{part} {px:.2g}" in str(configuration)
 
 
-def test_the_chosen_scene_is_the_rungs(hot, rung):
+def test_the_chosen_scene_is_the_configurations(hot, configuration):
     """Rationale: what was judged is what the user gets."""
-    chosen = with_rung(hot, rung)
-    assert chosen.transport.name == rung.transport
-    assert chosen.transport.march.step_mm == rung.step_mm
-    assert chosen.transport.tolerance_px == pytest.approx(rung.table_px, rel=1e-5)
-    assert chosen.mitsuba.sensors()[0].sampler().sample_count() == rung.spp
+    chosen = configured(hot, configuration)
+    assert chosen.transport.name == configuration.transport
+    assert chosen.transport.march.step_mm == configuration.step_mm
+    assert chosen.transport.tolerance_px == pytest.approx(configuration.table_px, rel=1e-5)
+    assert chosen.mitsuba.sensors()[0].sampler().sample_count() == configuration.spp
 
 
 def test_choosing_leaves_the_scene_as_it_was(hot):
@@ -130,7 +132,7 @@ def test_choosing_leaves_the_scene_as_it_was(hot):
 
 
 def test_a_scene_without_the_parameters_is_refused_by_name(hot, tmp_path):
-    """Rationale: a user's own scene may fix what the rung would set."""
+    """Rationale: a user's own scene may fix what the configuration would set."""
     text = hot.path.read_text(encoding="utf-8")
     fixed = tmp_path / "fixed.xml"
     fixed.write_text(
@@ -140,7 +142,7 @@ def test_a_scene_without_the_parameters_is_refused_by_name(hot, tmp_path):
     field = hot.path.parent / "fields/hot_cylinder_1250C_quarter.nc"
     scene = load_scene(fixed, **FILM, field=field)
     with pytest.raises(InputError, match=r"no parameter 'transport'; the scene has: .*step"):
-        with_rung(scene, choose(scene, 100.0))
+        configured(scene, choose(scene, 100.0))
 
 
 def test_where_rays_are_turned_away_the_shortest_step_is_taken(hot, monkeypatch):
@@ -150,10 +152,10 @@ def test_where_rays_are_turned_away_the_shortest_step_is_taken(hot, monkeypatch)
         raise tolerance.NoMapError("a ray did not reach its depth")
 
     monkeypatch.setattr(tolerance, "_step", turned_away)
-    rung = choose(hot, 0.02)
-    assert rung.step_mm == min(STEPS_MM)
-    assert "march" not in rung.estimate_px
-    assert any("a ray did not reach its depth" in each for each in rung.why)
+    configuration = choose(hot, 0.02)
+    assert configuration.step_mm == min(STEPS_MM)
+    assert "march" not in configuration.estimate_px
+    assert any("a ray did not reach its depth" in each for each in configuration.why)
 
 
 def test_columns_beyond_the_line_are_not_judged():
@@ -164,14 +166,14 @@ def test_columns_beyond_the_line_are_not_judged():
     np.testing.assert_array_equal(whole_columns(found), np.arange(5, 12))
 
 
-def test_the_command_tells_the_rung(tmp_path):
+def test_the_command_says_what_was_chosen(tmp_path):
     """Rationale: what was chosen for the user, and why, must be seen without looking for it."""
     film = ["-D", "width=512", "-D", "height=512"]
     status, out, err = command(
         "measure", "hot_cylinder", *film, "--tolerance", 0.02, "-o", tmp_path / "out"
     )
     assert status == 0, err
-    assert re.search(r"0\.02 px: tabulated, steps of \d+ mm, \d+ samples? per pixel: about 0", out)
+    assert re.search(r"0\.02 px: transport tabulated, step \d+ mm, .*, spp \d+: about 0\.0", out)
     assert "because refraction moves the line by up to" in out
 
 

@@ -61,11 +61,11 @@ def measure(
     with reporting("loading the scene") as report:
         loaded = load_scene(scene, **definitions(define)).only(camera, source)
         if tolerance is not None:
-            from virtual_sensor.studies.tolerance import choose, with_rung
+            from virtual_sensor.studies.tolerance import choose, configured
 
             report("choosing the settings", 0.0)
             configuration = choose(loaded, tolerance)
-            loaded = with_rung(loaded, configuration)
+            loaded = configured(loaded, configuration)
             console.print(f"{tolerance:g} px: {configuration}", soft_wrap=True)
             console.print(f"  because {'; '.join(configuration.why)}", soft_wrap=True)
         result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)

@@ -276,7 +276,7 @@ def page(
             "Check: renderer and ray search agree",
             "The line's centres in the rendered frames stand beside a search by rays, without any"
             " image: what separates them is the error of rendering and detecting.",
-            panels["check"],
+            _beside(panels, "check"),
             table(result, figures),
             *(_compared(name, state) for name, state in figures.states.items()),
         ),
@@ -366,12 +366,13 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
     """Draw a measurement: the whole picture, and its panels by name; of a cold part fewer."""
     hot = result.hot
     panels = {"section": _section_panel(result, figures)}
+    check = {"check": _check_panel(result)} if result.centres else {}
     if hot:
         panels |= {"paths": _paths_panel(hot), "frame": _frame_panel(result, 2)}
         panels |= {"air": _air_panel(hot), "probes": _probe_panel(result)}
-        panels |= {"letters": _letters_panel(), "check": _check_panel(result)}
+        panels |= {"letters": _letters_panel()} | check
     else:
-        panels |= {"check": _check_panel(result), "frame": _frame_panel(result, 3)}
+        panels |= check | {"frame": _frame_panel(result, 3)}
     name = plain(result.scene.path.stem)
     drawn = draw_picture(f"{name}: {headline(figures)}", list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
@@ -388,7 +389,7 @@ def headline(figures: Summary) -> str:
             words.append(
                 f"in {name} air the measured section is wrong by"
                 f" {micrometres(section.rms_um)} rms, at most by"
-                f" {micrometres(section.largest_um)} at y = {section.largest_y_mm:.3g} mm"
+                f" {micrometres(section.largest_um)} at y = {_number(section.largest_y_mm)} mm"
             )
         else:
             words.append(f"in {name} air by {micrometres(section.rms_um)} rms")
@@ -399,14 +400,20 @@ def micrometres(value_um: float | None) -> str:
     """A length as people read it: what is only rounding is called so."""
     if value_um is not None and abs(value_um) < NIL_UM:
         return "below 1e-6 µm"
-    return in_words(value_um, "{:.3g} µm").replace("-", "\N{MINUS SIGN}")
+    return "none" if value_um is None or np.isnan(value_um) else f"{_number(value_um)} µm"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _section_panel(result: Measurement, figures: Summary) -> Panel:
     def draw(axes: Axes) -> None:
         for name, state in result.states.items():
             errors = figures.states[name].section
-            label = f"{name}: {micrometres(errors.rms_um)} rms"
+            label = (
+                f"{name}: {micrometres(errors.rms_um)} rms" if errors.points else f"{name}: none"
+            )
             y = state.section.along_mm(state.points_mm)
             _curve(axes, y, state.section_error_um, name, label, dots=bool(state.dots))
             if errors.points and abs(errors.largest_um) >= NIL_UM and state.scene.field:
@@ -471,7 +478,7 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
         for number, (label, drawn) in enumerate(result.states.items()):
             look = ("+", "x")[number] if drawn.dots else LINES[number]
             label = f"{label}: {drawn.centres} {'dots' if drawn.dots else 'line centres'}"
-            axes.plot(*drawn.centres_px.T, look, color=_on_black(number), lw=1.2, label=label)
+            axes.plot(*drawn.centres_px.T, look, color=_on_black(number), lw=1.2, ms=8, label=label)
         axes.grid(False)
         axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u along the line in px")
         axes.set(ylabel="v in px")

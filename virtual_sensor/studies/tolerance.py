@@ -1,4 +1,4 @@
-"""Modelling no more than a scene needs: the cheapest rung that keeps an error asked for.
+"""Modelling no more than a scene needs: the cheapest settings whose error is within a tolerance.
 
 The error is that of the line centres, in px, the largest of all columns.  It is estimated in parts,
 each by a few rays or a few columns of the very scene:
@@ -24,6 +24,7 @@ from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.ray_maps import NoMapError, displaced
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.optics.rays import Field, March
+from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -39,24 +40,27 @@ _GROUPS = 16  # of columns, the line's ends among them
 _BESIDE = 2  # columns each side: one with none beside it is taken for the line's end
 _SHARE = {"march": 0.2, "tables": 0.3}  # of the tolerance, at most
 _WHOLE_PX = 1.0  # from the searched line's ends: its flanks end as much as half a pixel sooner
-_LOST = 0.1  # of the columns: a rung that finds fewer centres does not do
+_LOST = 0.1  # of the columns: a configuration that finds fewer centres does not do
 
 
 @dataclass(frozen=True)
-class Rung:
-    """What to make frames with, and why.
+class Configuration(Record):
+    """Settings to render frames with, and why.
 
     Attributes
     ----------
     transport : str
+        How light is carried through the air.
     step_mm : float
+        Of the march.
     spp : int
+        Samples per pixel.
     table_px : float
-        Tolerance of the tables.
+        Tolerance of the ray maps.
     estimate_px : dict
         The parts of its estimated error.
     why : list of str
-        In words, what was weighed.
+        What was weighed, in words.
     """
 
     transport: str
@@ -83,13 +87,14 @@ class Rung:
 
     def __str__(self) -> str:
         parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
-        step = f", steps of {self.step_mm:g} mm" if self.transport != "straight" else ""
-        made = f"{self.transport}{step}, {_per_pixel(self.spp)}"
-        return f"{made}: about {self.error_px:.2g} px ({parts})"
+        step = f", step {self.step_mm:g} mm" if self.transport != "straight" else ""
+        maps = f", tolerance {self.table_px:.2g} px" if self.transport == "tabulated" else ""
+        settings = f"transport {self.transport}{step}{maps}, spp {self.spp}"
+        return f"{settings}: about {self.error_px:.2g} px ({parts})"
 
 
-def choose(scene: Scene, tolerance_px: float) -> Rung:
-    """The cheapest rung whose estimated error keeps a tolerance.
+def choose(scene: Scene, tolerance_px: float) -> Configuration:
+    """The cheapest configuration whose estimated error keeps a tolerance.
 
     Straight light is cheapest, then tables, then marching; fewer samples before more.
 
@@ -103,7 +108,7 @@ def choose(scene: Scene, tolerance_px: float) -> Rung:
     ------
     InputError
         If the tolerance is no positive number, the scene has no line whose centres could be judged,
-        or no rung keeps it.
+        or no configuration keeps it.
     """
     if not (np.isfinite(tolerance_px) and tolerance_px > 0.0):
         raise InputError(f"tolerance {tolerance_px}: give a positive number of px")
@@ -118,22 +123,22 @@ def choose(scene: Scene, tolerance_px: float) -> Rung:
     column = groups(whole, np.linspace(0.0, 1.0, _GROUPS))
     if scene.field is None:
         why = ["no field: light runs straight"]
-        rung = _straight(scene, tolerance_px, column, {}, why)
+        configuration = _straight(scene, tolerance_px, column, {}, why)
     else:
         moved = _moved(hot, cold, scene.sensor.camera.size[0])
         why.append(f"refraction moves the line by up to {moved:.2g} px")
         if moved < tolerance_px:
             left_out = {"refraction left out": moved}
-            rung = _straight(scene, tolerance_px, column, left_out, why)
-            if rung.error_px <= tolerance_px:
-                return rung
-        rung = _bent(scene, scene.field, hot, tolerance_px, column, why)
-    if rung.error_px > tolerance_px:
+            configuration = _straight(scene, tolerance_px, column, left_out, why)
+            if configuration.error_px <= tolerance_px:
+                return configuration
+        configuration = _bent(scene, scene.field, hot, tolerance_px, column, why)
+    if configuration.error_px > tolerance_px:
         raise InputError(
-            f"tolerance {tolerance_px:g} px: the best that was found is {rung}; ask for more, or"
-            " set method, step and spp (-D) yourself"
+            f"tolerance {tolerance_px:g} px: the best that was found is {configuration}; ask for"
+            " more, or set method, step and spp (-D) yourself"
         )
-    return rung
+    return configuration
 
 
 def _straight(
@@ -142,14 +147,14 @@ def _straight(
     column: Index,
     left_out: dict[str, float],
     why: list[str],
-) -> Rung:
+) -> Configuration:
     """Straight light, with the fewest samples that do."""
     step_mm = scene.transport.march.step_mm
     tried = scene_on(scene, "straight", step_mm, tolerance_px)
     left_px = tolerance_px - sum(left_out.values())
     spp, error, words = _samples(tried, column, left_px)
     estimate = left_out | {"samples": error}
-    return Rung("straight", step_mm, spp, tolerance_px, estimate, [*why, words])
+    return Configuration("straight", step_mm, spp, tolerance_px, estimate, [*why, words])
 
 
 def _bent(
@@ -159,7 +164,7 @@ def _bent(
     tolerance_px: float,
     column: Index,
     why: list[str],
-) -> Rung:
+) -> Configuration:
     """Bent light by tables, marched where there are none, with the fewest samples that do."""
     estimate: dict[str, float] = {}
     try:
@@ -170,7 +175,7 @@ def _bent(
         why.append(f"the march's error is not known, so its step is the shortest: {no_rays}")
     table_px = _SHARE["tables"] * tolerance_px
     if estimate.get("march", 0.0) > tolerance_px:
-        return Rung("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
+        return Configuration("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
     tried = scene_on(scene, "tabulated", step, table_px)
     made = lit_pixels(tried).report
     if made.transport == "tabulated":
@@ -179,19 +184,19 @@ def _bent(
         why.append(f"no tables: {made.reason}")
     left_px = tolerance_px - sum(estimate.values())
     spp, estimate["samples"], words = _samples(tried, column, left_px)
-    return Rung(made.transport, step, spp, table_px, estimate, [*why, words])
+    return Configuration(made.transport, step, spp, table_px, estimate, [*why, words])
 
 
-def with_rung(scene: Scene, rung: Rung) -> Scene:
-    """The scene with a rung's parameters and transport.
+def configured(scene: Scene, configuration: Configuration) -> Scene:
+    """The scene with a configuration's parameters and transport.
 
     Raises
     ------
     InputError
         If the scene has no such parameters.
     """
-    again = scene.with_parameters(**rung.parameters)
-    return scene_on(again, rung.transport, rung.step_mm, rung.table_px)
+    again = scene.with_parameters(**configuration.parameters)
+    return scene_on(again, configuration.transport, configuration.step_mm, configuration.table_px)
 
 
 def search_line(scene: Scene) -> FoundPixels:
