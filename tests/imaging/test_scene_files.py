@@ -11,8 +11,13 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.loading import warnings_of as loading_notes
-from virtual_sensor.imaging.scene import scene_files, scene_parameters, shipped_scenes
-from virtual_sensor.imaging.scene_file import LONGEST_VALUE, MOST_INCLUDED, MOST_NESTED
+from virtual_sensor.imaging.scene import find_scene, scene_files, scene_parameters, shipped_scenes
+from virtual_sensor.imaging.scene_file import (
+    LONGEST_VALUE,
+    MOST_INCLUDED,
+    MOST_NESTED,
+    parameter_words,
+)
 
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
 LASER_PLACE = '<lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>'
@@ -366,3 +371,16 @@ def test_other_variants_make_the_same_frame(variant, tmp_path):
     ours = vs.render(vs.load_scene("cold_cylinder", **film))
     assert ours.max() > 0.0
     np.testing.assert_allclose(np.load(file), ours, rtol=1e-5)
+
+
+def test_what_a_scene_says_of_its_parameters_is_the_comment_behind_them(tmp_path):
+    """Rationale: an axis takes its unit from there, and a comment of another line is another's."""
+    assert parameter_words(find_scene("hot_cylinder"))["beta"].endswith("axis, degrees")
+    file = tmp_path / "scene.xml"
+    file.write_text(
+        '<scene version="3.0.0"><!-- before -->\n'
+        "<default value='1' name='a'/>  <!-- of the part,\n   mm -->\n"
+        '<default name="b" value="2"/>\n<!-- of the next -->\n'
+        '<default name="c" value="3"/><!-- px --></scene>'
+    )
+    assert parameter_words(file) == {"a": "of the part, mm", "c": "px"}

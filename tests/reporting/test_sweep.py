@@ -194,10 +194,10 @@ def test_every_kind_of_sweep_can_be_drawn():
 
 def test_the_lead_says_where_the_error_is_largest_and_what_failed():
     """Rationale: it is what a reader wants to know first."""
-    words = lead(swept({"beta": ["0", "15"], "temperature": ["900", "1250"]}, failed=(3,)))
-    assert words.startswith("4 cases over beta and temperature: 3 measured and 1 failed.")
-    assert "wrong by 300 µm rms at beta=15, temperature=900" in words
-    assert "by 100 µm at beta=0, temperature=900" in words
+    words = lead(swept({"beta": ["0", "15"], "line_radius": ["0.1", "0.2"]}, failed=(3,)))
+    assert words.startswith("4 cases over beta and line_radius: 3 measured and 1 failed.")
+    assert "wrong by 300 µm rms at beta=15, line_radius=0.1" in words
+    assert "by 100 µm at beta=0, line_radius=0.1" in words
 
 
 def test_the_table_links_each_case_that_was_measured():

@@ -564,11 +564,13 @@ def lead(result: Sweep) -> str:
     if np.isfinite(error).sum() < 2:
         return words
     most, least = int(np.nanargmax(error)), int(np.nanargmin(error))
-    names = [end.case.name.replace("_", ", ") for end in result.finished]
+    worst, best = (
+        ", ".join(f"{p.name}={result.table.parameters[p.name][row]}" for p in summary.swept)
+        for row in (most, least)
+    )
     return (
-        f"{words} The section measured {state} is wrong by {error[most]:.3g} µm rms at"
-        f" {names[most]}, where it is worst, and by {error[least]:.3g} µm at {names[least]}, where"
-        " it is best."
+        f"{words} The section measured {state} is wrong by {error[most]:.3g} µm rms at {worst},"
+        f" where it is worst, and by {error[least]:.3g} µm at {best}, where it is best."
     )
 
 
