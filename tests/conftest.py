@@ -6,6 +6,7 @@ worker computes with its share of the cores. A run of single files is done by th
 
 import os
 import signal
+from collections import Counter
 from pathlib import Path
 
 # Started in the background of a shell, Ctrl-C is ignored, and by the commands that tests start too.
@@ -19,6 +20,14 @@ if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
     share = str(max(1, CORES // workers))
     for name in ("VIRTUAL_SENSOR_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(name, share)
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with the files that have slow tests: none of them is left when all else is done."""
+    if workers:
+        slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
+        tests = Counter(item.path for item in items)
+        items.sort(key=lambda item: (-slow[item.path], -tests[item.path], item.path))
 
 
 def pytest_xdist_auto_num_workers(config):
