@@ -150,12 +150,12 @@ def test_it_ends_once_the_rays_stand_still_and_not_before_its_time():
         drifts[float(time_s)] = steadiness.drift_px_per_s
         if ends:
             break
-    assert np.isnan(drifts[0.5])  # not looked at yet
-    looked = [t for t in drifts if np.isfinite(drifts[t])]
-    assert looked[0] == 1.0
-    assert drifts[looked[-1]] < 0.3 <= drifts[looked[-2]]
+    assert np.isnan(drifts[0.5])  # not searched yet
+    searched = [t for t in drifts if np.isfinite(drifts[t])]
+    assert searched[0] == 1.0
+    assert drifts[searched[-1]] < 0.3 <= drifts[searched[-2]]
     # As the width's: each quarter of a second divides it by exp(3/4).
-    assert drifts[looked[-2]] / drifts[looked[-1]] == pytest.approx(np.exp(0.75), rel=0.15)
+    assert drifts[searched[-2]] / drifts[searched[-1]] == pytest.approx(np.exp(0.75), rel=0.15)
 
 
 def test_air_at_the_start_is_compared_with_nothing():
@@ -178,7 +178,7 @@ def test_zero_steadiness_runs_to_the_end():
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "said"),
     [
         (lambda: Until(1.0, 2.0), "--at-least 2 s, --time 1 s"),
         (lambda: HeatFlow(temperature_c=10.0), "the part must be the hotter one"),
@@ -193,10 +193,10 @@ def test_zero_steadiness_runs_to_the_end():
         ),
     ],
 )
-def test_what_cannot_be_simulated_is_told_before_any_work(asked, told, tmp_path, monkeypatch):
+def test_what_cannot_be_simulated_is_refused_before_any_work(asked, said, tmp_path, monkeypatch):
     """Rationale: a clear error, and nothing lost or left behind."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=said):
         asked()
     assert not list(tmp_path.iterdir())
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
 from virtual_sensor.records import plain, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.reporting.files import FileOf, file_table
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import BLACK, GREEN, colour, decimal_ticks
@@ -136,6 +136,7 @@ def page(result: Convergence, picture: Picture, command: str) -> Page:
             Section("What suffices", table(result), *outcome(result), _sentence(result)),
             Section("Mesh, flow time and grid", picture),
             Section("Every setting", Details(f"All {len(result.changes)}", (settings,))),
+            Section("Files", file_table(FILES)),
         ),
         command=command,
         made_with=result.made_with.to_dict(),

@@ -56,12 +56,12 @@ def coarse_grid(scene: Scene) -> list[str]:
     )
     name = file.name if file else "the field"
     if np.isnan(loss.every_2nd):
-        return [f"{name}: its grid has too few nodes to tell what is lost between them"]
+        return [f"{name}: its grid has too few nodes to estimate its error"]
     if loss.present <= FINE_PX:
         return []
     return [
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
-        f" {loss.present:.2g} px of the line's place; virtual-sensor field info tells more"
+        f" {loss.present:.2g} px of the line's place; virtual-sensor field info shows more"
     ]
 
 

@@ -1,4 +1,4 @@
-"""Laser rays that stand for a scene: those of which a study tells how hot air moves them."""
+"""Laser rays that stand for a scene: a study reports by how much hot air moves them."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
