@@ -327,7 +327,11 @@ def page(info: FieldInfo, picture: Picture, command: str) -> Page:
         Details(name, (words,)) for name, words in info.attributes.items() if _cut(words) != words
     ]
     sections = [
-        Section("What it does to light", *light, border_table(info)),
+        Section(
+            "What it does to light" if info.light else "The border",
+            *light,
+            border_table(info),
+        ),
         Section("The air", replace(picture, panels=picture.panels[:3])),
         Section(
             "Is the grid fine enough?",
