@@ -37,6 +37,8 @@ def main(
     if charted:
         replace("<!-- table: chart -->\n", charted / "front.md", HERE / "speed_accuracy.md")
         shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
+        for panel in ("rays", "frames", "search", "lines"):  # that can be read on a phone
+            shutil.copy(charted / f"{panel}.png", HERE / f"speed_accuracy_{panel}.png")
     if peers:
         replace("<!-- table: peers -->\n", peers / "peers.md", HERE / "speed_accuracy.md")
     if tried:
