@@ -40,7 +40,7 @@ def tasks(quick: bool = False) -> Iterator[Task]:
     columns = _QUICK_COLUMNS if quick else _COLUMNS
     widths = _WIDTHS_PX[1:2] if quick else _WIDTHS_PX
     noise = STATED.read_noise_electrons
-    others = [Condition.of_peak("clean", w, e, noise) for e in _PEAKS_ELECTRONS for w in widths]
+    others = [Condition.of_peak(STATED.kind, w, e, noise) for e in _PEAKS_ELECTRONS for w in widths]
     for condition in dict.fromkeys([STATED, *others]):
         yield _noisy(condition, columns)
     for width in widths:
