@@ -9,7 +9,7 @@ from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.renderer import Arrangement, Prepared, arrangement_of
 
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.index_field import IndexField
@@ -53,7 +53,7 @@ class Refractive(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         name = str(props.get("field", ""))
-        try:
+        with naming("refractive"):
             self.air = MediumDescription(
                 _beside_scene(name) if name else None,
                 _instant(str(props.get("time", ""))),
@@ -64,14 +64,12 @@ class Refractive(mi.SamplingIntegrator):
                 dimensions=int(props.get("dimensions", 3)),
                 pose=_pose(props),
             )
-        except InputError as error:
-            raise InputError(f"refractive: {error}") from None
         if "way" in props:
             raise InputError(
                 "refractive: 'way' is called 'transport' now, and its \"exact\" is \"marched\";"
                 ' put <string name="transport" value="..."/> in its place'
             )
-        try:
+        with naming("refractive"):
             march = March(
                 step_mm=float(props.get("step", 2.0)),
                 method=str(props.get("method", "leapfrog")),
@@ -81,8 +79,6 @@ class Refractive(mi.SamplingIntegrator):
             name_of_transport = str(props.get("transport", "tabulated"))
             tolerance_px = float(props.get("tolerance", 0.003))
             self.transport = Transport(name_of_transport, march, tolerance_px)
-        except InputError as error:
-            raise InputError(f"refractive: {error}") from None
 
     @cached_property
     def medium(self) -> IndexField | None:
@@ -92,10 +88,8 @@ class Refractive(mi.SamplingIntegrator):
     def arrangement(self, scene: mi.Scene, sensor: mi.Sensor) -> Arrangement:
         """What a frame of a scene is made of, from Mitsuba's scene alone."""
         medium, transport = self.medium, self.transport
-        try:
-            transport.march.check(None if transport.name == "straight" else medium)
-        except InputError as error:
-            raise InputError(f"refractive: {error} (step)") from None
+        with naming("refractive"):
+            transport.check(medium)
         return arrangement_of(scene, sensor, medium, transport)
 
     def sample(

@@ -1,6 +1,8 @@
 """The errors that a user is meant to read: each names the file, the element and the remedy."""
 
 import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -20,6 +22,15 @@ class InputError(ValueError):
 
     def __str__(self) -> str:
         return printable(super().__str__())
+
+
+@contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Put a place, such as a file or an element of it, before the words of an InputError."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 class EngineError(RuntimeError):

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.sensor import SensorModel
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
@@ -79,13 +79,11 @@ def check_scene(scene: Scene) -> list[str]:
     InputError
         Naming the file, the element and the remedy.
     """
-    try:
+    with naming(scene.path):
         for name in scene.cameras:
             _check_place(scene, scene.only(camera=name).camera_element, scene.cameras[name].pose)
         for name in scene.sources:
             _check_place(scene, scene.only(source=name).source_element, scene.sources[name].pose)
-    except InputError as error:
-        raise InputError(f"{scene.path}: {error}") from None
     pairs = [(camera, source) for camera in scene.cameras for source in scene.sources]
     notes: dict[str, list[str]] = {}
     refused: dict[str, InputError] = {}
@@ -107,11 +105,9 @@ def check_scene(scene: Scene) -> list[str]:
 def _check_pair(scene: Scene) -> list[str]:
     """Check the one camera with the one source."""
     line = lit_line(scene)
-    try:
+    with naming(scene.path):
         found = check_solid(scene, line.points_mm)
         found += _check_border(scene.field, scene.sensor, line) if scene.field else []
-    except InputError as error:
-        raise InputError(f"{scene.path}: {error}") from None
     return found + _glow_note(scene, line)
 
 
@@ -138,15 +134,13 @@ def lit_line(scene: Scene) -> LitLine:
         line is in the picture, or the field does not hold all of it.
     """
     sensor = scene.sensor
-    try:
+    with naming(scene.path):
         check_geometry(sensor)
         _check_place(scene, scene.camera_element, scene.camera.pose)
         _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)
         if scene.field:
             _check_cover(scene.field, line)
-    except InputError as error:
-        raise InputError(f"{scene.path}: {error}") from None
     return line
 
 

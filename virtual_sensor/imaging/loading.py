@@ -15,7 +15,7 @@ from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
 from virtual_sensor.imaging.parts import KINDS, Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
@@ -391,10 +391,8 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
             raise InputError(
                 f'{where}: there is no file "{shortened(name)}" where "filename" says; correct it'
             )
-        try:
+        with naming(where):
             part = read_part(file, kind)
-        except InputError as error:
-            raise InputError(f"{where}: {error}") from None
         notes += part.notes
         to_world = np.eye(4)
         if "to_world" in props:

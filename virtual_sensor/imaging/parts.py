@@ -44,7 +44,7 @@ from pathlib import Path
 
 import numpy as np
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import readable
 from virtual_sensor.imaging.part_files import read_obj, read_stl
 from virtual_sensor.imaging.ply_files import read_ply
@@ -90,7 +90,7 @@ def read_part(path: Path, kind: str) -> Part:
         If the file can't be read, or is no part that can be measured: see the table above.
     """
     data = readable(path).read_bytes()
-    try:
+    with naming(path):
         read = _READERS[kind](data)
         vertices = read.vertices
         _check_vertices(vertices)
@@ -98,8 +98,6 @@ def read_part(path: Path, kind: str) -> Part:
         corner = vertices[triangles]
         if not np.any(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])):
             raise InputError("its faces have no area; give a part with a surface")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     normals = read.normals
     if normals is not None:
         with np.errstate(over="ignore", invalid="ignore"):

@@ -28,7 +28,7 @@ from __future__ import annotations
 import hashlib
 import pickle
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -45,7 +45,7 @@ from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
@@ -151,19 +151,10 @@ class _Stage:
         transport: Transport = self.loaded.scene.integrator().transport
         return transport
 
-    def named(self, read: Callable[[], T]) -> T:
-        """What is read of the air, its refusal with the place in the file."""
-        try:
-            return read()
-        except InputError as error:
-            raise InputError(f"{self.where}: {error}") from None
-
     def check_march(self, transport: Transport, medium: IndexField | None) -> None:
         """Refuse a march that can't get through the air."""
-        try:
-            transport.march.check(None if transport.name == "straight" else medium)
-        except InputError as error:
-            raise InputError(f"{self.where}: refractive: {error} (step)") from None
+        with naming(f"{self.where}: refractive"):
+            transport.check(medium)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -309,11 +300,9 @@ class Scene:
         InputError
             If its air comes from no file, or the file does not hold that instant.
         """
-        try:
+        with naming(self.path):
             air = self.air.at(time_s)
             medium = air.read()
-        except InputError as error:
-            raise InputError(f"{self.path}: {error}") from None
         time = {"time": f"{time_s:.9g}"} if "time" in self.parameters else {}
         return replace(self, medium=medium, air=air, parameters={**self.parameters, **time})
 
@@ -375,10 +364,12 @@ class Scene:
         air, medium, values = self.air, self.medium, stage.parameters
         if air.path:
             air = stage.air
-            if self.air != before.air and "time" not in parameters:
-                air = stage.named(lambda: replace(stage.air, time_s=self.air.time_s))
-                values = values | {"time": self.parameters["time"]} if "time" in values else values
-            medium = medium if air == self.air else stage.named(air.read)
+            with naming(stage.where):
+                if self.air != before.air and "time" not in parameters:
+                    air = replace(air, time_s=self.air.time_s)
+                    if "time" in values:
+                        values = values | {"time": self.parameters["time"]}
+                medium = medium if air == self.air else air.read()
         transport = stage.transport if self.transport == before.transport else self.transport
         stage.check_march(transport, medium)
         cameras = {name: self._named("camera", stage.cameras, name) for name in self.cameras}
@@ -514,7 +505,8 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     path = find_scene(name)
     stage = _staged(path, {key: str(value) for key, value in parameters.items()}, Path(), {})
     air, transport = stage.air, stage.transport
-    medium = stage.named(air.read)
+    with naming(stage.where):
+        medium = air.read()
     stage.check_march(transport, medium)
     return Scene(
         path, stage.parameters, medium, air, stage.cameras, stage.sources, transport, True, stage
@@ -588,6 +580,7 @@ def _read(
 
 def _values(files: list[SceneFile], given: dict[str, str]) -> dict[str, str]:
     """Values of the parameters: as given, else by default; a default may use those before it."""
+    main = files[0].elements[0].file
     texts: dict[str, str] = {}
     for element in (e for file in files for e in file.elements if e.tag == "default"):
         name, value = (element.attributes.get(key) for key in ("name", "value"))
@@ -597,11 +590,9 @@ def _values(files: list[SceneFile], given: dict[str, str]) -> dict[str, str]:
     values: dict[str, str] = {}
     for name, text in (texts | given).items():
         if "\0" in text:
-            raise InputError(f"{files[0].elements[0].file}: {name} has a zero byte; take it out")
-        try:
+            raise InputError(f"{main}: {name} has a zero byte; take it out")
+        with naming(main):
             values[name] = filled(text, values)
-        except InputError as error:
-            raise InputError(f"{files[0].elements[0].file}: {error}") from None
     return values
 
 

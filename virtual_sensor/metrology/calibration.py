@@ -35,7 +35,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import readable
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
@@ -201,10 +201,8 @@ def read_calibration(path: Path) -> Calibration:
         raise InputError(f"{path}: 'laser_plane' has no normal; give n_x, n_y, n_z, d")
     plane = Plane(np.array(normal) / length, float(offset) / length)
     calibration = Calibration(camera, plane, file.all_notes())
-    try:
+    with naming(path):
         check_geometry(calibration)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     return calibration
 
 

@@ -60,6 +60,10 @@ class Transport:
         march = replace(self.march, first_order=self.name == "first_order")
         object.__setattr__(self, "march", march)
 
+    def check(self, medium: Field | None) -> None:
+        """Raise InputError if the march can't get through the air."""
+        self.march.check(None if self.name == "straight" else medium)
+
     def by(self, name: str | None = None, **march: Any) -> "Transport":
         """Another transport, or the same one with other settings of its march."""
         return replace(self, name=name or self.name, march=replace(self.march, **march))

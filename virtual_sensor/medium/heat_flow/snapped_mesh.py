@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.heat_flow.mesh import TOP_MM, Division
 from virtual_sensor.medium.imports.meshes import pyvista, told_by_vtk
 
@@ -67,11 +67,8 @@ def read_part(path: Path) -> Part:
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    try:
-        with told_by_vtk():
-            surface = pyvista().STLReader(f"{path}").read()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    with naming(path), told_by_vtk():
+        surface = pyvista().STLReader(f"{path}").read()
     if not surface.n_cells:
         raise InputError(f"{path}: holds no triangles; is it an STL file?")
     low, high = np.reshape(np.asarray(surface.bounds, dtype=np.float64), (3, 2)).T
