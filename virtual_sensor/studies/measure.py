@@ -793,12 +793,12 @@ def dot_table(state: State) -> DotTable:
     )
 
 
-@dataclass(frozen=True)
-class ProbeTable(Table):
-    """The probe rays, a row for each; the hot columns are missing from a part measured only cold.
+@dataclass(frozen=True, kw_only=True)
+class SearchedRays(Table):
+    """Laser rays that were searched, a row for each.
 
     In the paper's letters the incidence points are A (cold) and B (hot), the measured ones A_m and
-    B_m. Columns with "rounded" have them from pixels rounded to 0.25 px.
+    B_m. The hot columns are missing from a part that is measured only cold.
 
     Attributes
     ----------
@@ -810,8 +810,34 @@ class ProbeTable(Table):
         Pixels that see these points, by Newton's search, px.
     status_cold, status_hot : ndarray of str of shape (N,)
         How that search ended.
+    """
+
+    y_mm: Array
+    incidence_cold_mm: Array
+    incidence_hot_mm: Array | None = None
+    pixel_cold: Array
+    pixel_hot: Array | None = None
+    status_cold: Texts
+    status_hot: Texts | None = None
+
+
+def _searched(name: str, found: FoundPixels) -> dict[str, Any]:
+    """Columns of `SearchedRays` of one state."""
+    return {
+        f"incidence_{name}_mm": found.laser_point_mm,
+        f"pixel_{name}": found.pixel,
+        f"status_{name}": status_names(found.status, SearchStatus),
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbeTable(SearchedRays):
+    """The probe rays; columns with "rounded" are from pixels rounded to 0.25 px.
+
+    Attributes
+    ----------
     paper_pixel_cold, paper_pixel_hot : ndarray of shape (N, 2)
-        The same by the paper's search, px.
+        Pixels that see the points, by the paper's search, px.
     paper_distance_cold_um, paper_distance_hot_um : ndarray of shape (N,)
         How near that search came, parallel to the sensor.
     paper_status_cold, paper_status_hot : ndarray of str of shape (N,)
@@ -842,37 +868,30 @@ class ProbeTable(Table):
         The part that the camera's bent line of sight makes.
     """
 
-    y_mm: Array
-    incidence_cold_mm: Array
-    pixel_cold: Array
-    status_cold: Texts
     paper_pixel_cold: Array
-    paper_distance_cold_um: Array
-    paper_status_cold: Texts
-    cold_error_um: Array
-    cold_error_um_norm: Array
-    cold_error_rounded_um: Array
-    cold_error_rounded_um_norm: Array
-    incidence_hot_mm: Array | None = None
-    pixel_hot: Array | None = None
-    status_hot: Texts | None = None
     paper_pixel_hot: Array | None = None
+    paper_distance_cold_um: Array
     paper_distance_hot_um: Array | None = None
+    paper_status_cold: Texts
     paper_status_hot: Texts | None = None
     incidence_shift_um: Array | None = None
     incidence_shift_um_norm: Array | None = None
-    incidence_shift_rounded_um: Array | None = None
-    incidence_shift_rounded_um_norm: Array | None = None
     hot_error_um: Array | None = None
     hot_error_um_norm: Array | None = None
-    hot_error_rounded_um: Array | None = None
-    hot_error_rounded_um_norm: Array | None = None
     measured_shift_um: Array | None = None
     measured_shift_um_norm: Array | None = None
-    measured_shift_rounded_um: Array | None = None
-    measured_shift_rounded_um_norm: Array | None = None
+    cold_error_um: Array
+    cold_error_um_norm: Array
     pixel_shift_px: Array | None = None
     pixel_shift_px_norm: Array | None = None
+    incidence_shift_rounded_um: Array | None = None
+    incidence_shift_rounded_um_norm: Array | None = None
+    hot_error_rounded_um: Array | None = None
+    hot_error_rounded_um_norm: Array | None = None
+    measured_shift_rounded_um: Array | None = None
+    measured_shift_rounded_um_norm: Array | None = None
+    cold_error_rounded_um: Array
+    cold_error_rounded_um_norm: Array
     pixel_shift_rounded_px: Array | None = None
     pixel_shift_rounded_px_norm: Array | None = None
     laser_path_px: Array | None = None
@@ -883,10 +902,8 @@ def probe_table(result: Measurement) -> ProbeTable:
     """The probe rays of a measurement."""
     columns: dict[str, Any] = {}
     for name, state in result.states.items():
+        columns |= _searched(name, state.newton)
         columns |= {
-            f"incidence_{name}_mm": state.newton.laser_point_mm,
-            f"pixel_{name}": state.newton.pixel,
-            f"status_{name}": status_names(state.newton.status, SearchStatus),
             f"paper_pixel_{name}": state.paper.pixel,
             f"paper_distance_{name}_um": state.paper.distance_um,
             f"paper_status_{name}": status_names(state.paper.status, SearchStatus),
@@ -909,44 +926,29 @@ def probe_table(result: Measurement) -> ProbeTable:
         paths = separate_paths(camera, A.laser_point_mm, B.laser_point_mm, A.pixel, B.pixel)
         columns["laser_path_px"] = paths.laser_to_object_px
         columns["camera_path_px"] = paths.object_to_camera_px
-    return ProbeTable(result.probe_y_mm, **columns)
+    return ProbeTable(y_mm=result.probe_y_mm, **columns)
 
 
-@dataclass(frozen=True)
-class DenseTable(Table):
-    """The rays that were searched along the line, or at the dots, a row for each.
+@dataclass(frozen=True, kw_only=True)
+class DenseTable(SearchedRays):
+    """The rays that were searched along the line, or at the dots.
 
     Attributes
     ----------
-    y_mm : ndarray of shape (N,)
-        The ray's position along the line.
-    incidence_cold_mm, incidence_hot_mm : ndarray of shape (N, 3)
-        Where the ray meets the part, world: A and B.
-    pixel_cold, pixel_hot : ndarray of shape (N, 2)
-        Pixels that see these points, px.
     measured_cold_mm, measured_hot_mm : ndarray of shape (N, 3)
-        The points measured from them, world: A_m and B_m.
+        A_m and B_m: the points measured from the pixels, world.
     section_error_cold_um, section_error_hot_um : ndarray of shape (N,)
         Their distances from the true section: positive outside; none at the part's edges.
-    status_cold, status_hot : ndarray of str of shape (N,)
-        How the search ended.
     laser_path_um : ndarray of shape (N,)
         What the hot distance would be if only the laser's light were bent.
     camera_path_um : ndarray of shape (N,)
         What the bent line of sight adds to it.
     """
 
-    y_mm: Array
-    incidence_cold_mm: Array
-    pixel_cold: Array
     measured_cold_mm: Array
-    section_error_cold_um: Array
-    status_cold: Texts
-    incidence_hot_mm: Array | None = None
-    pixel_hot: Array | None = None
     measured_hot_mm: Array | None = None
+    section_error_cold_um: Array
     section_error_hot_um: Array | None = None
-    status_hot: Texts | None = None
     laser_path_um: Array | None = None
     camera_path_um: Array | None = None
 
@@ -955,14 +957,10 @@ def dense_table(result: Measurement) -> DenseTable:
     """The searched rays of a measurement."""
     columns: dict[str, Any] = {}
     for name, state in result.states.items():
-        columns |= {
-            f"incidence_{name}_mm": state.dense.laser_point_mm,
-            f"pixel_{name}": state.dense.pixel,
-            f"measured_{name}_mm": state.searched_mm,
-            f"section_error_{name}_um": state.searched_error_um,
-            f"status_{name}": status_names(state.dense.status, SearchStatus),
-        }
+        columns |= _searched(name, state.dense)
+        columns[f"measured_{name}_mm"] = state.searched_mm
+        columns[f"section_error_{name}_um"] = state.searched_error_um
     if hot := result.hot:
         columns["laser_path_um"] = hot.laser_path_um
         columns["camera_path_um"] = hot.searched_error_um - hot.laser_path_um
-    return DenseTable(result.dense_y_mm, **columns)
+    return DenseTable(y_mm=result.dense_y_mm, **columns)
