@@ -232,7 +232,7 @@ def frame(scene):
     return render_frame(scene)
 
 
-@pytest.mark.parametrize("air", ["hot", "cold"])
+@pytest.mark.parametrize("air", ["hot", pytest.param("cold", marks=pytest.mark.slow)])
 def test_the_rendered_line_is_the_searched_one(known, scene, frame, air):
     """Two ways to the same row: 0.0006 px rms, as for the laser that comes along."""
     if air == "cold":

@@ -136,6 +136,7 @@ def test_an_output_that_is_full_costs_no_results_and_is_told_in_a_line(tmp_path)
     assert program("measure nope", "2> /dev/full") == (2, "", "")
 
 
+@pytest.mark.slow
 def test_a_reader_that_has_gone_and_streams_that_are_closed_are_no_error():
     """Rationale: `| head -1`, and services that start programs without any stream."""
     status, out, err = program("search cold_cylinder -y 0", "| head -c 0; exit ${PIPESTATUS[0]}")
@@ -168,6 +169,7 @@ def test_a_name_that_libraries_can_not_write_is_refused(tmp_path):
     assert re.fullmatch(r"Error: .*a\\udcff\.csv: its name is not UTF-8; name another.*\n", err)
 
 
+@pytest.mark.slow
 def test_a_home_that_is_missing_costs_no_more_than_a_cache(tmp_path):
     """Rationale: batch jobs and services have none."""
     (tmp_path / "file").touch()

@@ -97,8 +97,8 @@ def inputs(tmp_path):
 @pytest.mark.parametrize(
     ("number", "points"),
     [
-        (signal.SIGINT, [LOADING, MARCHING]),
-        pytest.param(signal.SIGINT, WRITING, marks=pytest.mark.slow),
+        (signal.SIGINT, [LOADING]),
+        pytest.param(signal.SIGINT, [MARCHING, *WRITING], marks=pytest.mark.slow),
         pytest.param(signal.SIGTERM, [LOADING, MARCHING, *WRITING], marks=pytest.mark.slow),
     ],
 )
@@ -133,9 +133,8 @@ def test_every_command_ends_in_one_line(stopped, inputs):
     assert stopped(signal.SIGINT, cases) == [[]] * len(cases)
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_sweep_does_not_call_a_case_failed_that_was_stopped(stopped, number):
     """Rationale: what C++ passes on looked like a fault of the scene, and the sweep went on."""
     [left] = stopped(number, [(LOADING, SWEEP)], more="; finished cases stay, and the same")
@@ -162,6 +161,7 @@ SWALLOWED = RUN.replace(
 LATE = "import atexit, signal, sys\natexit.register(signal.raise_signal, int(sys.argv[1]))\n" + RUN
 
 
+@pytest.mark.slow
 def test_a_signal_is_not_swallowed_where_python_ignores_exceptions(stopped):
     """Rationale: Ctrl-C in a destructor was printed as "Exception ignored in", and work went on."""
     assert stopped(signal.SIGINT, [(LOADING, MEASURE)], SWALLOWED) == [[]]

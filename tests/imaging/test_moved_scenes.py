@@ -138,6 +138,7 @@ def test_the_fields_solid_moves_along(write):
         check_scene(vs.load_scene(write(aside), **FILM))
 
 
+@pytest.mark.slow
 def test_a_field_is_examined_where_the_scene_has_it(write, still):
     """What it does to light, what its grid loses and its solid are those of the scene at rest."""
     one, other = (

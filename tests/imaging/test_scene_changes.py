@@ -257,6 +257,7 @@ def test_scenes_travel_by_pickle_and_cloudpickle(hot):
             assert pickle.loads(data) == scene
 
 
+@pytest.mark.slow
 def test_another_process_sees_the_same(hot, two, tmp_path):
     """Rationale: a spawned process shares no memory, and has another working folder."""
     scenes = [*changed_scenes(hot).values(), two.only("far", "blue")]

@@ -357,7 +357,9 @@ def test_what_mitsuba_warns_of_is_a_note_and_is_not_printed(tmp_path, capfd):
     assert loading_notes(path, heard) == [f"{path}: [Plugin] this is odd."]
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "llvm_ad_mono_polarized"])
+@pytest.mark.parametrize(
+    "variant", ["llvm_ad_rgb", pytest.param("llvm_ad_mono_polarized", marks=pytest.mark.slow)]
+)
 def test_other_variants_make_the_same_frame(variant, tmp_path):
     """Rationale: what is grey in one is grey in all; the spectral ones are refused."""
     film = {"width": 64, "height": 64, "line_radius": 1}

@@ -182,7 +182,10 @@ def coverage(correlation, block, trials=200):
     return held / trials
 
 
-@pytest.mark.parametrize(("correlation", "block"), [(0.0, 1), (0.0, 10), (0.5, 10), (0.8, 20)])
+@pytest.mark.parametrize(
+    ("correlation", "block"),
+    [(0.0, 1), (0.8, 20), *(pytest.param(c, 10, marks=pytest.mark.slow) for c in (0.0, 0.5))],
+)
 def test_the_interval_holds_the_truth_as_often_as_it_says(correlation, block):
     """Rationale: that is what 95 % means; white residuals and correlated ones in blocks.
 
@@ -196,6 +199,7 @@ def test_points_one_by_one_would_promise_too_much():
     assert coverage(0.8, 1, trials=100) < 0.6
 
 
+@pytest.mark.slow
 def test_one_step_is_as_good_as_a_whole_fit():
     """Rationale: the interval is made without refitting; here each resample is refitted.
 

@@ -274,7 +274,7 @@ def test_an_unknown_method_is_refused(scene):
 
 def test_the_search_by_maps_keeps_its_tolerance(scene):
     """Rationale: its pixels are Newton's to within what was asked for, and so are its points."""
-    y = np.random.default_rng(1).uniform(-10.9, 10.9, 500)
+    y = np.random.default_rng(1).uniform(-10.9, 10.9, 200)
     exact = ray_search(scene, y, "newton", march=REFERENCE)
     for tolerance_px in (1e-2, 1e-3, 1e-4):
         found = ray_search(scene, y, "tabulated", tolerance_px=tolerance_px)

@@ -125,7 +125,7 @@ def killed(folder, blow, after_s, processes=1):
 @pytest.mark.parametrize(
     ("blow", "status"),
     [
-        ("SIGINT", 130),
+        pytest.param("SIGINT", 130, marks=pytest.mark.slow),
         pytest.param("SIGTERM", 143, marks=pytest.mark.slow),
         ("SIGKILL", -signal.SIGKILL),
     ],
