@@ -31,6 +31,7 @@ _CURVES = (
     ("rays_px", "probe rays", colour("search"), "s"),
     ("line_px", "line", colour("line"), "o"),
 )
+_JOINED = "\N{NO-BREAK SPACE}"
 _BANDS = ("#E3EFE3", "#F3F8F0")  # within the smaller bound, and the larger one
 
 
@@ -99,7 +100,8 @@ def _table(rows: Sequence[tuple[str, Change]], caption: str = "") -> TextTable:
         Column("file_mb", "file", "{:.1f} MB"),
     )
     shown = [
-        {"name": name, "grid": f"{c.grid_y_mm:g} x {c.grid_z_mm:g} mm"} | plain(c)
+        {"name": name, "grid": f"{c.grid_y_mm:g} x {c.grid_z_mm:g} mm".replace(" ", _JOINED)}
+        | plain(c)
         for name, c in rows
     ]
     return text_table(shown, columns if any(name for name, _ in rows) else columns[1:], caption)
