@@ -9,6 +9,7 @@ import pytest
 
 from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
+from virtual_sensor.reporting.tables import TextTable
 
 
 def test_progress_is_a_line_every_ten_seconds_where_it_is_piped(capsys):
@@ -52,3 +53,19 @@ def test_the_end_names_the_page_to_open(capsys):
     """Rationale: of twenty files in a folder, a newcomer opens the wrong one."""
     shared.print_end(Path("my [results]"))
     assert "results in my [results], open my [results]/report.html first" in capsys.readouterr().out
+
+
+def test_tables_sentences_and_notes_are_printed_each_once_and_whole(capsys):
+    """Rationale: a path that is broken into lines can't be copied; a note said ten times hides."""
+    path = f"/a{'/long' * 40}"
+    shared.print_results([TextTable(("a",), (("1",),)), f"it is in {path}"], ["n", "m", "n"])
+    said = capsys.readouterr().out
+    assert f"it is in {path}\nNote: n\nNote: m\n" in said
+    assert said.index(" 1 ") < said.index("it is in")
+
+
+def test_results_are_a_folder_and_a_file_is_refused(tmp_path):
+    """Rationale: `-o report.png` does not mean a folder of that name."""
+    shared.check_folder(tmp_path / "results.v2", overwrite=False)
+    with pytest.raises(InputError, match=r"name a folder, such as -o .*/report$"):
+        shared.check_folder(tmp_path / "report.png", overwrite=False)

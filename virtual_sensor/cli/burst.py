@@ -33,9 +33,7 @@ def burst(
     images: Annotated[
         bool, typer.Option("--images", help="Write the frames too: EXR and PNG, in frames/.")
     ] = False,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "sway"
-    ),
+    output: shared.Folder = Path("sway"),
     overwrite: shared.Overwrite = False,
 ) -> None:
     """Measure a burst of frames in moving air: how much the line and the measured points sway.
@@ -46,6 +44,7 @@ def burst(
     from virtual_sensor.reporting.burst import FrameFiles, fill, lead, table
     from virtual_sensor.studies.burst import burst as run
 
+    shared.check_folder(output, overwrite)
     with (
         shared.reporting("loading the scene") as report,
         folder_written_whole(output, overwrite) as place,
@@ -62,8 +61,5 @@ def burst(
         )
         report("writing the results", 0.95)
         figures = fill(result, place, shared.command_line()).summary
-        report("done", 1.0)
-    shared.console.print(table(figures).rich())
-    shared.console.print(lead(figures), soft_wrap=True)
-    shared.print_notes(figures.notes)
+    shared.print_results([table(figures), lead(figures)], figures.notes)
     shared.print_end(output)

@@ -5,15 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    Overwrite,
-    command_line,
-    console,
-    print_end,
-    print_notes,
-    reporting,
-)
-from virtual_sensor.files import check_output
+from virtual_sensor.cli import shared
 
 EPILOG = (
     "Examples:\n\n"
@@ -37,10 +29,8 @@ def chart(
         bool,
         typer.Option("--quick", help="Few configurations on small tasks, to see that all works."),
     ] = False,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "charted"
-    ),
-    overwrite: Overwrite = False,
+    output: shared.Folder = Path("charted"),
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Chart error against time on this machine, and say how little is enough.
 
@@ -53,14 +43,10 @@ def chart(
     from virtual_sensor.studies.chart.chart import check_panels
 
     check_panels(panel or [])
-    check_output(output, overwrite, folder=True)
-    with reporting("getting ready") as report:
+    shared.check_folder(output, overwrite)
+    with shared.reporting("getting ready") as report:
         result = measure(panel or [], quick, lambda stage, done: report(stage, 0.97 * done))
         report("drawing and writing", 0.97)
-        save(result, output, command_line(), overwrite)
-        report("done", 1.0)
-    for table in front_tables(result):
-        console.print(table.rich())
-    console.print(headline(result), style="bold", soft_wrap=True)
-    print_notes(result.notes)
-    print_end(output)
+        save(result, output, shared.command_line(), overwrite)
+    shared.print_results([*front_tables(result), headline(result)], result.notes)
+    shared.print_end(output)

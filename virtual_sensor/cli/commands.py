@@ -77,8 +77,7 @@ def run() -> int:
     if faults:
         errors.print(
             f"Error: standard output: can't be written ({faults[0].strerror}); results in files are"
-            " complete",
-            soft_wrap=True,
+            " complete"
         )
     return status or (1 if faults else 0)
 
@@ -98,10 +97,10 @@ def _run() -> int:
         if status is None:
             # One line for a user's slip, whatever the names in it.
             text = str(error) if isinstance(error, EngineError) else one_line(str(error))
-            errors.print(f"Error: {text}", style="red", soft_wrap=True)
+            errors.print(f"Error: {text}", style="red")
             return 2
         text = f"{error}" if isinstance(error, Interrupted) else interrupts.line(status)
-        errors.print(text, style="yellow", soft_wrap=True)
+        errors.print(text, style="yellow")
         return status
 
 
@@ -116,9 +115,9 @@ def _refused(error: Any) -> int:
     """Say in a line what is wrong with the command line."""
     said = error.format_message()
     if type(error).__name__ == "NoArgsIsHelpError":
-        console.print(said, soft_wrap=True, end="")  # the help, if it is not printed yet
+        console.print(said, end="")  # the help, if it is not printed yet
     else:
         asked = error.ctx.command_path if error.ctx else "virtual-sensor"
         text = f"Error: {one_line(said).rstrip('.')}; see `{asked} --help`"
-        errors.print(text, style="red", soft_wrap=True)
+        errors.print(text, style="red")
     return int(error.exit_code)

@@ -47,13 +47,13 @@ class Console(RichConsole):
         return super().render_str(printable(text), **options)
 
     def print(self, *objects: Any, **options: Any) -> None:
-        """Print strings and tables."""
+        """Print tables, and texts, which the terminal wraps: so their paths can be copied."""
         for each in objects:
             if isinstance(each, Table) and not _fits(each, self.width):
                 for text in _as_list(each):
                     super().print(text, soft_wrap=True)
             else:
-                super().print(each, **options)
+                super().print(each, **{"soft_wrap": isinstance(each, str)} | options)
 
 
 console = Console()
@@ -125,7 +125,7 @@ class _Notes(logging.Handler):
     """Prints what the program logs, as notes."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        console.print(f"Note: {record.getMessage()}", style="yellow", soft_wrap=True)
+        console.print(f"Note: {record.getMessage()}", style="yellow")
 
 
 @contextmanager

@@ -5,17 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    NOTHING_FOUND,
-    Overwrite,
-    check_folder,
-    command_line,
-    console,
-    print_end,
-    print_notes,
-    reporting,
-    see_own_modules,
-)
+from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
 
 EPILOG = (
@@ -82,10 +72,8 @@ def detect(
             " too, as PLY."
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "detected"
-    ),
-    overwrite: Overwrite = False,
+    output: shared.Folder = Path("detected"),
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Find laser lines in images: centres as CSV, points as PLY, a picture of each, and a page.
 
@@ -97,7 +85,7 @@ def detect(
     from virtual_sensor.studies.detect import Settings
     from virtual_sensor.studies.detect import detect as run
 
-    see_own_modules()
+    shared.see_own_modules()
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
     settings = Settings(
@@ -105,18 +93,17 @@ def detect(
         min_amplitude=min_amplitude,
         max_width_px=max_width,
     )
-    check_folder(output, overwrite)
+    shared.check_folder(output, overwrite)
     calibrated = read_calibration(calibration) if calibration else None
     paths, notes = find_images(images)
     notes += calibrated.notes if calibrated else ()
-    with reporting("reading") as report:
+    with shared.reporting("reading") as report:
         found = run(paths, settings, calibrated)
+        command = shared.command_line()
         summary = save(
-            *(found, paths, settings, output, command_line(), overwrite, calibration, notes, report)
+            *(found, paths, settings, output, command, overwrite, calibration, notes, report)
         )
-    console.print(table(summary).rich())
-    print_notes(summary.notes)
-    console.print(lead(summary), soft_wrap=True)
-    print_end(output)
+    shared.print_results([table(summary), lead(summary)], summary.notes)
+    shared.print_end(output)
     if not summary.centres:
-        raise typer.Exit(NOTHING_FOUND)
+        raise typer.Exit(shared.NOTHING_FOUND)

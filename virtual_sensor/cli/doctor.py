@@ -2,7 +2,7 @@
 
 import typer
 
-from virtual_sensor.cli.shared import console
+from virtual_sensor.cli import shared
 
 EPILOG = (
     "Examples:\n\n    virtual-sensor doctor\n\n    virtual-sensor --variant cuda_ad_mono doctor"
@@ -18,5 +18,5 @@ def doctor() -> None:
     from virtual_sensor.studies.doctor import diagnose
 
     diagnosis = diagnose()
-    console.print(report(diagnosis), soft_wrap=True)
+    shared.console.print(report(diagnosis))
     raise typer.Exit(0 if diagnosis.ok else 1)

@@ -5,20 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    Camera,
-    Definitions,
-    Overwrite,
-    ProbeRays,
-    Source,
-    check_suffix,
-    command_line,
-    console,
-    definitions,
-    numbers,
-    print_notes,
-    reporting,
-)
+from virtual_sensor.cli import shared
 from virtual_sensor.files import check_output
 
 FIELD_FILES = (".nc",)
@@ -51,10 +38,10 @@ def info(
             " default hot_cylinder, left out where it does not suit."
         ),
     ] = None,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
+    define: shared.Definitions = None,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
+    y: shared.ProbeRays = None,
     time: Annotated[
         float | None, typer.Option(help="Flow time, s, of a field with many; by default the last.")
     ] = None,
@@ -70,35 +57,28 @@ def info(
     figures: Annotated[
         Path | None, typer.Option("--json", help="File for every figure, for programs.")
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Show what a field holds, what it does to light, and whether border and grid are sound."""
     from virtual_sensor.reporting import field as words
     from virtual_sensor.studies.field_info import field_info
 
     if output:
-        check_suffix(output, words.PICTURES, "the picture")
+        shared.check_suffix(output, words.PICTURES, "the picture")
         check_output(words.page_beside(output), overwrite)
         check_output(output, overwrite)
     if figures:
         check_output(figures, overwrite)
-    with reporting("reading the field") as report:
+    with shared.reporting("reading the field") as report:
         found = field_info(
-            field, scene, definitions(define), time, report, y or None, camera, source
+            field, scene, shared.definitions(define), time, report, y or None, camera, source
         )
         if output or figures:
             report("writing the results", 0.8)
-            words.save(found, command_line(), output, figures)
-        report("done", 1.0)
-    for table in words.tables(found):
-        console.print(table.rich())
-    print_notes(found.notes)
-    for text in words.verdicts(found):
-        console.print(text, soft_wrap=True)
+            words.save(found, shared.command_line(), output, figures)
+    shared.print_results([*words.tables(found), *words.verdicts(found)], found.notes)
     if output:
-        console.print(
-            f"picture in {output}; open {words.page_beside(output)} first", soft_wrap=True
-        )
+        shared.console.print(f"picture in {output}; open {words.page_beside(output)} first")
 
 
 @app.command(
@@ -188,7 +168,7 @@ def import_(
         str | None,
         typer.Option(help="Of an OpenFOAM case of several; by default the only fluid."),
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Import another solver's field, onto a regular grid and into the world's frame.
 
@@ -198,34 +178,31 @@ def import_(
     from virtual_sensor.medium.netcdf import write_quantity
     from virtual_sensor.reporting.new_fields import imported, written
 
-    check_suffix(output, FIELD_FILES, "a field")
+    shared.check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
-    spacings = numbers("--spacing", spacing, 1, 3) or ()
+    spacings = shared.numbers("--spacing", spacing, 1, 3) or ()
     choices = Choices(
         variable,
         quantity,
         units,
         length_units,
         axes,
-        numbers("--origin", origin, 3) or (),
+        shared.numbers("--origin", origin, 3) or (),
         scale,
         mirror.replace(" ", "").split(",") if mirror else (),
-        numbers("--box", box, 6),
+        shared.numbers("--box", box, 6),
         spacings * 3 if len(spacings) == 1 else spacings or None,
-        numbers("--extrude", extrude, 2),
+        shared.numbers("--extrude", extrude, 2),
         solid,
         ambient,
         pressure,
         time,
         region,
     )
-    with reporting("reading") as report:
-        made = import_field(source, choices, command_line(), report)
+    with shared.reporting("reading") as report:
+        made = import_field(source, choices, shared.command_line(), report)
         report("writing", 0.95)
         # Of n - 1 nobody knows how many digits count; those of a temperature in 16 bits do.
         write_quantity(output, made.quantity, packed=made.quantity.kind != "refractivity")
-        report("done", 1.0)
-    for line in imported(made):
-        console.print(f"  {line}", soft_wrap=True)
-    print_notes(made.notes)
-    console.print(written(output), soft_wrap=True)
+    shared.print_results([f"  {line}" for line in imported(made)], made.notes)
+    shared.console.print(written(output))

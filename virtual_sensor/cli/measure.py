@@ -5,22 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    NOTHING_FOUND,
-    Camera,
-    Definitions,
-    Overwrite,
-    ProbeRays,
-    SceneArgument,
-    Source,
-    command_line,
-    console,
-    definitions,
-    print_end,
-    print_notes,
-    reporting,
-)
-from virtual_sensor.files import check_output
+from virtual_sensor.cli import shared
 
 EPILOG = (
     "Examples:\n\n"
@@ -32,11 +17,11 @@ EPILOG = (
 
 
 def measure(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
-    y: ProbeRays = None,
+    scene: shared.SceneArgument,
+    define: shared.Definitions = None,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
+    y: shared.ProbeRays = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -44,10 +29,8 @@ def measure(
             " it are chosen, and printed."
         ),
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "measured"
-    ),
-    overwrite: Overwrite = False,
+    output: shared.Folder = Path("measured"),
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Measure a part cold and hot: frames, line centres, points, ray search, a picture and a page.
 
@@ -57,24 +40,21 @@ def measure(
     from virtual_sensor.reporting.measure import on_console, save
     from virtual_sensor.studies.measure import measure as run
 
-    check_output(output, overwrite, folder=True)
-    with reporting("loading the scene") as report:
-        loaded = load_scene(scene, **definitions(define)).only(camera, source)
+    shared.check_folder(output, overwrite)
+    with shared.reporting("loading the scene") as report:
+        loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
         if tolerance is not None:
             from virtual_sensor.studies.tolerance import choose, configured
 
             report("choosing the settings", 0.0)
             configuration = choose(loaded, tolerance)
             loaded = configured(loaded, configuration)
-            console.print(f"{tolerance:g} px: {configuration}", soft_wrap=True)
-            console.print(f"  because {'; '.join(configuration.why)}", soft_wrap=True)
+            shared.console.print(f"{tolerance:g} px: {configuration}")
+            shared.console.print(f"  because {'; '.join(configuration.why)}")
         result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)
         report("writing the results", 0.92)
-        figures = save(result, output, command_line(), overwrite)
-        report("done", 1.0)
-    for each in on_console(figures):
-        console.print(each if isinstance(each, str) else each.rich(), soft_wrap=True)
-    print_notes(result.notes)
-    print_end(output)
+        figures = save(result, output, shared.command_line(), overwrite)
+    shared.print_results(on_console(figures), result.notes)
+    shared.print_end(output)
     if not result.centres:
-        raise typer.Exit(NOTHING_FOUND)
+        raise typer.Exit(shared.NOTHING_FOUND)

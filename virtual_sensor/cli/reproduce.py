@@ -1,22 +1,10 @@
 """The command `virtual-sensor reproduce`."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
 from rich.table import Table
 
-from virtual_sensor.cli.shared import (
-    FINISHED_STAYS,
-    Definitions,
-    Scheduler,
-    command_line,
-    console,
-    definitions,
-    print_end,
-    print_notes,
-    reporting,
-)
+from virtual_sensor.cli import shared
 
 EPILOG = (
     "Examples:\n\n"
@@ -27,11 +15,9 @@ EPILOG = (
 
 
 def reproduce(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
-    ] = Path("reproduced"),
-    define: Definitions = None,
-    scheduler: Scheduler = None,
+    output: shared.FolderToGoOnIn = Path("reproduced"),
+    define: shared.Definitions = None,
+    scheduler: shared.Scheduler = None,
 ) -> None:
     """Remake section 5 of Beermann et al. 2018, and set every statement beside the paper's.
 
@@ -44,26 +30,24 @@ def reproduce(
     from virtual_sensor.reporting.words import heading, in_words
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
 
-    with reporting("reading what is finished", FINISHED_STAYS) as report:
+    with shared.reporting("reading what is finished", shared.FINISHED_STAYS) as report:
         result = run(
             output,
             save_case,
-            definitions(define),
+            shared.definitions(define),
             scheduler,
             lambda stage, fraction: report(stage, 0.93 * fraction),
         )
         report("drawing and writing", 0.93)
-        save(result, output, command_line())
-        report("done", 1.0)
+        save(result, output, shared.command_line())
     summary = result.summary
     table = Table("air", "", f"of {summary.statements} statements borne out")
     for air, number in summary.met.items():
         table.add_row(air, summary.airs[air], str(number))
-    console.print(table)
+    shared.console.print(table)
     for name, value in vars(summary.rendered_minus_searched).items():
-        console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
-    console.print(cylinder_answer(result.reconstructions), soft_wrap=True)
-    console.print(cylinder_table(result.reconstructions, narrow=True).rich())
-    print_notes(summary.notes)
-    console.print(f"{summary.made_now} of {summary.cases} cases measured now")
-    print_end(output, "report/report.html")
+        shared.console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
+    cylinders = cylinder_table(result.reconstructions, narrow=True)
+    shared.print_results([cylinder_answer(result.reconstructions), cylinders], summary.notes)
+    shared.console.print(f"{summary.made_now} of {summary.cases} cases measured now")
+    shared.print_end(output, "report/report.html")

@@ -5,19 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    NOTHING_FOUND,
-    Camera,
-    Definitions,
-    Overwrite,
-    ProbeRays,
-    SceneArgument,
-    Source,
-    check_suffix,
-    console,
-    definitions,
-    print_notes,
-)
+from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import check_output
 
@@ -30,21 +18,21 @@ EPILOG = (
 
 
 def search(
-    scene: SceneArgument,
-    define: Definitions = None,
-    camera: Camera = None,
-    source: Source = None,
+    scene: shared.SceneArgument,
+    define: shared.Definitions = None,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
     method: Annotated[
         str, typer.Option(help="paper, newton or tabulated (by ray maps).")
     ] = "paper",
-    y: ProbeRays = None,
+    y: shared.ProbeRays = None,
     rays: Annotated[
         int | None, typer.Option(min=2, help="So many rays along the whole line, in place of -y.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV file for the result.")
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Search, ray by ray, for the pixels that see the laser: no image is made.
 
@@ -62,17 +50,17 @@ def search(
         raise InputError("-y and --rays: choose one of them")
     if output:
         check_output(output, overwrite)
-        check_suffix(output, (".csv",), "a table")
-    loaded = load_scene(scene, **definitions(define)).only(camera, source)
+        shared.check_suffix(output, (".csv",), "a table")
+    loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
     result = run(loaded, method, y or None, rays)
     number = len(result.rays)
     if output:
         write_csv(output, result.rays)
-        console.print(f"{number} rays in {output}, {result.found} found", soft_wrap=True)
+        shared.console.print(f"{number} rays in {output}, {result.found} found")
     else:
-        console.print(on_console(result).rich())
-    print_notes(result.notes)
+        shared.console.print(on_console(result).rich())
+    shared.print_notes(result.notes)
     if number and not result.found:
         statuses = ", ".join(sorted(set(result.rays.status)))
-        print_notes([f"no ray was found: {statuses}"])
-        raise typer.Exit(NOTHING_FOUND)
+        shared.print_notes([f"no ray was found: {statuses}"])
+        raise typer.Exit(shared.NOTHING_FOUND)

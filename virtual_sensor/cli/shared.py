@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -17,13 +17,14 @@ from virtual_sensor.cli.console import console, errors
 from virtual_sensor.errors import InputError, printable
 from virtual_sensor.files import check_output
 
+if TYPE_CHECKING:
+    from virtual_sensor.reporting.tables import TextTable
+
 _IMPORTED = time.perf_counter()
 _LINE_EVERY_S = 10.0
 _FILES = {*(".csv", ".xlsx", ".json", ".ply", ".html", ".md", ".pdf"), *(".png", ".jpg", ".jpeg")}
 _FILES |= {".tif", ".tiff", ".bmp", ".svg", ".exr", ".nc", ".txt", ".zip"}
 """Suffixes of files: no folder of results is meant by such a name."""
-NOTHING_FOUND = 3
-"""Status that a command ends with if there are results, but no line, dot or ray in them."""
 
 SceneArgument = Annotated[
     str,
@@ -75,6 +76,10 @@ NOTHING_FOUND = 3
 """Exit status of a command that has results, but found nothing in them."""
 NOTHING_STAYS = "no results are written"
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
+Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]
+FolderToGoOnIn = Annotated[
+    Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
 
 
@@ -98,11 +103,13 @@ def reporting(
     """Give a function that is called with what is being done and the fraction done.
 
     On a terminal it moves a bar; where the output is piped, it prints a line to standard error
-    every 10 s. A signal's line ends with `if_stopped`.
+    every 10 s. When nothing failed it ends with "done". A signal's line ends with `if_stopped`.
     """
     if not console.is_terminal:
         with interrupts.on_stop(lambda: if_stopped):
-            yield _lines(clock)
+            report = _lines(clock)
+            yield report
+            report("done", 1.0)
         return
     columns = (
         TextColumn("{task.description:<36}", markup=False),
@@ -122,6 +129,7 @@ def reporting(
 
         with interrupts.on_stop(leave):
             yield report
+            report("done", 1.0)
 
 
 def _lines(clock: Callable[[], float]) -> Callable[[str, float], None]:
@@ -133,8 +141,7 @@ def _lines(clock: Callable[[], float]) -> Callable[[str, float], None]:
         now = clock()
         if now - last >= _LINE_EVERY_S:
             last = now
-            text = f"{fraction:4.0%} after {now - began:.0f} s: {printable(stage)}"
-            errors.print(text, soft_wrap=True)
+            errors.print(f"{fraction:4.0%} after {now - began:.0f} s: {printable(stage)}")
 
     return report
 
@@ -155,10 +162,15 @@ def print_end(folder: Path, first: str = "report.html") -> None:
     """Print how long the command took, and where its results are."""
     from virtual_sensor.reporting.words import time_in_words
 
-    console.print(
-        f"{time_in_words(wall_clock_s())} in all; results in {folder}, open {folder / first} first",
-        soft_wrap=True,
-    )
+    took = time_in_words(wall_clock_s())
+    console.print(f"{took} in all; results in {folder}, open {folder / first} first")
+
+
+def print_results(said: "Iterable[TextTable | str]", notes: Iterable[str] = ()) -> None:
+    """Print tables and sentences, and then the notes."""
+    for each in said:
+        console.print(each if isinstance(each, str) else each.rich())
+    print_notes(notes)
 
 
 def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
@@ -194,7 +206,7 @@ def check_folder(path: Path, overwrite: bool) -> None:
 def print_notes(notes: Iterable[str]) -> None:
     """Print what a reader ignored, converted or assumed, each once."""
     for note in dict.fromkeys(notes):
-        console.print(f"Note: {note}", style="yellow", soft_wrap=True)
+        console.print(f"Note: {note}", style="yellow")
 
 
 def see_own_modules() -> None:

@@ -5,20 +5,8 @@ from typing import Annotated
 
 import typer
 
+from virtual_sensor.cli import shared
 from virtual_sensor.cli.field import FIELD_FILES, app
-from virtual_sensor.cli.shared import (
-    Camera,
-    Overwrite,
-    Source,
-    check_folder,
-    check_suffix,
-    command_line,
-    console,
-    numbers,
-    print_end,
-    print_notes,
-    reporting,
-)
 from virtual_sensor.files import check_output
 
 GOES_ON = "the simulated flow stays, and the same command goes on"
@@ -93,9 +81,9 @@ def simulate(
     scene: Annotated[
         str, typer.Option(help="Scene whose probe rays show whether the flow is steady.")
     ] = "hot_cylinder",
-    camera: Camera = None,
-    source: Source = None,
-    overwrite: Overwrite = False,
+    camera: shared.Camera = None,
+    source: shared.Source = None,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Simulate the air round a hot part with OpenFOAM, until its effect on light is steady.
 
@@ -106,13 +94,13 @@ def simulate(
     from virtual_sensor.studies.simulate import Until
     from virtual_sensor.studies.simulate import simulate as run
 
-    check_suffix(output, FIELD_FILES, "a field")
+    shared.check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
     flow = HeatFlow(
         temperature, radius, length, stl, section, whole, unsteady, ambient, pressure, cell
     )
-    spacing = numbers("--grid", grid, 3)
-    with reporting("preparing the case", GOES_ON) as report:
+    spacing = shared.numbers("--grid", grid, 3)
+    with shared.reporting("preparing the case", GOES_ON) as report:
         result = run(
             flow,
             case or output.with_suffix(".case"),
@@ -126,13 +114,11 @@ def simulate(
             scene_name=scene,
             camera=camera,
             source=source,
-            history=command_line(),
+            history=shared.command_line(),
             report=report,
         )
-    for line in simulated(result):
-        console.print(f"  {line}", soft_wrap=True)
-    print_notes(result.notes)
-    console.print(written(output), soft_wrap=True)
+    shared.print_results([f"  {line}" for line in simulated(result)], result.notes)
+    shared.console.print(written(output))
 
 
 @app.command(
@@ -141,14 +127,12 @@ def simulate(
     "    virtual-sensor field convergence --temperature 900 -o convergence_900"
 )
 def convergence(
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "convergence"
-    ),
+    output: shared.Folder = Path("convergence"),
     temperature: Annotated[float, typer.Option(help="Of the cylinder, degC.")] = 1250.0,
     cases: Annotated[
         Path | None, typer.Option(help="Folder of the OpenFOAM cases; by default OUTPUT.cases.")
     ] = None,
-    overwrite: Overwrite = False,
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Show how mesh, flow time and grid of the air's field change what is measured.
 
@@ -157,12 +141,10 @@ def convergence(
     from virtual_sensor.reporting.convergence import outcome, save
     from virtual_sensor.studies.convergence import convergence as run
 
-    check_folder(output, overwrite)
+    shared.check_folder(output, overwrite)
     folder = cases or output.with_name(f"{output.name}.cases")
-    with reporting("preparing the cases", GOES_ON) as report:
+    with shared.reporting("preparing the cases", GOES_ON) as report:
         result = run(folder, temperature, report=report)
-        save(result, output, command_line(), overwrite)
-    print_notes(result.notes)
-    for sentence in outcome(result):
-        console.print(sentence, soft_wrap=True)
-    print_end(output)
+        save(result, output, shared.command_line(), overwrite)
+    shared.print_results(outcome(result), result.notes)
+    shared.print_end(output)

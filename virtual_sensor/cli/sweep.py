@@ -40,9 +40,7 @@ def sweep(
     camera: shared.Camera = None,
     source: shared.Source = None,
     y: shared.ProbeRays = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
-    ] = Path("swept"),
+    output: shared.FolderToGoOnIn = Path("swept"),
     scheduler: shared.Scheduler = None,
 ) -> None:
     """Measure a scene over any of its parameters: a page and a table, and a folder for each case.
@@ -73,11 +71,10 @@ def sweep(
         report("writing the table", 0.98)
         result = results(finished, output)
         save(result, output, shared.command_line())
-        report("done", 1.0)
     shared.console.print(table(result).rich())
     summary = result.summary
     for name, message in summary.failed.items():
-        shared.console.print(f"{name}: {message}", style="red", soft_wrap=True)
+        shared.console.print(f"{name}: {message}", style="red")
     shared.print_notes(summary.notes[:_SHOWN])
     if len(summary.notes) > _SHOWN:
         shared.print_notes([f"{len(summary.notes) - _SHOWN} notes more: see summary.json"])
@@ -85,8 +82,7 @@ def sweep(
     measured = len(finished) - there - failed
     shared.console.print(
         f"{counted(len(finished), 'case')}: {measured} measured, {there} already there,"
-        f" {failed} failed",
-        soft_wrap=True,
+        f" {failed} failed"
     )
     shared.print_end(output)
     if len(summary.nothing_found) == len(finished):

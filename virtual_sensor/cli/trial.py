@@ -5,15 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli.shared import (
-    Overwrite,
-    check_folder,
-    command_line,
-    console,
-    print_end,
-    reporting,
-    see_own_modules,
-)
+from virtual_sensor.cli import shared
 
 EPILOG = (
     "Examples:\n\n"
@@ -47,10 +39,8 @@ def trial(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes; by default one for each core.")
     ] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")] = Path(
-        "trial"
-    ),
-    overwrite: Overwrite = False,
+    output: shared.Folder = Path("trial"),
+    overwrite: shared.Overwrite = False,
 ) -> None:
     """Try line detectors on images of known truth: error, bias, outliers, time, and the bound.
 
@@ -60,18 +50,17 @@ def trial(
     from virtual_sensor.studies.trial.images import Condition
     from virtual_sensor.studies.trial.trial import trial as run
 
-    see_own_modules()
-    check_folder(output, overwrite)
+    shared.see_own_modules()
+    shared.check_folder(output, overwrite)
     task = Condition.of_peak("task", width, peak, read_noise)
-    with reporting("getting ready") as report:
+    with shared.reporting("getting ready") as report:
         result = run(
             *(detector or [], task, seed, columns, quick, frames, workers),
             lambda stage, fraction: report(stage, 0.9 * fraction),
         )
         report("drawing and writing", 0.9)
-        save(result, output, command_line(), overwrite)
-        report("done", 1.0)
-    console.print(table(result.of("task"), described(task), narrow=True).rich())
-    console.print("Bold: no other detector is both faster and more accurate.", soft_wrap=True)
-    console.print(lead(result), soft_wrap=True)
-    print_end(output)
+        save(result, output, shared.command_line(), overwrite)
+    scores = table(result.of("task"), described(task), narrow=True)
+    bold = "Bold: no other detector is both faster and more accurate."
+    shared.print_results([scores, bold, lead(result)])
+    shared.print_end(output)
