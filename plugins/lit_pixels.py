@@ -16,7 +16,7 @@ from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.ray_families import Pinhole
-from virtual_sensor.optics.ray_maps import NoMapError, displaced, in_coordinates
+from virtual_sensor.optics.ray_maps import MapRequest, NoMapError, displaced, in_coordinates
 from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.transports import (
@@ -264,9 +264,10 @@ class _Region:
             first, last = _ends(beam.own) + np.array([-around, around])
             first[:2] = np.maximum(first[:2], low - beam.moved - spare)
             last[:2] = np.minimum(last[:2], high + beam.moved + spare)
-            maps.append(MAPS.inverse(medium, family, first, last, march, error_mm))
+            asked = MapRequest(medium, family, first, last, march, error_mm)
+            maps.append(MAPS.inverse(asked))
             pads.append(spare)
-        sight = MAPS.forward(medium, camera, *seen, march, error_mm)
+        sight = MAPS.forward(MapRequest(medium, camera, *seen, march, error_mm))
         return Tabulated(sight, tuple(maps), tuple(pads), marched)
 
     def lit(self, sight: Sight) -> tuple[NDArray[np.intp], int]:

@@ -10,7 +10,7 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.map_cache import MAPS
-from virtual_sensor.optics.ray_maps import NoMapError
+from virtual_sensor.optics.ray_maps import MapRequest, NoMapError
 
 _TOLERANCE_PX = 0.1  # of the map
 _BEHIND_MM = 1.0  # what is seen lies before the map's far end
@@ -61,10 +61,10 @@ class WholeFilm:
         (p0, q0), (p1, q1) = view.corners
         low, high = np.array([p0, q0, near]), np.array([p1, q1, far])
         error_mm = _TOLERANCE_PX * view.pitch * near
-        camera = MAPS.forward(medium, view.camera, low, high, march, error_mm)
+        asked = MapRequest(medium, view.camera, low, high, march, error_mm)
         p, q = dr.dot(direction, frame.x) / ahead, dr.dot(direction, frame.y) / ahead
         place = mi.Array3f(p, q, dr.select(seen, depth, dr.opaque(mi.Float, far)))
-        x, y, along_x, along_y = camera.linear.at(place)
+        x, y, along_x, along_y = MAPS.forward(asked).linear.at(place)
         turn = along_x * ahead, along_y * ahead
         told_at = place.z / ahead
         offset = x - told_at * turn[0], y - told_at * turn[1]

@@ -28,7 +28,7 @@ from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.optics.illumination import illuminate
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
-from virtual_sensor.optics.ray_maps import MapStatus, forward_map, inverse_map
+from virtual_sensor.optics.ray_maps import MapRequest, MapStatus, forward_map, inverse_map
 from virtual_sensor.optics.ray_search import REFERENCE, SearchStatus
 from virtual_sensor.optics.sensitivity import line_sensitivity
 from virtual_sensor.optics.surfaces import NoSurface
@@ -297,7 +297,9 @@ def box(known):
 def test_a_forward_map_tells_where_the_rays_are(known, scene, box):
     low, high = box
     places = low + np.random.default_rng(1).random((60, 3)) * (high - low)
-    map_ = forward_map(scene.medium, scene.source.family, low, high, REFERENCE, TOLERANCE_MM)
+    map_ = forward_map(
+        MapRequest(scene.medium, scene.source.family, low, high, REFERENCE, TOLERANCE_MM)
+    )
     points = map_.points(places)
     np.testing.assert_array_equal(points.status, MapStatus.OK)
     s, t, _ = places.T
@@ -310,7 +312,7 @@ def test_an_inverse_map_tells_the_ray_that_newton_finds(known, scene, box):
     places = low + np.random.default_rng(2).random((50, 3)) * (high - low)
     x, y = family.place(*places.T)
     points = family.pose.to_world(np.stack([x, y, places[:, 2]], axis=1))
-    map_ = inverse_map(scene.medium, family, low, high, REFERENCE, TOLERANCE_MM)
+    map_ = inverse_map(MapRequest(scene.medium, family, low, high, REFERENCE, TOLERANCE_MM))
     found = map_.rays(points)
     march = replace(REFERENCE, step_mm=0.5)
     light = illuminate(family, scene.medium, NoSurface(), to_vectors(points), march)

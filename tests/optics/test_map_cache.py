@@ -13,7 +13,7 @@ from virtual_sensor.medium.exact_fields import hot_spot
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.map_cache import MapCache, roomier
 from virtual_sensor.optics.ray_families import Pinhole, Pose, Sheet
-from virtual_sensor.optics.ray_maps import CausticError, forward_map, inverse_map
+from virtual_sensor.optics.ray_maps import CausticError, MapRequest, forward_map, inverse_map
 from virtual_sensor.optics.rays import March
 
 MARCH = March(step_mm=4.0, method="leapfrog")
@@ -51,7 +51,7 @@ class Maps(MapCache):
 
     def sight(self, medium, family=CAMERA, box=BOX, march=MARCH, tolerance_mm=TOLERANCE_MM):
         low, high = box
-        return self.forward(medium, family, low, high, march, tolerance_mm)
+        return self.forward(MapRequest(medium, family, low, high, march, tolerance_mm))
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_what_bends_rays_otherwise_makes_another(spot):
         for _ in range(2):
             maps.sight(**({"medium": spot} | each))
         assert maps.made.count == number + 2
-    maps.inverse(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM)
+    maps.inverse(MapRequest(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM))
     assert (maps.made.count, maps.inverted.count) == (len(asked) + 1, 1)
 
 
@@ -138,16 +138,16 @@ def test_a_tolerance_near_by_has_the_same_map_and_a_tighter_one(spot, asked):
     """Rationale: a pixel's size on the part changes with each part that it sees."""
     made = []
 
-    def note(medium, family, low, high, march, tolerance_mm):
-        made.append(tolerance_mm)
-        return forward_map(medium, family, low, high, march, TOLERANCE_MM)
+    def note(asked):
+        made.append(asked.tolerance_mm)
+        return forward_map(replace(asked, tolerance_mm=TOLERANCE_MM))
 
     maps = MapCache(forward=note)
     for tolerance_mm in asked:
-        maps.forward(spot, CAMERA, *BOX, MARCH, tolerance_mm)
+        maps.forward(MapRequest(spot, CAMERA, *BOX, MARCH, tolerance_mm))
     (tolerance_mm,) = made
     assert 0.8 * max(asked) < tolerance_mm <= min(asked)
-    maps.forward(spot, CAMERA, *BOX, MARCH, tolerance_mm)
+    maps.forward(MapRequest(spot, CAMERA, *BOX, MARCH, tolerance_mm))
     assert len(made) == 1
 
 
@@ -242,19 +242,19 @@ def test_that_there_is_no_map_is_not_found_out_twice(spot):
     maps = Maps(inverse=folds)
     for _ in range(3):
         with pytest.raises(CausticError, match="folds"):
-            maps.inverse(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM)
+            maps.inverse(MapRequest(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM))
     assert maps.inverted.count == 2  # of the roomier box, and of the box itself
 
 
 def test_a_fold_just_beyond_a_box_leaves_its_map(spot):
     """Rationale: the roomier box is the cache's own wish, no reason to do without."""
 
-    def folds_beyond(medium, family, low, high, march, tolerance_mm):
-        if high[2] > BOX[1][2]:
+    def folds_beyond(asked):
+        if asked.high[2] > BOX[1][2]:
             raise CausticError("the map folds: a caustic")
-        return inverse_map(medium, family, low, high, march, tolerance_mm)
+        return inverse_map(asked)
 
-    found = Maps(inverse=folds_beyond).inverse(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM)
+    found = Maps(inverse=folds_beyond).inverse(MapRequest(spot, CAMERA, *BOX, MARCH, TOLERANCE_MM))
     np.testing.assert_array_equal(found.table.grid.high, BOX[1])
 
 
@@ -274,8 +274,9 @@ def test_device_and_medium_moved_together_keep_their_map():
     points = moved.points(places).point_mm
     expected = motion.to_world(first.points(places).point_mm)
     np.testing.assert_allclose(points, expected, rtol=0, atol=1e-10)
-    made_again = forward_map(moved_field, there, *BOX, MARCH, TOLERANCE_MM).points(places).point_mm
-    np.testing.assert_allclose(points, made_again, rtol=0, atol=TOLERANCE_MM)
+    made_again = forward_map(MapRequest(moved_field, there, *BOX, MARCH, TOLERANCE_MM))
+    expected = made_again.points(places).point_mm
+    np.testing.assert_allclose(points, expected, rtol=0, atol=TOLERANCE_MM)
 
 
 def test_a_device_or_a_medium_moved_alone_needs_another_map():

@@ -20,7 +20,7 @@ from virtual_sensor.medium.exact_fields import hot_spot, linear, selfoc
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import after_length, bend, in_plane, never
 from virtual_sensor.optics.ray_families import Pinhole
-from virtual_sensor.optics.ray_maps import forward_map, inverse_map
+from virtual_sensor.optics.ray_maps import MapRequest, forward_map, inverse_map
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import March, Straight
 from virtual_sensor.optics.sensitivity import line_sensitivity
@@ -255,7 +255,8 @@ def test_ray_maps_of_a_moved_scene_are_the_same(scene, moved):
     places = low + (high - low) * np.random.default_rng(3).random((60, 3))
     for make in (forward_map, inverse_map):
         still, found = (
-            make(each.field, each.sensor.camera, low, high, march, 1e-4) for each in (scene, moved)
+            make(MapRequest(each.field, each.sensor.camera, low, high, march, 1e-4))
+            for each in (scene, moved)
         )
         assert isinstance(scene.sensor.camera, Pinhole)
         assert found.nodes == still.nodes

@@ -17,6 +17,7 @@ from virtual_sensor.optics.illumination import LightStatus, illuminate
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
 from virtual_sensor.optics.ray_maps import (
     CausticError,
+    MapRequest,
     MapStatus,
     NoMapError,
     displaced,
@@ -155,7 +156,7 @@ def test_lines_of_sight_are_tabulated_to_the_tolerance_asked(case, tolerance_mm)
     It is pessimistic, for it allows the linear interpolation its whole share of the tolerance.
     """
     field, pose, box, seen = CAMERA_CASES[case]
-    camera = forward_map(field, view(pose), *box, MARCH, tolerance_mm)
+    camera = forward_map(MapRequest(field, view(pose), *box, MARCH, tolerance_mm))
     fineness, places = camera.fineness, around(camera.table.grid, 200)
     truth, told = seen(*places.T), read(camera.linear, places)
     wrong = np.linalg.norm((told - truth)[:, :2], axis=1).max()
@@ -172,7 +173,7 @@ def test_lines_of_sight_are_tabulated_to_the_tolerance_asked(case, tolerance_mm)
 def test_splines_keep_their_own_error_and_give_points_on_the_rays(case, tolerance_mm):
     """Rationale: who triangulates or projects reads these, not the linear table."""
     field, pose, box, seen = CAMERA_CASES[case]
-    camera = forward_map(field, view(pose), *box, MARCH, tolerance_mm)
+    camera = forward_map(MapRequest(field, view(pose), *box, MARCH, tolerance_mm))
     places = around(camera.table.grid, 200)
     p, q, depth = places.T
     truth = seen(p, q, depth)
@@ -197,7 +198,7 @@ def test_first_order_rays_are_tabulated_as_first_order_rays(many, monkeypatch):
     """
     monkeypatch.setattr(ray_maps, "_MANY", many)
     march = March(step_mm=1.0, method="rk4", first_order=True)
-    camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, march, 1e-4)
+    camera = forward_map(MapRequest(SPOT.field, view(CAMERA), *CAMERA_BOX, march, 1e-4))
     places = around(camera.table.grid, 200)
     marched = displaced(SPOT.field, view(CAMERA), march, places)
     told = read(camera.linear, places)
@@ -221,7 +222,7 @@ class Plane:
 def test_bent_lines_of_sight_meet_a_leaning_plane_where_they_should():
     """Rationale: the depth at which the table is read is not known before the point is found."""
     normal, offset = unit([0.3, 0.2, 1.0]), 0.4
-    camera = forward_map(SPOT.field, view(CAMERA), *CAMERA_BOX, MARCH, 2e-5)
+    camera = forward_map(MapRequest(SPOT.field, view(CAMERA), *CAMERA_BOX, MARCH, 2e-5))
     low, high = CAMERA_BOX
     p, q = (low[:2] + np.random.default_rng(5).random((50, 2)) * (high - low)[:2]).T * 0.6
     local = np.stack([p, q, np.ones(len(p))], axis=1)
@@ -260,7 +261,9 @@ def laser(request):
 
 @pytest.fixture(scope="module")
 def mapped(laser):
-    return inverse_map(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    return inverse_map(
+        MapRequest(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    )
 
 
 def centre(laser):
@@ -330,7 +333,9 @@ class Uneven(RayFamily):
 def test_the_determinant_is_that_of_the_shifts_where_names_lie_unevenly():
     """Where a tube's spread changes with its name, too: by the shifts' own derivatives."""
     family = Uneven(frame([-40.0, 15.0, 80.0], [1.0, -1.0, 0.5]), 0.02)
-    mapped = inverse_map(SPOT.field, family, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    mapped = inverse_map(
+        MapRequest(SPOT.field, family, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
+    )
     places = around(mapped.table.grid, 60)
     by_s, by_t = (mapped.table.slopes(places, axis)[:, :2] for axis in (0, 1))
     determinant = (1.0 + by_s[:, 0]) * (1.0 + by_t[:, 1]) - by_s[:, 1] * by_t[:, 0]
@@ -415,7 +420,7 @@ SLAB_BOX = np.array([-0.2, -1.0, 51.0]), np.array([0.2, 1.0, 50.0 + FOCUS_MM])
 
 def slab_map(contrast, tolerance_mm=1e-3, march=MARCH):
     """The map of a beam into that lens, from its face to 40 mm behind it."""
-    return inverse_map(slab(contrast), BEAM, *SLAB_BOX, march, tolerance_mm)
+    return inverse_map(MapRequest(slab(contrast), BEAM, *SLAB_BOX, march, tolerance_mm))
 
 
 def test_a_caustic_in_the_box_is_refused_and_none_before_it():
@@ -438,10 +443,10 @@ def test_rays_that_are_turned_away_leave_no_map(laser):
     against = tuple(map(float, -0.04 * laser.pose.rotation[:, 2]))  # light gets 25 mm deep
     wall = exact_fields.linear(1.0, against, box=np.array([[-40.0] * 3, [40.0] * 3]))
     with pytest.raises(NoMapError, match="turned away"):
-        inverse_map(wall, laser, LASER_LOW, LASER_HIGH + 30.0, MARCH, 1e-3)
+        inverse_map(MapRequest(wall, laser, LASER_LOW, LASER_HIGH + 30.0, MARCH, 1e-3))
     low, high = np.array([-0.1, -0.1, 100.0]), np.array([0.1, 0.1, 160.0])
     with pytest.raises(NoMapError, match="turned away"):
-        forward_map(wall, view(laser.pose), low, high, MARCH, 1e-3)
+        forward_map(MapRequest(wall, view(laser.pose), low, high, MARCH, 1e-3))
 
 
 def test_a_tolerance_that_cannot_be_met_is_refused_with_the_error_reached():
@@ -450,7 +455,7 @@ def test_a_tolerance_that_cannot_be_met_is_refused_with_the_error_reached():
     field = ExactField(SPOT.field.n_squared, box=SPOT.field.box)
     reached = r"the table's error is \d\.\de-\d\d mm with \d+ x \d+ x \d+ nodes, above"
     with pytest.raises(NoMapError, match=reached):
-        forward_map(field, view(CAMERA), *CAMERA_BOX, march, 1e-9)
+        forward_map(MapRequest(field, view(CAMERA), *CAMERA_BOX, march, 1e-9))
     with pytest.raises(NoMapError, match=reached):
         slab_map(0.5, 1e-13)
 
@@ -459,7 +464,7 @@ def test_a_tolerance_that_is_not_refused_is_kept():
     """Rationale: the linear table is made no more than so much finer; what is left must be told."""
     field, pose, box, seen = CAMERA_CASES["fibre"]
     try:
-        camera = forward_map(field, view(pose), *box, MARCH, 5e-6)
+        camera = forward_map(MapRequest(field, view(pose), *box, MARCH, 5e-6))
         linear = camera.linear
     except NoMapError:
         return
@@ -470,8 +475,8 @@ def test_a_tolerance_that_is_not_refused_is_kept():
 
 def test_where_light_runs_straight_the_maps_are_zero(laser):
     """Rationale: cold frames are rendered by the same code; nothing may be moved by rounding."""
-    camera = forward_map(None, view(CAMERA), *CAMERA_BOX, MARCH, 1e-3)
-    beam = inverse_map(None, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    camera = forward_map(MapRequest(None, view(CAMERA), *CAMERA_BOX, MARCH, 1e-3))
+    beam = inverse_map(MapRequest(None, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3))
     for each in (camera, beam):
         places = around(each.table.grid, 50)
         assert np.all(read(each.linear, places) == 0.0)
@@ -486,7 +491,7 @@ def test_rays_through_points_are_found_by_either_map(laser, mapped):
     """Rationale: projection and triangulation ask point by point; SciPy's rays must pass there."""
     more = np.array([1.0, 1.0, 0.0])
     box = LASER_LOW - more, LASER_HIGH + more
-    ahead = forward_map(SPOT.field, laser, *box, MARCH, 1e-4)
+    ahead = forward_map(MapRequest(SPOT.field, laser, *box, MARCH, 1e-4))
     places = around(mapped.table.grid, 150)
     points = points_of(laser, places)
     for rays in (mapped.rays(points), ahead.rays(points)):
@@ -503,7 +508,7 @@ def test_rays_through_points_are_found_by_either_map(laser, mapped):
 def test_lines_of_sight_are_inverted_as_laser_rays_are():
     """Rationale: a projected point's pixel; the generic inverse knows of no family."""
     low, high = CAMERA_BOX
-    camera = inverse_map(SPOT.field, view(CAMERA), low, high, MARCH, 1e-4)
+    camera = inverse_map(MapRequest(SPOT.field, view(CAMERA), low, high, MARCH, 1e-4))
     places = around(camera.table.grid, 100)
     s, t, depth = places.T
     points = CAMERA.to_world(np.stack([s * depth, t * depth, depth], axis=1))
@@ -523,7 +528,7 @@ def test_places_off_a_map_are_said_to_be_off(laser, mapped):
     places[1, 0], places[2, 1], places[3, 2] = LASER_LOW[0] - 2.0, LASER_HIGH[1] + 2.0, 50.0
     points = points_of(laser, places)
     points[4] = np.nan
-    ahead = forward_map(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3)
+    ahead = forward_map(MapRequest(SPOT.field, laser, LASER_LOW, LASER_HIGH, MARCH, 1e-3))
     status = [MapStatus.OK, *[MapStatus.OFF] * 4]
     for rays in (mapped.rays(points), ahead.rays(points)):
         np.testing.assert_array_equal(rays.status, status)
@@ -551,7 +556,7 @@ def test_beyond_a_caustic_points_have_no_single_ray_and_rays_go_on():
     """
     low, high = SLAB_BOX
     contrast, far = 1.3, np.array([0.6, 0.0, 0.0])
-    ahead = forward_map(slab(contrast), BEAM, low - far, high + far, MARCH, 1e-4)
+    ahead = forward_map(MapRequest(slab(contrast), BEAM, low - far, high + far, MARCH, 1e-4))
     within_mm = np.linspace(2.0, FOCUS_MM, 40)
     phase = contrast * np.pi / 2.0 * within_mm / FOCUS_MM
     places = np.stack([np.full(40, 0.1), np.full(40, 0.5), 50.0 + within_mm], axis=1)

@@ -7,7 +7,6 @@ tolerance, by rays of the box.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +16,9 @@ from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_maps import (
     ForwardMap,
     InverseMap,
+    MapRequest,
     NoMapError,
     PointRays,
-    displaced,
     forward_map,
     in_coordinates,
     inverse_map,
@@ -62,7 +61,7 @@ def covering_map(
     NoMapError
         If the tolerance can't be met, or a ray does not reach its depth.
     """
-    return MAPS.forward(field, family, *_box(places), first_march(field), tolerance_mm)
+    return MAPS.forward(_covering(field, family, places, tolerance_mm))
 
 
 def covering_inverse(
@@ -75,7 +74,7 @@ def covering_inverse(
     NoMapError
         Also, as CausticError, if more than one ray passes through a place near by.
     """
-    return MAPS.inverse(field, family, *_box(places), first_march(field), tolerance_mm)
+    return MAPS.inverse(_covering(field, family, places, tolerance_mm))
 
 
 def rays_through(
@@ -97,32 +96,29 @@ def rays_through(
         return covering_map(field, family, places, tolerance_mm).rays(points_mm)
 
 
-def _box(places: Array) -> tuple[Array, Array]:
-    """The box of places (N, 3); never a flat one."""
+def _covering(
+    field: Field | None, family: RayFamily, places: Array, tolerance_mm: float
+) -> MapRequest:
+    """A map of the box of places (N, 3); never of a flat one."""
     low, high = places.min(axis=0), places.max(axis=0)
     thin = _THINNEST * np.maximum(1.0, np.maximum(np.abs(low), np.abs(high)))
-    return np.minimum(low, high - thin), np.maximum(high, low + thin)
+    low, high = np.minimum(low, high - thin), np.maximum(high, low + thin)
+    return MapRequest(field, family, low, high, first_march(field), tolerance_mm, _MOST_NODES)
 
 
-def _forward(
-    field: Field | None,
-    family: RayFamily,
-    low: Array,
-    high: Array,
-    march: March,
-    tolerance_mm: float,
-) -> ForwardMap:
+def _forward(asked: MapRequest) -> ForwardMap:
     """The map of a box and of the rays through it, by a march that is fine enough."""
-    if field is None:
-        return forward_map(None, family, low, high, march, tolerance_mm)
-    march, shift = _probed(field, family, low, high, march, tolerance_mm)
-    pad, allowed_mm = _ROOM * shift, (1.0 - _MARCH_SHARE) * tolerance_mm
-    asked_mm = allowed_mm
+    if asked.field is None:
+        return forward_map(asked)
+    asked, shift = _probed(asked)
+    pad, low, high = _ROOM * shift, asked.low, asked.high
+    allowed_mm = asked_mm = asked.tolerance_mm
     for _ in range(_MOST_MAPS):
-        made = forward_map(field, family, low - pad, high + pad, march, asked_mm, _MOST_NODES)
-        nodes, checks = made.table.grid.nodes(), _anywhere(low - pad, high + pad)
-        error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
-        shift = _shifts(family, nodes, made.table.at(nodes))
+        asked = replace(asked, low=low - pad, high=high + pad, tolerance_mm=asked_mm)
+        made = forward_map(asked)
+        error_mm = float(made.missed_mm(_anywhere(asked), asked.displaced).max())
+        nodes = made.table.grid.nodes()
+        shift = _shifts(asked.family, nodes, made.table.at(nodes))
         if np.all(shift <= pad) and error_mm <= allowed_mm:
             break
         pad = np.maximum(pad, _ROOM * shift)
@@ -131,26 +127,19 @@ def _forward(
     return made
 
 
-def _inverse(
-    field: Field | None,
-    family: RayFamily,
-    low: Array,
-    high: Array,
-    march: March,
-    tolerance_mm: float,
-) -> InverseMap:
+def _inverse(asked: MapRequest) -> InverseMap:
     """The map of a box, by a march that is fine enough."""
-    if field is None:
-        return inverse_map(None, family, low, high, march, tolerance_mm)
-    march, _ = _probed(field, family, low, high, march, tolerance_mm)
-    allowed_mm = (1.0 - _MARCH_SHARE) * tolerance_mm
-    asked_mm, checks = allowed_mm, _anywhere(low, high)
+    if asked.field is None:
+        return inverse_map(asked)
+    asked, _ = _probed(asked)
+    allowed_mm, checks = asked.tolerance_mm, _anywhere(asked)
     for _ in range(_MOST_MAPS):
-        made = inverse_map(field, family, low, high, march, asked_mm, _MOST_NODES)
-        error_mm = float(made.missed_mm(checks, partial(displaced, field, family, march)).max())
+        made = inverse_map(asked)
+        error_mm = float(made.missed_mm(checks, asked.displaced).max())
         if error_mm <= allowed_mm:
             break
-        asked_mm *= _SAFE * allowed_mm / error_mm
+        tighter_mm = asked.tolerance_mm * (_SAFE * allowed_mm / error_mm)
+        asked = replace(asked, tolerance_mm=tighter_mm)
     return made
 
 
@@ -158,9 +147,10 @@ MAPS = MapCache(forward=_forward, inverse=_inverse, lattice=_LATTICE)
 """Covering maps of this process."""
 
 
-def _anywhere(low: Array, high: Array) -> Array:
-    """Places (N, 3) in a box, the same for the same box."""
-    return low + np.random.default_rng(0).random((_ANYWHERE, 3)) * (high - low)
+def _anywhere(asked: MapRequest) -> Array:
+    """Places (N, 3) in a map's box, the same for the same box."""
+    random = np.random.default_rng(0).random((_ANYWHERE, 3))
+    return asked.low + random * (asked.high - asked.low)
 
 
 def first_march(field: Field | None) -> March:
@@ -191,24 +181,28 @@ def by_octaves(depth: Array) -> Iterator[NDArray[np.intp]]:
         yield np.flatnonzero(octave == each)
 
 
-def _probed(
-    field: Field, family: RayFamily, low: Array, high: Array, march: March, tolerance_mm: float
-) -> tuple[March, Array]:
-    """A march that errs little enough in a box, and by how much coordinates are shifted, (3,)."""
-    places = _anywhere(low, high)
-    moved = displaced(field, family, march, places)
+def _probed(asked: MapRequest) -> tuple[MapRequest, Array]:
+    """By a march that errs little enough, to what that leaves of the tolerance; and the shifts.
+
+    (3,): by how much the coordinates of rays of the box are shifted.
+    """
+    places = _anywhere(asked)
+    moved = asked.displaced(places)
     while True:
-        finer = replace(march, step_mm=march.step_mm / 2.0)
-        better = displaced(field, family, finer, places)
+        march = replace(asked.march, step_mm=asked.march.step_mm / 2.0)
+        finer = replace(asked, march=march)
+        better = finer.displaced(places)
         error_mm = float(np.abs(better - moved)[:, :2].max())
-        if error_mm <= _MARCH_SHARE * tolerance_mm:
-            return march, _shifts(family, places, better)
-        if finer.step_mm < _SHORTEST_MM:
+        if error_mm <= _MARCH_SHARE * asked.tolerance_mm:
+            left_mm = (1.0 - _MARCH_SHARE) * asked.tolerance_mm
+            shifts = _shifts(asked.family, places, better)
+            return replace(asked, tolerance_mm=left_mm), shifts
+        if march.step_mm < _SHORTEST_MM:
             raise NoMapError(
-                f"steps of {march.step_mm:g} mm err by {error_mm:.1e} mm, where the tolerance is"
-                f" {tolerance_mm:.1e} mm"
+                f"steps of {asked.march.step_mm:g} mm err by {error_mm:.1e} mm, where the tolerance"
+                f" is {asked.tolerance_mm:.1e} mm"
             )
-        march, moved = finer, better
+        asked, moved = finer, better
 
 
 def _shifts(family: RayFamily, places: Array, moved: Array) -> Array:

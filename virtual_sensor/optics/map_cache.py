@@ -27,17 +27,15 @@ from virtual_sensor.optics.ray_maps import (
     CausticError,
     ForwardMap,
     InverseMap,
+    MapRequest,
     NoMapError,
     RayMap,
     forward_map,
     inverse_map,
 )
-from virtual_sensor.optics.rays import Field, March
+from virtual_sensor.optics.rays import Field
 
 Array = NDArray[np.float64]
-Make = Callable[[Field | None, RayFamily, Array, Array, March, float], RayMap]
-Asked = tuple[Field | None, RayFamily, Array, Array, March, float]
-"""Medium, family, lowest and highest corner of the box (3,), march and tolerance in mm of a map."""
 
 _MOST_BYTES = 512 << 20
 _MOST_MAPS = 256  # failures, which take no memory, among them
@@ -72,8 +70,8 @@ class MapCache:
     def __init__(
         self,
         most_bytes: int = _MOST_BYTES,
-        forward: Callable[..., ForwardMap] = forward_map,
-        inverse: Callable[..., InverseMap] = inverse_map,
+        forward: Callable[[MapRequest], ForwardMap] = forward_map,
+        inverse: Callable[[MapRequest], InverseMap] = inverse_map,
         lattice: Array = _LATTICE,
     ) -> None:
         self._most_bytes = most_bytes
@@ -83,15 +81,15 @@ class MapCache:
         self._number = 0
         self._lock = threading.RLock()
 
-    def forward(self, *asked: *Asked) -> ForwardMap:
+    def forward(self, asked: MapRequest) -> ForwardMap:
         """A map as `forward_map` makes it, of a box that holds the one asked for."""
-        found = self._found(self._forward, *asked)
+        found = self._found(self._forward, asked)
         assert isinstance(found, ForwardMap)
         return found
 
-    def inverse(self, *asked: *Asked) -> InverseMap:
+    def inverse(self, asked: MapRequest) -> InverseMap:
         """A map as `inverse_map` makes it, of a box that holds the one asked for."""
-        found = self._found(self._inverse, *asked)
+        found = self._found(self._inverse, asked)
         assert isinstance(found, InverseMap)
         return found
 
@@ -107,41 +105,23 @@ class MapCache:
         with self._lock:
             self._entries.clear()
 
-    def _found(
-        self,
-        make: Make,
-        medium: Field | None,
-        family: RayFamily,
-        low: Array,
-        high: Array,
-        march: March,
-        tolerance_mm: float,
-    ) -> RayMap:
+    def _found(self, make: Callable[[MapRequest], RayMap], asked: MapRequest) -> RayMap:
         """The map of the roomier box; where there is none, that of the box itself."""
         # A pixel's size on the part changes a little with whatever is seen of it.
-        steps = np.floor(_PER_OCTAVE * np.log2(tolerance_mm) + 1e-9)
-        tolerance_mm = float(2.0 ** (steps / _PER_OCTAVE))
-        box = roomier(low, high, self._lattice)
+        steps = np.floor(_PER_OCTAVE * np.log2(asked.tolerance_mm) + 1e-9)
+        asked = replace(asked, tolerance_mm=float(2.0 ** (steps / _PER_OCTAVE)))
+        low, high = roomier(asked.low, asked.high, self._lattice)
         try:
-            return self._one(make, medium, family, *box, march, tolerance_mm)
+            return self._one(make, replace(asked, low=low, high=high))
         except NoMapError:
-            return self._one(make, medium, family, low, high, march, tolerance_mm)
+            return self._one(make, asked)
 
-    def _one(
-        self,
-        make: Make,
-        medium: Field | None,
-        family: RayFamily,
-        low: Array,
-        high: Array,
-        march: March,
-        tolerance_mm: float,
-    ) -> RayMap:
-        whose, by_value = _medium(medium)
-        still, there = _in_own_frame(medium, family)
-        box = low.tobytes(), high.tobytes()
-        rays = _rays(there, low, high).tobytes()
-        settings = make, by_value, march, tolerance_mm, box, rays, mi.variant()
+    def _one(self, make: Callable[[MapRequest], RayMap], asked: MapRequest) -> RayMap:
+        whose, by_value = _medium(asked.field)
+        there = _in_own_frame(asked)
+        quality = asked.march, asked.tolerance_mm, asked.most_nodes
+        places = asked.low.tobytes(), asked.high.tobytes(), _rays(there).tobytes()
+        settings = make, by_value, quality, places, mi.variant()
         with self._lock:
             for number, entry in list(self._entries.items()):
                 if entry.medium is not None and entry.medium() is None:
@@ -150,10 +130,10 @@ class MapCache:
                 same = (entry.medium() if entry.medium else None) is whose
                 if same and entry.settings == settings:
                     self._entries.move_to_end(number)
-                    return _of(entry.found, family)
+                    return _of(entry.found, asked.family)
             found: RayMap | NoMapError
             try:
-                found = make(still, there, low, high, march, tolerance_mm)
+                found = make(there)
             except NoMapError as why:
                 found = why.with_traceback(None)
             reference = None if whose is None else weakref.ref(whose)
@@ -163,7 +143,7 @@ class MapCache:
                 self.bytes > self._most_bytes or len(self._entries) > _MOST_MAPS
             ):
                 self._entries.popitem(last=False)
-            return _of(found, family)
+            return _of(found, asked.family)
 
 
 MAPS = MapCache()
@@ -193,15 +173,16 @@ def _medium(medium: Field | None) -> tuple[Any, Hashable]:
     return nodes, (*lattice, field.ambient, field.interpolation, field.dimensions)
 
 
-def _in_own_frame(medium: Field | None, family: RayFamily) -> tuple[Field | None, RayFamily]:
+def _in_own_frame(asked: MapRequest) -> MapRequest:
     """A medium that was never moved, and the family where it is in it, on the lattice of poses."""
-    pose, still = family.pose, medium
+    medium, pose = asked.field, asked.family.pose
+    still = medium
     if medium is not None and medium.pose is not None:
         turn = medium.pose.rotation.T
         pose = Pose(turn @ pose.rotation, medium.pose.to_local(pose.origin_mm))
         still = replace(medium, pose=None)  # type: ignore[type-var]
     on_lattice = _rounded(pose.rotation, _POSE_TURN), _rounded(pose.origin_mm, _POSE_MM)
-    return still, family.with_pose(Pose(*on_lattice))
+    return replace(asked, field=still, family=asked.family.with_pose(Pose(*on_lattice)))
 
 
 def _rounded(numbers: Array, step: float) -> Array:
@@ -209,8 +190,9 @@ def _rounded(numbers: Array, step: float) -> Array:
     return rounded
 
 
-def _rays(family: RayFamily, low: Array, high: Array) -> Array:
+def _rays(asked: MapRequest) -> Array:
     """Where a family's rays and its frame are, mm: numbers to compare."""
+    family, low, high = asked.family, asked.low, asked.high
     s, t = (a.ravel() for a in np.meshgrid(*(low[:2] + _AT[:, None] * (high - low)[:2]).T))
     origins, directions = family.rays(s, t)
     ends = origins + directions * max(high[2], 1.0)

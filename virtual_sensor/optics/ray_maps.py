@@ -18,7 +18,7 @@ of such a box, and the forward one marks the places.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -40,11 +40,7 @@ _SPLINE = 0.6  # of the tolerance is for the splines; the rest for linear interp
 _FORWARD = 0.75  # of an inverse map's share is for the forward one that it is made from
 _FEWEST = 4  # nodes of a cubic spline that ends in no knot
 _FEWEST_CELLS, _PER_CELL = np.array([3, 3, 1]), np.array([1, 1, 3])  # marched ones, and nodes
-_ALONG = (
-    193,
-    193,
-    17,
-)  # rays of a line along s, t and depth: they show how fine a grid to begin with
+_ALONG = 193, 193, 17  # rays of a line along s, t and depth: they show how fine a first grid is
 _LEAST_FIRST, _MOST_FIRST, _MOST_NODES, _MOST_LINEAR_NODES = 1_500, 30_000, 250_000, 10_000_000
 _MOST_FIRST_ALONG = 500
 _MANY = 20_000  # nodes, whose rays are marched once through all depths
@@ -378,88 +374,75 @@ def along(family: RayFamily, places: Array, moved: Array | None) -> tuple[Array,
     return np.column_stack([x, y, depth]), np.column_stack([x_z, y_z, np.ones_like(depth)])
 
 
-def forward_map(
-    field: Field | None,
-    family: RayFamily,
-    low: Array,
-    high: Array,
-    march: March,
-    tolerance_mm: float,
-    most_nodes: int = _MOST_NODES,
-) -> ForwardMap:
-    """Tabulate where a family's bent rays are.
+@dataclass(frozen=True, eq=False)
+class MapRequest:
+    """Which map is asked for.
 
-    Parameters
+    Attributes
     ----------
     field : Field or None
         None: light runs straight, and the map is zero.
     family : RayFamily
     low, high : ndarray of shape (3,)
-        The box of (s, t, depth).
+        The box of (s, t, depth); of an inverse map, of the straight rays through the points.
     march : March
     tolerance_mm : float
         Largest error that the linear table's estimate may have; the splines have 0.6 of it.
     most_nodes : int
         Beyond so many the tolerance is given up.
+    """
+
+    field: Field | None
+    family: RayFamily
+    low: Array
+    high: Array
+    march: March
+    tolerance_mm: float
+    most_nodes: int = _MOST_NODES
+
+    def displaced(self, places: Array) -> Array:
+        """`displaced` of its rays at places (N, 3)."""
+        return displaced(self.field, self.family, self.march, places)
+
+
+def forward_map(asked: MapRequest) -> ForwardMap:
+    """Tabulate where a family's bent rays are.
 
     Raises
     ------
     NoMapError
         If a ray does not reach its depth, or the tolerance can't be met.
     """
-    linear_mm = (1.0 - _SPLINE) * tolerance_mm
-    if field is None:
-        return ForwardMap(family, _zero(low, high, 4), 0.0, linear_mm, 0.0)
-
-    marched = partial(displaced, field, family, march)
-    on_grid = partial(_displaced_on, field, family, march)
-    spline_mm = _SPLINE * tolerance_mm
-    shape = _Lines.through(marched, family, low, high).shape(spline_mm, np.inf, low, high)
-    table, error_mm, largest_mm = _refined(on_grid, low, high, spline_mm, shape, most_nodes)
-    return ForwardMap(family, table, error_mm, linear_mm, largest_mm)
+    linear_mm = (1.0 - _SPLINE) * asked.tolerance_mm
+    if asked.field is None:
+        return ForwardMap(asked.family, _zero(asked, 4), 0.0, linear_mm, 0.0)
+    spline = replace(asked, tolerance_mm=_SPLINE * asked.tolerance_mm)
+    return _refined(spline, _Lines.through(asked).shape(spline, np.inf), linear_mm)
 
 
-def inverse_map(
-    field: Field | None,
-    family: RayFamily,
-    low: Array,
-    high: Array,
-    march: March,
-    tolerance_mm: float,
-    most_nodes: int = _MOST_NODES,
-) -> InverseMap:
-    """Tabulate which of a family's bent rays comes through a point; see `forward_map`.
-
-    Parameters
-    ----------
-    low, high : ndarray of shape (3,)
-        The box of the points' straight coordinates (s0, t0) and of the depth.
+def inverse_map(asked: MapRequest) -> InverseMap:
+    """Tabulate which of a family's bent rays comes through a point.
 
     Raises
     ------
     NoMapError
-        Also, as CausticError, if the map folds.
+        As `forward_map` does; also, as CausticError, if the map folds.
     """
-    linear_mm = (1.0 - _SPLINE) * tolerance_mm
-    if field is None:
-        return InverseMap(family, _zero(low, high, 5), 0.0, linear_mm, 0.0)
+    family, low, high = asked.family, asked.low, asked.high
+    linear_mm = (1.0 - _SPLINE) * asked.tolerance_mm
+    if asked.field is None:
+        return InverseMap(family, _zero(asked, 5), 0.0, linear_mm, 0.0)
 
-    marched = partial(displaced, field, family, march)
-    on_grid = partial(_displaced_on, field, family, march)
-    spline_mm = _SPLINE * tolerance_mm
-    lines = _Lines.through(marched, family, low, high)
+    spline_mm = _SPLINE * asked.tolerance_mm
+    lines = _Lines.through(asked)
     shift = in_coordinates(family, lines.places, lines.values[:, :2])
     pad = _ROOM * np.append(np.abs(shift).max(axis=0), 0.0)
     for _ in range(_MOST_PADS):
-        room = low - pad, high + pad
-        first = lines.shape(_FORWARD * spline_mm, _STRETCH, *room)
-        table, error_mm, largest_mm = _refined(
-            on_grid, *room, _FORWARD * spline_mm, first, most_nodes
-        )
-        ahead = ForwardMap(family, table, error_mm, linear_mm, largest_mm)
-        grid = Grid(low, high, _shape_like(table.grid, low, high))
+        wider = replace(asked, low=low - pad, high=high + pad, tolerance_mm=_FORWARD * spline_mm)
+        ahead = _refined(wider, lines.shape(wider, _STRETCH), linear_mm)
+        grid = Grid(low, high, _shape_like(ahead.table.grid, low, high))
         values, reach = _inverted(ahead, grid)
-        if np.all(table.grid.holds(reach)):
+        if np.all(ahead.table.grid.holds(reach)):
             break
         beyond = np.maximum(low - reach.min(axis=0), reach.max(axis=0) - high)
         pad = _ROOM * np.maximum(pad, beyond)
@@ -468,7 +451,7 @@ def inverse_map(
     for _ in range(_LEVELS):
         table, checks = SplineTable(grid, values), _checks(grid)
         back = InverseMap(family, table, 0.0, linear_mm, ahead.largest_mm)
-        error_mm = float(back.missed_mm(checks, marched).max())
+        error_mm = float(back.missed_mm(checks, asked.displaced).max())
         if error_mm <= spline_mm:
             return replace(back, error_mm=error_mm)
         finer = [int(1.3 * n) for n in grid.shape]
@@ -477,7 +460,7 @@ def inverse_map(
     raise _too_coarse(grid.shape, error_mm, spline_mm)
 
 
-def displaced(field: Field, family: RayFamily, march: March, places: Array) -> Array:
+def displaced(field: Field | None, family: RayFamily, march: March, places: Array) -> Array:
     """March rays of a family to depths.
 
     Parameters
@@ -496,37 +479,34 @@ def displaced(field: Field, family: RayFamily, march: March, places: Array) -> A
     NoMapError
         If a ray does not get there.
     """
-    return by_rows(lambda some: _displaced(field, family, march, some), places)
+
+    def marched(places: Array) -> Array:
+        s, t, depth = to_vectors(places)
+        frame = FamilyFrame.of(family, mi.Array3f64)
+        origin, direction, _ = frame.rays(s, t)
+        return _rows(frame, *_beside(field, march, frame, origin, direction, depth))
+
+    return by_rows(marched, places)
 
 
-def _displaced(field: Field, family: RayFamily, march: March, places: Array) -> Array:
-    s, t, depth = to_vectors(places)
-    frame = FamilyFrame.of(family, mi.Array3f64)
-    origin, direction, _ = frame.rays(s, t)
-    moved, turned, ended = _beside(field, march, frame, origin, direction, depth)
-    return _rows(frame, moved, turned, ended)
-
-
-def _displaced_on(
-    field: Field, family: RayFamily, march: March, grid: Grid, checks: Array
-) -> tuple[Array, Array]:
+def _displaced_on(asked: MapRequest, grid: Grid, checks: Array) -> tuple[Array, Array]:
     """`displaced` at the nodes of a grid, and at places (N, 3) between them.
 
     Of many nodes, rays go on from one depth to the next; of few, all are marched at once.  Those of
     first order can't go on: they are deflected by the air along the straight ray from their start.
     """
-    alone = grid.low[2] <= 0.0 or march.first_order  # or before rays start
+    alone = grid.low[2] <= 0.0 or asked.march.first_order  # or before rays start
     if alone or np.prod(grid.shape) < _MANY:
-        together = displaced(field, family, march, np.concatenate([grid.nodes(), checks]))
+        together = asked.displaced(np.concatenate([grid.nodes(), checks]))
         return together[: -len(checks)], together[-len(checks) :]
     s, t, _ = Grid(grid.low, grid.high, (*grid.shape[:2], 1)).nodes().T
-    frame = FamilyFrame.of(family, mi.Array3f64)
+    frame = FamilyFrame.of(asked.family, mi.Array3f64)
     first, course, _ = frame.rays(to_scalars(s), to_scalars(t))
     origin, direction = first, course
     values = []
     for node in grid.axes()[2]:
         depth = dr.opaque(mi.Float64, float(node))
-        moved, turned, ended = _beside(field, march, frame, origin, direction, depth)
+        moved, turned, ended = _beside(asked.field, asked.march, frame, origin, direction, depth)
         straight, slope = _at_depth(frame, origin, direction, depth)
         origin, slope = straight + moved, slope + turned
         direction = dr.normalize(slope)
@@ -534,7 +514,7 @@ def _displaced_on(
         dr.eval(origin, direction)
         values.append(_rows(frame, origin - started, slope - first_slope, ended))
     nodes = np.stack(values, axis=1).reshape(-1, 4)
-    return nodes, displaced(field, family, march, checks)
+    return nodes, asked.displaced(checks)
 
 
 def _at_depth(frame: FamilyFrame, origin: Any, direction: Any, depth: Any) -> tuple[Any, Any]:
@@ -544,7 +524,7 @@ def _at_depth(frame: FamilyFrame, origin: Any, direction: Any, depth: Any) -> tu
 
 
 def _beside(
-    field: Field, march: March, frame: FamilyFrame, origin: Any, direction: Any, depth: Any
+    field: Field | None, march: March, frame: FamilyFrame, origin: Any, direction: Any, depth: Any
 ) -> tuple[Any, Any, Any]:
     """How far bent rays are beside their straight ones at a depth; which of them got there.
 
@@ -607,33 +587,27 @@ def in_coordinates(family: RayFamily, places: Array, moved_mm: Array) -> Array:
     return _solved(_matrices(family.by_coordinates(*places.T), len(places)), moved_mm)
 
 
-def _refined(
-    on_grid: Callable[[Grid, Array], tuple[Array, Array]],
-    low: Array,
-    high: Array,
-    tolerance_mm: float,
-    shape: tuple[int, int, int],
-    most_nodes: int = _MOST_NODES,
-) -> tuple[SplineTable, float, float]:
-    """A table refined along the axes that need it, its error between nodes and largest value."""
-    grid = Grid(low, high, shape)
+def _refined(asked: MapRequest, shape: tuple[int, int, int], linear_mm: float) -> ForwardMap:
+    """A map refined along the axes that need it; its splines keep the tolerance."""
+    grid = Grid(asked.low, asked.high, shape)
     for _ in range(_LEVELS):
-        if np.prod(grid.shape, dtype=float) > most_nodes:
+        if np.prod(grid.shape, dtype=float) > asked.most_nodes:
             break
         planes, checks = _planes(grid), _checks(grid)
-        values, truth = on_grid(planes, checks)
+        values, truth = _displaced_on(asked, planes, checks)
         table = SplineTable(grid, _between_planes(planes, values))
         wrong = np.linalg.norm((table.at(checks) - truth)[:, :2], axis=1).reshape(4, -1)
         by_axis = wrong.max(axis=1)
         reached = grid.shape, float(by_axis.max())
-        if by_axis.max() <= tolerance_mm:
-            return table, float(by_axis.max()), float(np.abs(values[:, :2]).max())
-        factor = np.clip(_finer(by_axis[:3], tolerance_mm), 1.0, 4.0)
+        if by_axis.max() <= asked.tolerance_mm:
+            largest_mm = float(np.abs(values[:, :2]).max())
+            return ForwardMap(asked.family, table, reached[1], linear_mm, largest_mm)
+        factor = np.clip(_finer(by_axis[:3], asked.tolerance_mm), 1.0, 4.0)
         worst = int(np.argmax(by_axis[:3]))
         factor[worst] = max(factor[worst], 1.2)
         cells = (np.array(grid.shape) - 1.0) / _PER_CELL * factor
         grid = Grid(grid.low, grid.high, _shape(cells))
-    raise _too_coarse(*reached, tolerance_mm)
+    raise _too_coarse(*reached, asked.tolerance_mm)
 
 
 def _shape(cells: Array) -> tuple[int, int, int]:
@@ -683,35 +657,33 @@ class _Lines:
     spacing_mm: Array
 
     @staticmethod
-    def through(
-        marched: Callable[[Array], Array], family: RayFamily, low: Array, high: Array
-    ) -> "_Lines":
+    def through(asked: MapRequest) -> "_Lines":
+        low, high = asked.low, asked.high
         lines, spacing = [], []
         for axis, count in enumerate(_ALONG):
             for share in (0.2, 0.5, 0.8):
                 place = np.full((count, 3), share)
                 place[:, axis] = np.linspace(0.0, 1.0, count)
                 lines.append(low + place * (high - low))
-            apart = np.diff(_straight(family, lines[-1]), axis=0)
+            apart = np.diff(_straight(asked.family, lines[-1]), axis=0)
             spacing.append(np.linalg.norm(apart, axis=1).max() if axis < 2 else np.inf)
         places = np.concatenate(lines)
-        return _Lines(low, high, places, marched(places), np.array(spacing))
+        return _Lines(low, high, places, asked.displaced(places), np.array(spacing))
 
-    def shape(
-        self, tolerance_mm: float, stretch: float, low: Array, high: Array
-    ) -> tuple[int, int, int]:
-        """About how many nodes each axis of a box like this one needs."""
+    def shape(self, asked: MapRequest, stretch: float) -> tuple[int, int, int]:
+        """About how many nodes each axis of a map of a box like this one needs."""
         cells, first = np.zeros(3), 0
+        tolerance_mm = asked.tolerance_mm / _PATIENCE
         for axis, count in enumerate(_ALONG):
             line = self.values[first : first + 3 * count].reshape(3, count, 4)
             along, slopes = line.transpose(1, 2, 0).reshape(count, 2, 6).transpose(1, 0, 2)
-            larger = (high[axis] - low[axis]) / (self.high[axis] - self.low[axis])
+            larger = (asked.high[axis] - asked.low[axis]) / (self.high[axis] - self.low[axis])
             if axis < 2:
                 slope_mm = stretch * self.spacing_mm[axis]
-                needed = _cells_for(along, tolerance_mm / _PATIENCE, slope_mm)
+                needed = _cells_for(along, tolerance_mm, slope_mm)
             else:
                 step = (self.high[axis] - self.low[axis]) / (count - 1)
-                needed = _depths_for(along, slopes * step, tolerance_mm / _PATIENCE)
+                needed = _depths_for(along, slopes * step, tolerance_mm)
             cells[axis] = larger * needed
             first += 3 * count
         cells = np.clip(cells, _FEWEST_CELLS, _MOST_FIRST_ALONG)
@@ -806,8 +778,8 @@ def _straight(family: RayFamily, places: Array) -> Array:
     return np.stack(np.broadcast_arrays(*family.place(*places.T)), axis=1)
 
 
-def _zero(low: Array, high: Array, functions: int) -> SplineTable:
-    grid = Grid(low, high, (_FEWEST, _FEWEST, _FEWEST))
+def _zero(asked: MapRequest, functions: int) -> SplineTable:
+    grid = Grid(asked.low, asked.high, (_FEWEST, _FEWEST, _FEWEST))
     return SplineTable(grid, np.zeros((_FEWEST**3, functions)))
 
 

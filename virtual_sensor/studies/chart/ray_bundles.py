@@ -14,7 +14,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.ray_maps import ForwardMap, forward_map
+from virtual_sensor.optics.ray_maps import ForwardMap, MapRequest, forward_map
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.sight import incidence_points, lines_of_sight
 from virtual_sensor.optics.surfaces import NoSurface
@@ -133,7 +133,7 @@ def tabulated_ends(
     march, error_mm = scene.transport.march, tolerance_px * MM_PER_PX
 
     def make() -> ForwardMap:
-        return forward_map(scene.field, family, low, high, march, error_mm)
+        return forward_map(MapRequest(scene.field, family, low, high, march, error_mm))
 
     def work() -> Array:
         frame = FamilyFrame.of(family, mi.Array3f64)
