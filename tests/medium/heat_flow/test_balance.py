@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from line_plumes import SIMILARITY, Plume, plume, plume_exponents
 from scipy.integrate import solve_bvp
 
 from virtual_sensor.errors import InputError
@@ -21,7 +22,6 @@ from virtual_sensor.medium.heat_flow.balance import (
 )
 from virtual_sensor.medium.heat_flow.case import write_case
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
-from virtual_sensor.medium.heat_flow.plume import SIMILARITY, Plume, plume, plume_exponents
 from virtual_sensor.medium.heat_flow.run import run_case
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow

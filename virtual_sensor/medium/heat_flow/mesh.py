@@ -18,7 +18,7 @@ In the plane across the axis (y >= 0), z up::
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,11 +88,6 @@ class CylinderMesh:
         thickness = radial.ratio ** (np.arange(radial.cells) / (radial.cells - 1))
         return self.radius_mm * thickness.cumsum() / thickness.sum()
 
-    @property
-    def wall_cell_mm(self) -> float:
-        """Thickness of the cells at the wall, mm."""
-        return float(self.wall_faces_mm[0])
-
 
 def cylinder_mesh(flow: HeatFlow) -> CylinderMesh:
     """Lay out the mesh: cells `flow.cell_mm` wide across the plume, the others in proportion."""
@@ -153,43 +148,49 @@ def block_mesh_dict(mesh: CylinderMesh) -> str:
             (k, n) for k in range(len(mesh.faces_mm)) for n in mesh.points
         )
     }
-    lines = ["scale 0.001;", "", "vertices", "("]
-    for name, k in number:
-        y, z = mesh.points[name]
-        lines.append(f"    ({mesh.faces_mm[k]:g} {y:.6f} {z:.6f})    // {number[name, k]}: {name}")
-    lines += [");", "", "blocks", "("]
-    for k, along in enumerate(mesh.layers):
-        for block in _blocks_of(mesh, k):
-            a, b, c, d = ((number[p, k], number[p, k + 1]) for p in block.corners)
-            corners = (*a, *b[::-1], *d, *c[::-1])
-            cells = (along.cells, block.first.cells, block.second.cells)
-            ratios = (along.ratio, block.first.ratio, block.second.ratio)
-            lines.append(
-                f"    hex {_list(corners)} {_list(cells)} simpleGrading {_list(ratios)}"
-                f"    // {block.name}"
-            )
-    lines += [");", "", "edges", "("]
     R = mesh.radius_mm
-    for k, x in enumerate(mesh.faces_mm):
-        for start, end, y, z in (
-            ("c3", "c2", R * math.cos(3 * math.pi / 8), R * math.sin(3 * math.pi / 8)),
-            ("c2", "c1", R, 0.0),
-            ("c1", "c0", R * math.cos(3 * math.pi / 8), -R * math.sin(3 * math.pi / 8)),
-        ):
-            lines.append(f"    arc {number[start, k]} {number[end, k]} ({x:g} {y:.6f} {z - R:.6f})")
-    lines += [");", "", "boundary", "("]
-    for name, kind, faces in _patches(mesh):
+    vertices = []
+    for (name, k), i in number.items():
+        y, z = mesh.points[name]
+        vertices.append(f"({mesh.faces_mm[k]:g} {y:.6f} {z:.6f})    // {i}: {name}")
+    blocks = []
+    for k, along in enumerate(mesh.layers):
+        for block in mesh.blocks + (mesh.disc if k == 1 else ()):
+            a, b, c, d = ((number[p, k], number[p, k + 1]) for p in block.corners)
+            each = (along, block.first, block.second)
+            blocks.append(
+                f"hex {listed((*a, *b[::-1], *d, *c[::-1]))} {listed(one.cells for one in each)}"
+                f" simpleGrading {listed(one.ratio for one in each)}    // {block.name}"
+            )
+    across, up = R * math.cos(3 * math.pi / 8), R * math.sin(3 * math.pi / 8)
+    arcs = (("c3", "c2", across, up), ("c2", "c1", R, 0.0), ("c1", "c0", across, -up))
+    edges = [
+        f"arc {number[start, k]} {number[end, k]} ({x:g} {y:.6f} {z - R:.6f})"
+        for k, x in enumerate(mesh.faces_mm)
+        for start, end, y, z in arcs
+    ]
+    patches = (
+        (name, kind, [[number[corner] for corner in face] for face in faces])
+        for name, kind, faces in _patches(mesh)
+    )
+    return dictionary(vertices, blocks, edges, patches)
+
+
+def dictionary(
+    vertices: Sequence[str],
+    blocks: Sequence[str],
+    edges: Sequence[str],
+    patches: Iterable[tuple[str, str, Sequence[Sequence[int]]]],
+) -> str:
+    """The body of `system/blockMeshDict`: its lists' entries; patches by name, type and faces."""
+    lines = ["scale 0.001;", ""]
+    for name, entries in (("vertices", vertices), ("blocks", blocks), ("edges", edges)):
+        lines += [name, "(", *(f"    {entry}" for entry in entries), ");", ""]
+    lines += ["boundary", "("]
+    for name, kind, faces in patches:
         lines += [f"    {name}", "    {", f"        type {kind};", "        faces", "        ("]
-        lines += [
-            f"            {_list(tuple(number[corner] for corner in face))}" for face in faces
-        ]
-        lines += ["        );", "    }"]
-    lines += [");", ""]
-    return "\n".join(lines)
-
-
-def _blocks_of(mesh: CylinderMesh, layer: int) -> tuple[Block, ...]:
-    return mesh.blocks + (mesh.disc if layer == 1 else ())
+        lines += [*(f"            {listed(face)}" for face in faces), "        );", "    }"]
+    return "\n".join([*lines, ");", ""])
 
 
 def _patches(mesh: CylinderMesh) -> Iterator[tuple[str, str, list[tuple[Corner, ...]]]]:
@@ -221,5 +222,6 @@ def _patches(mesh: CylinderMesh) -> Iterator[tuple[str, str, list[tuple[Corner, 
         yield "sectionFront", "empty", across(mesh.blocks, last)
 
 
-def _list(values: Iterable[float]) -> str:
+def listed(values: Iterable[float]) -> str:
+    """Numbers as a list of OpenFOAM's."""
     return "(" + " ".join(f"{v:.6g}" for v in values) + ")"

@@ -45,29 +45,24 @@ def processor_folders(folder: Path) -> list[Path]:
     return sorted(found, key=lambda p: int(p.name[9:]))
 
 
-def remove_unfinished(folder: Path) -> list[str]:
-    """Remove time folders that a killed run left half-written; give their names."""
+def remove_unfinished(folder: Path) -> None:
+    """Remove time folders that a killed run left half-written."""
+    for path in time_folders(folder):
+        if not _whole(path):
+            remove_folder(path)
     parts = processor_folders(folder)
-    names = [p.name for p in time_folders(folder) if not _whole(p)]
-    for path in (folder / name for name in names):
-        remove_folder(path)
     for name in {p.name for part in parts for p in time_folders(part)}:
         if not all(_whole(part / name) for part in parts):
-            names.append(name)
             for part in parts:
                 remove_folder(part / name)
-    return names
 
 
-def remove_later(folder: Path, time_s: float) -> list[str]:
-    """Remove saved times later than a time; give their names."""
-    names = set()
+def remove_later(folder: Path, time_s: float) -> None:
+    """Remove saved times later than a time."""
     for place in (folder, *processor_folders(folder)):
-        for path in time_folders(place):
-            if float(path.name) > time_s:
+        for path, when in time_folders(place).items():
+            if when > time_s:
                 remove_folder(path)
-                names.add(path.name)
-    return sorted(names, key=float)
 
 
 def remove_series_from(folder: Path, time_s: float) -> None:

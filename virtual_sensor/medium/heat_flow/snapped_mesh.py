@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.medium.heat_flow.mesh import TOP_MM, Division
+from virtual_sensor.medium.heat_flow.mesh import TOP_MM, Division, dictionary, listed
 from virtual_sensor.medium.imports.meshes import pyvista, told_by_vtk
 
 Array = NDArray[np.float64]
@@ -198,56 +198,23 @@ def wall_faces_mm(cell_mm: float) -> Array:
 def box_mesh_dict(mesh: SnappedMesh) -> str:
     """The body of `system/blockMeshDict`."""
     (x0, y0, z0), (x1, y1, z2) = mesh.low_mm, mesh.high_mm
-    nx, ny, nz = mesh.cells
-    lines = ["scale 0.001;", "", "vertices", "("]
-    lines += [
-        f"    ({x:.6g} {y:.6g} {z:.6g})"
+    nx, ny, _ = mesh.cells
+    above = mesh.above
+    vertices = [
+        listed((x, y, z))
         for z in (z0, mesh.middle_mm, z2)
         for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
     ]
-    lines += [
-        ");",
-        "",
-        "blocks",
-        "(",
-        f"    hex (0 1 2 3 4 5 6 7) ({nx} {ny} {nz}) simpleGrading (1 1 1)    // round the part",
-        f"    hex (4 5 6 7 8 9 10 11) ({nx} {ny} {mesh.above.cells})"
-        f" simpleGrading (1 1 {mesh.above.ratio:.6g})    // above",
-        ");",
-        "",
-        "edges",
-        "(",
-        ");",
-        "",
-        "boundary",
-        "(",
-        "    open",
-        "    {",
-        "        type patch;",
-        "        faces",
-        "        (",
-        "            (0 3 2 1)",
+    blocks = [
+        f"hex (0 1 2 3 4 5 6 7) {listed(mesh.cells)} simpleGrading (1 1 1)    // round the part",
+        f"hex (4 5 6 7 8 9 10 11) {listed((nx, ny, above.cells))}"
+        f" simpleGrading {listed((1, 1, above.ratio))}    // above",
     ]
-    lines += [
-        f"            ({k + i} {k + (i + 1) % 4} {k + 4 + (i + 1) % 4} {k + 4 + i})"
-        for k in (0, 4)
-        for i in range(4)
+    sides = [
+        (k + i, k + (i + 1) % 4, k + 4 + (i + 1) % 4, k + 4 + i) for k in (0, 4) for i in range(4)
     ]
-    lines += [
-        "        );",
-        "    }",
-        "    top",
-        "    {",
-        "        type patch;",
-        "        faces",
-        "        (",
-        "            (8 9 10 11)",
-        "        );",
-        "    }",
-        ");",
-        "",
-    ]
-    return "\n".join(lines)
+    patches = (("open", "patch", [(0, 3, 2, 1), *sides]), ("top", "patch", [(8, 9, 10, 11)]))
+    return dictionary(vertices, blocks, [], patches)
 
 
 def snapping_parameters(mesh: SnappedMesh) -> dict[str, tuple[str, str]]:
