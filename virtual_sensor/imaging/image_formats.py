@@ -300,17 +300,9 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
         f" {top - top_shown}) of its {shown[0]} x {shown[1]} px: pixels beside it are missing"
     )
     whole = np.full(shown[::-1], np.nan, np.result_type(values.dtype, np.float32))
-    into, out = zip(
-        *(
-            _overlap(start - shown_start, length, shown_length)
-            for start, length, shown_start, shown_length in (
-                (top, height, top_shown, shown[1]),
-                (left, width, left_shown, shown[0]),
-            )
-        ),
-        strict=True,
-    )
-    whole[into] = values[out]
+    rows, columns = np.arange(height) + top - top_shown, np.arange(width) + left - left_shown
+    inside = (rows >= 0) & (rows < shown[1]), (columns >= 0) & (columns < shown[0])
+    whole[np.ix_(rows[inside[0]], columns[inside[1]])] = values[np.ix_(*inside)]
     return StoredImage(whole, remarks=remarks)
 
 
@@ -334,12 +326,6 @@ def _window(box: tuple[NDArray, NDArray]) -> tuple[tuple[int, int], tuple[int, i
     return (left, top), (right - left + 1, bottom - top + 1)
 
 
-def _overlap(start: int, length: int, whole: int) -> tuple[slice, slice]:
-    """Where pixels from `start` on lie in a whole, and which of them do, along one axis."""
-    first, last = max(start, 0), max(min(start + length, whole), max(start, 0))
-    return slice(first, last), slice(first - start, last - start)
-
-
 def _exr_channel(
     path: Path,
     names: list[str],
@@ -349,20 +335,19 @@ def _exr_channel(
 ) -> tuple[int, NDArray]:
     """Number of the part, and the channel (H, W) of it that is asked for."""
     everywhere = [name for part in parts for name in part]
-    places = {
-        (f"{names[i]}.{name}" if everywhere.count(name) > 1 and len(parts) > 1 else name): (i, name)
-        for i, part in enumerate(parts)
-        for name in part
-    }
     aliases = dict(zip("RGBA", (*COLOURS, _ALPHA), strict=True))
-    named = {aliases.get(name, name): parts[i][own] for name, (i, own) in places.items()}
+    places = {
+        f"{names[i]}.{name}" if everywhere.count(name) > 1 else aliases.get(name, name): (i, values)
+        for i, part in enumerate(parts)
+        for name, values in part.items()
+    }
     if channel is not None and len(parts) > 1:  # "part.name" is known too where "name" would do
         prefix, _, own = channel.partition(".")
         if prefix in names and own in parts[names.index(prefix)]:
             return names.index(prefix), parts[names.index(prefix)][own]
-    ends = {aliases.get(name, name): i for name, (i, _) in places.items()}
-    chosen = _channel(path, dict(named), channel, remarks)
-    part = next(ends[name] for name, values in named.items() if values is chosen)
+    named = {name: values for name, (_, values) in places.items()}
+    chosen = _channel(path, named, channel, remarks)
+    part = next(i for i, values in places.values() if values is chosen)
     if len(parts) > 1 and channel is None:
         others = ", ".join(name for i, name in enumerate(names) if i != part)
         remarks.append(f"has {len(parts)} parts; '{names[part]}' is read, not {others}")
