@@ -25,9 +25,7 @@ def line(row, lost=()):
     """Line centres at rows (W,), with some columns lost."""
     status = np.full(row.size, Status.OK, np.uint8)
     status[list(lost)] = Status.LINE_END
-    row = np.where(status == Status.OK, row, np.nan)
-    blank = np.full(row.size, np.nan)
-    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, blank, status)
+    return LineCentres.of_rows(row).judged(status)
 
 
 def test_a_known_error_comes_out_in_px_and_um():

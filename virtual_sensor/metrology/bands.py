@@ -6,7 +6,6 @@ unknown whose light a pixel has: such columns are OVERLAPPING.
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import reduce
 from typing import Any
 
@@ -130,9 +129,4 @@ def _within(line: LineCentres, own: Mask, meets: Mask) -> LineCentres:
     off = (status == Status.OK) & ~own[row, column] | ~expected[column]
     status[off] = Status.NO_PEAK
     status[meets[column]] = Status.OVERLAPPING
-    good = status == Status.OK
-    measured = {
-        name: np.where(good, getattr(line, name), np.nan)
-        for name in ("row", "sigma", "width", "amplitude", "background")
-    }
-    return replace(line, status=status, **measured)
+    return line.judged(status)

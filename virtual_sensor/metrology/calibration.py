@@ -47,26 +47,16 @@ _COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 _ALSO = {
     "camera_matrix": ("cameraMatrix", "K", "mtx"),
     "distortion_coefficients": (
-        *(
-            "dist_coeffs",
-            "dist_coefs",
-            "distCoeffs",
-            "distortion_coeffs",
-            "distortion",
-            "dist",
-            "D",
-        ),
+        *("dist_coeffs", "dist_coefs", "distCoeffs", "distortion_coeffs"),
+        *("distortion", "dist", "D"),
     ),
     "rotation": ("R", "rvec", "rotation_matrix", "rotation_vector"),
     "translation": ("T", "t", "tvec", "translation_vector"),
 }
 _FLAGS = {"0": False, "1": True}  # fisheye?
 _MODELS = {
-    "plumb_bob": False,
-    "radtan": False,
-    "rational_polynomial": False,
-    "equidistant": True,
-    "fisheye": True,
+    **dict.fromkeys(("plumb_bob", "radtan", "rational_polynomial"), False),
+    **dict.fromkeys(("equidistant", "fisheye"), True),
 }
 _ORTHOGONAL = 1e-4
 _ZERO = 1e-9  # px
@@ -190,7 +180,7 @@ def read_calibration(path: Path) -> Calibration:
     fisheye = _is_fisheye(file)
     counts = (4,) if fisheye else _COEFFICIENTS
     distortion = file.numbers("distortion_coefficients", counts, None if fisheye else np.zeros(0))
-    if "distortion_coefficients" not in file.found:
+    if file.find("distortion_coefficients") is None:
         file.notes.append("has no 'distortion_coefficients': the lens is taken as ideal")
     if not (fisheye or distortion.any()):
         distortion = np.zeros(0)
@@ -283,7 +273,6 @@ class _File:
     path: Path
     elements: dict[str, Any]
     used: set[str] = field(default_factory=set)
-    found: set[str] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
 
     def find(self, name: str) -> Any:
@@ -298,7 +287,6 @@ class _File:
         if there != [name]:
             self.notes.append(f"'{there[0]}' is taken as '{name}'")
         self.used.add(there[0])
-        self.found.add(name)
         return self.elements[there[0]]
 
     def numbers(

@@ -68,6 +68,13 @@ class LineCentres:
     normal_deg: Array
     status: NDArray[np.uint8]
 
+    @classmethod
+    def of_rows(cls, row: Array) -> "LineCentres":
+        """Centres (W,) at a row in each column, of which no more is known; NO_PEAK where NaN."""
+        blank, along = np.full(row.size, np.nan), np.full(row.size, 90.0)
+        status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
+        return cls(np.arange(row.size), row, blank, blank, blank, blank, along, status)
+
     @property
     def pixel(self) -> Array:
         """The centres as pixels (u, v), shape (..., 2); NaN where there is none."""
@@ -79,3 +86,9 @@ class LineCentres:
         """The same centres in the transposed image: rows are columns there."""
         turned = 90.0 - self.normal_deg
         return replace(self, column=self.row, row=self.column, normal_deg=turned)
+
+    def judged(self, status: NDArray[np.integer]) -> "LineCentres":
+        """The same centres with another `status`, their numbers NaN where it is not OK."""
+        good, names = status == Status.OK, ("row", "sigma", "width", "amplitude", "background")
+        measured = {name: np.where(good, getattr(self, name), np.nan) for name in names}
+        return replace(self, status=status.astype(np.uint8), **measured)

@@ -10,7 +10,7 @@ A detector of one's own is a function of the image (H, W) that returns the line'
 import importlib
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import metadata
 
 import numpy as np
@@ -128,14 +128,8 @@ def by_foreign(image: NDArray, detector: Foreign) -> LineCentres:
         (place >= -0.5) & (place <= size - 0.5)
         for place, size in zip((answer.column, answer.row), image.shape[::-1], strict=True)
     ]
-    good = (answer.status == Status.OK) & inside[0] & inside[1]
-    off = (answer.status == Status.OK) & ~good
-    measured = {
-        name: np.where(good, getattr(answer, name), np.nan)
-        for name in ("row", "sigma", "width", "amplitude", "background")
-    }
-    status = np.where(off, Status.POOR_FIT, answer.status).astype(np.uint8)
-    return replace(answer, status=status, **measured)
+    off = (answer.status == Status.OK) & ~(inside[0] & inside[1])
+    return answer.judged(np.where(off, Status.POOR_FIT, answer.status))
 
 
 def _from_rows(image: NDArray, rows: NDArray, name: str) -> LineCentres:
@@ -148,7 +142,4 @@ def _from_rows(image: NDArray, rows: NDArray, name: str) -> LineCentres:
             f"detector {name}: gives {type(rows).__name__} of shape {np.shape(row)}; give a row for"
             f" each of the {image.shape[1]} columns, or a LineCentres"
         )
-    blank = np.full(row.size, np.nan)
-    status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
-    along = np.full(row.size, 90.0)
-    return LineCentres(np.arange(row.size), row, blank, blank, blank, blank, along, status)
+    return LineCentres.of_rows(row)

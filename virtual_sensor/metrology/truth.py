@@ -171,20 +171,20 @@ class TrueLine:
 
     def columns(self, end_px: float = 0.0) -> Index:
         """Columns whose row is known, not nearer to an end of the line than a margin."""
-        return np.flatnonzero(((self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)).any(0))
+        return np.flatnonzero(self._known(end_px).any(axis=0))
 
     def centres(self, end_px: float = 0.0) -> LineCentres:
         """What a detector without any error would find, not nearer to the ends than a margin.
 
         Of shape (W,): where a column sees the line more than once, the first is taken.
         """
-        good = (self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)
-        width = self.row.shape[1]
-        column = np.arange(width)
-        row = np.where(good.any(axis=0), self.row[good.argmax(axis=0), column], np.nan)
-        blank = np.full(width, np.nan)
-        status = np.where(np.isfinite(row), Status.OK, Status.NO_PEAK).astype(np.uint8)
-        return LineCentres(column, row, blank, blank, blank, blank, np.full(width, 90.0), status)
+        good = self._known(end_px)
+        first = np.take_along_axis(self.row, good.argmax(axis=0)[None], 0)[0]
+        return LineCentres.of_rows(np.where(good.any(axis=0), first, np.nan))
+
+    def _known(self, end_px: float) -> Mask:
+        """Where the row is known (K, W), not nearer to an end of the line than a margin."""
+        return (self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)
 
     def __repr__(self) -> str:
         counts = {s: n for s in TruthStatus if (n := (self.status == s).any(axis=0).sum())}
@@ -254,12 +254,10 @@ class LineErrors:
         known = (TruthStatus.CUT, TruthStatus.NEAR_END)
         return sum(number for why, number in self.left_out.items() if why not in known)
 
-    def wrong(
-        self, px: float = WRONG_PX, sigmas: float = WRONG_SIGMAS, fine_px: float = FINE_PX
-    ) -> Mask:
-        """Which are off by more than `px`, or by so many of their own sigmas and `fine_px`."""
+    def wrong(self) -> Mask:
+        """Which are off by more than `WRONG_PX`, or `WRONG_SIGMAS` of their own and `FINE_PX`."""
         error = np.abs(self.error_px)
-        return (error > px) | (error > np.maximum(sigmas * self.sigma, fine_px))
+        return (error > WRONG_PX) | (error > np.maximum(WRONG_SIGMAS * self.sigma, FINE_PX))
 
     def __repr__(self) -> str:
         left = ", ".join(f"{number} {why.name}" for why, number in self.left_out.items())
