@@ -46,12 +46,9 @@ class _Solid:
         from_origin = points_mm - self.origin_mm
         index = np.rint(np.where(self.mirror, np.abs(from_origin), from_origin) / self.spacing_mm)
         inside = np.all((index >= 0) & (index < self.away_mm.shape), axis=1)
-        return np.array(
-            [
-                self.away_mm[tuple(place)] if known else np.nan
-                for place, known in zip(index.astype(int), inside, strict=True)
-            ]
-        )
+        away = np.full(len(index), np.nan)
+        away[inside] = self.away_mm[tuple(index[inside].astype(int).T)]
+        return away
 
 
 def check_solid(scene: Scene, lit_mm: Array) -> list[str]:

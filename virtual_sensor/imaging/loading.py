@@ -314,13 +314,16 @@ def _where(main: Path, state: Any, node: Any) -> str:
 def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> list[str]:
     """Refuse what would crash Mitsuba or give wrong numbers; return notes."""
     props, where, notes = node.props, _where(main, state, node), []
-    kind = props.plugin_name()
+    kind, types = props.plugin_name(), mi.Properties.Type
     for name in list(props.keys()):
-        if props.type(name) == mi.Properties.Type.Transform:
+        if props.type(name) == types.Transform:
             numbers = np.array(props[name].matrix, float)
-        elif props.type(name) == mi.Properties.Type.Spectrum:
+        elif props.type(name) == types.Spectrum:
             numbers = np.array(props[name].values, float)
-        elif props.type(name) in _numeric() and (kind, name) not in _CHECKED_BY_PLUGIN:
+        elif (
+            props.type(name) in (types.Float, types.Vector, types.Color)
+            and (kind, name) not in _CHECKED_BY_PLUGIN
+        ):
             numbers = np.array(props[name], float)
         else:
             continue
@@ -334,12 +337,6 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
     if node.type == mi.ObjectType.Medium:
         notes.append(f"{where}: ignored; light meets the field of the integrator and no medium")
     return notes
-
-
-def _numeric() -> tuple[Any, ...]:
-    """Types of Mitsuba's properties that hold numbers which may be infinite or NaN."""
-    kinds = mi.Properties.Type
-    return kinds.Float, kinds.Vector, kinds.Color
 
 
 def _culprit(values: dict[str, str]) -> str:

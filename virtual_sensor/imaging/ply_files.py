@@ -3,7 +3,7 @@
 import re
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -45,12 +45,14 @@ def read_ply(data: bytes) -> Polygons:
     vertex = values.get("vertex")
     if not vertex:
         raise InputError("it has no vertices; give a mesh")
-    if not all(axis in vertex for axis in "xyz"):
+    places, normals = (
+        np.stack([np.asarray(vertex[name], float) for name in names], axis=1)
+        if all(name in vertex for name in names)
+        else None
+        for names in ("xyz", ("nx", "ny", "nz"))
+    )
+    if places is None:
         raise InputError("its vertices have no x, y and z; give a mesh")
-    places = np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
-    normals = None
-    if all(axis in vertex for axis in ("nx", "ny", "nz")):
-        normals = np.stack([np.asarray(vertex[axis], float) for axis in ("nx", "ny", "nz")], axis=1)
     face = values.get("face", {})
     name = next((name for name in _PLY_FACES if name in face), "")
     notes = []
@@ -70,8 +72,7 @@ def read_ply(data: bytes) -> Polygons:
     unused = shortened(", ".join(key for key in vertex if key not in known))
     lost = [f"its vertices' {unused} are ignored"] if unused else []
     rows = face.get(name, [])
-    uniform = isinstance(rows, np.ndarray)
-    corners = rows.ravel() if uniform else [corner for row in rows for corner in row]
+    corners = rows.ravel() if isinstance(rows, np.ndarray) else list(chain.from_iterable(rows))
     return Polygons(places, corners, [len(row) for row in rows], normals, plain, notes, lost)
 
 

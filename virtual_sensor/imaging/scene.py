@@ -522,10 +522,9 @@ def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Arra
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
             ' type="refractive"/> in its place'
         )
-    cameras, unfit = _cameras(path, loaded.cameras)
+    cameras, left_out = _cameras(path, loaded.cameras)
     sources = {name: emitter.source for name, emitter in loaded.sources.items()}
-    notes = [*(note for file in files for note in file.notes), *loaded.notes]
-    notes += [f"{reason}; it is left out" for reason in unfit.values()]
+    notes = [*(note for file in files for note in file.notes), *loaded.notes, *left_out]
     notes += _places(path, loaded.scene, cameras)
     surface = _surface(loaded.scene)
     origin = _Origin.of(given, here, [path, *_referred(files, folders, values)])
@@ -679,20 +678,19 @@ def _sensor(name: str) -> str:
     return f'<sensor id="{shortened(name)}">'
 
 
-def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], dict[str, str]]:
-    """The cameras of a scene, at least one, and why its other sensors are not cameras."""
-    cameras, unfit = {}, {}
+def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], list[str]]:
+    """The cameras of a scene, at least one, and notes of its other sensors."""
+    cameras, unfit = {}, []
     for name, sensor in sensors.items():
-        camera = pinhole_of(sensor)
-        if camera is None:
-            unfit[name] = f'{path}: {_sensor(name)} is no <sensor type="perspective">, a pinhole'
-            continue
-        _check_film(f"{path}: {_sensor(name)}", sensor.film())
-        cameras[name] = camera
+        if camera := pinhole_of(sensor):
+            _check_film(f"{path}: {_sensor(name)}", sensor.film())
+            cameras[name] = camera
+        else:
+            unfit.append(f"{path}: {_sensor(name)} is no {_ELEMENTS['camera']}, a pinhole")
     if cameras:
-        return cameras, unfit
-    for reason in unfit.values():
-        raise InputError(f"{reason}; a camera must be one")
+        return cameras, [f"{reason}; it is left out" for reason in unfit]
+    if unfit:
+        raise InputError(f"{unfit[0]}; a camera must be one")
     raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
 
 

@@ -174,13 +174,7 @@ def _measured(
     error = np.sqrt(_summed(by_pixel, by_pixel, variance) + bias**2)
     Q = ratio.Q if curvature is None else curvature
     linear = _summed(Q, Q, variance) < (MAX_NOISE * _summed(Q, expected)) ** 2
-    return Profile(
-        row=row,
-        row_error=np.where(linear, error, np.nan),
-        sigma=at.sigma,
-        amplitude=at.amplitude,
-        background=at.background,
-    )
+    return Profile(row, np.where(linear, error, np.nan), at.sigma, at.amplitude, at.background)
 
 
 def _divided(ratio: Ratio, values: Array) -> tuple[Array, Array]:

@@ -163,24 +163,13 @@ def _ours(
     # More than any signal is enough, and stays a number.
     dark = noise_beside(filled, None if noise is None else min(float(noise) / unit, EXTREME))
     given = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
+    limits = min_amplitude, saturation / unit, max_sigma
     if method == STEGER:
-        line = ridges(image, given, min_amplitude, saturation / unit, max_sigma)
+        line = ridges(image, given, *limits)
     else:
-        line = _columnwise(
-            image,
-            filled,
-            finite.any(axis=0),
-            COLUMNWISE[method],
-            given,
-            peaks,
-            min_amplitude,
-            saturation / unit,
-            max_sigma,
-        )
-    if unit == 1.0:
-        return line
-    amplitude, background = line.amplitude * unit, line.background * unit
-    return replace(line, amplitude=amplitude, background=background)
+        seen = finite.any(axis=0)
+        line = _columnwise(image, filled, seen, COLUMNWISE[method], given, peaks, *limits)
+    return replace(line, amplitude=line.amplitude * unit, background=line.background * unit)
 
 
 def _columnwise(
@@ -214,31 +203,17 @@ def _columnwise(
 
     there = np.isin(status, (Status.OK, Status.CUT))
     found[:, ~there] = np.nan
-    profile = Profile(*found)
-    ends = line_ends(
-        (status != Status.NO_PEAK) & seen,
-        profile.row,
-        profile.row_error,
-        profile.sigma,
-        profile.amplitude,
-    )
+    row, error, width, amplitude, _ = found
+    ends = line_ends((status != Status.NO_PEAK) & seen, row, error, width, amplitude)
     status[ends & there] = Status.LINE_END
-    status[among_cuts(status, profile.sigma)] = Status.CUT
+    status[among_cuts(status, width)] = Status.CUT
     found[:, status != Status.OK] = np.nan
     if count == 1:
         found, status = found[:, 0], status[0]
-    row, row_error, width, amplitude, background = found
-    row_error[_known_by_chance(row_error, status == Status.OK)] = np.nan
-    return LineCentres(
-        column=np.broadcast_to(np.arange(seen.size), status.shape),
-        row=row,
-        sigma=row_error,
-        width=width,
-        amplitude=amplitude,
-        background=background,
-        normal_deg=np.full(status.shape, 90.0),
-        status=status,
-    )
+    row, error, width, amplitude, background = found
+    error[_known_by_chance(error, status == Status.OK)] = np.nan
+    column, along = np.broadcast_to(np.arange(seen.size), status.shape), np.full(status.shape, 90.0)
+    return LineCentres(column, row, error, width, amplitude, background, along, status)
 
 
 def _known_by_chance(sigma: Array, found: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -271,12 +246,7 @@ def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> I
     return np.select(list(reasons.values()), list(reasons), Status.OK)
 
 
-def _judge(
-    image: NDArray,
-    profile: Profile,
-    noise: Noise,
-    shape: Shapes,
-) -> Index:
+def _judge(image: NDArray, profile: Profile, noise: Noise, shape: Shapes) -> Index:
     """Status of each fitted peak: (L,)."""
     at = shape.peaks
     found = np.isfinite(profile.row)
