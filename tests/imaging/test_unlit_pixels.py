@@ -43,6 +43,7 @@ def first_fold():
     return brentq(least_step, 10.0, 20.0, rtol=1e-2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transport", ["marched", "tabulated"])
 def test_no_fold_goes_unreported(first_fold, transport):
     """Where neighbouring rays cross, pixels are FOLDED; far below that contrast, none is."""

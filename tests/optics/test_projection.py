@@ -158,6 +158,7 @@ def test_the_shape_follows_the_points(scene, some, marched):
     np.testing.assert_allclose(block.reshape(60, 2), marched.pixel[:60], atol=0.002)
 
 
+@pytest.mark.slow
 def test_points_anywhere_have_their_pixels(scene):
     """Rationale: on the field's border and beyond it, within the part, and close to the camera."""
     low, high = scene.medium.box
