@@ -18,6 +18,7 @@ from scipy import sparse
 
 from virtual_sensor.medium.imports.meshes import moved, pyvista, told_by_vtk
 from virtual_sensor.medium.imports.sources import Mesh
+from virtual_sensor.medium.imports.vtk_arrays import cell_corners, data_of, with_only
 
 PASSES = 2
 FLAT = 1e-3  # fullness of a tetrahedron, of which a regular one has 0.04
@@ -91,10 +92,7 @@ def sample(
     pv = pyvista()
     whole = without_polyhedra(mesh.cells)
     f, g = at_points(mesh, values, whole)
-    cells = whole.copy(deep=False)
-    cells.clear_data()
-    cells["f"], cells["g"] = f, g
-    cells["gp"] = (g * cells.points).sum(axis=1)
+    cells = with_only(whole, f=f, g=g, gp=(g * whole.points).sum(axis=1))
     if whole is not mesh.cells:  # beside a flat tetrahedron's plane its weights are far from 0 to 1
         cells = cells.extract_cells(_fullness(whole) > FLAT)
     report(0.2)
@@ -125,10 +123,7 @@ def without_polyhedra(cells: Any) -> Any:
     """
     if pyvista().CellType.POLYHEDRON not in cells.celltypes:
         return cells
-    numbered = cells.copy(deep=False)
-    numbered.clear_data()
-    numbered.cell_data["cell"] = np.arange(cells.n_cells)
-    return numbered.triangulate()
+    return with_only(cells, at_cells=True, cell=np.arange(cells.n_cells)).triangulate()
 
 
 def centre_section(mesh: Mesh, values: np.ndarray) -> tuple[Mesh, np.ndarray]:
@@ -141,17 +136,14 @@ def centre_section(mesh: Mesh, values: np.ndarray) -> tuple[Mesh, np.ndarray]:
     values : ndarray
         Its values.
     """
-    cells = mesh.cells.copy(deep=False)
-    cells.clear_data()
-    (cells.cell_data if mesh.at_cells else cells.point_data)["f"] = values
+    cells = with_only(mesh.cells, mesh.at_cells, f=values)
     low, high = np.reshape(cells.bounds, (3, 2)).T
     if high[0] - low[0] > 1e-6 * (high - low).max():
         middle = (0.5 * (low[0] + high[0]), 0.0, 0.0)
         cut = cells.slice(normal="x", origin=middle, generate_triangles=False)
         cells = cut.cast_to_unstructured_grid()
     cells = moved(cells, np.asarray(cells.points) * [0.0, 1.0, 1.0])
-    data = cells.cell_data if mesh.at_cells else cells.point_data
-    return Mesh(cells, mesh.at_cells), np.asarray(data["f"])
+    return Mesh(cells, mesh.at_cells), np.asarray(data_of(cells, mesh.at_cells)["f"])
 
 
 def reflected(mesh: Mesh, values: np.ndarray, axis: int, near: float) -> tuple[Mesh, np.ndarray]:
@@ -159,9 +151,7 @@ def reflected(mesh: Mesh, values: np.ndarray, axis: int, near: float) -> tuple[M
     pv = pyvista()
     points = np.array(mesh.cells.points, dtype=np.float64)
     points[abs(points[:, axis]) < ON_PLANE * near, axis] = 0.0  # where the halves are joined
-    cells = moved(mesh.cells, points)
-    cells.clear_data()
-    (cells.cell_data if mesh.at_cells else cells.point_data)["f"] = values
+    cells = with_only(moved(mesh.cells, points), mesh.at_cells, f=values)
     image = cells.extract_cells(cells.cell_centers().points[:, axis] < near)
     image = moved(image, np.asarray(image.points) * np.where(np.arange(3) == axis, -1.0, 1.0))
     for name in ("vtkOriginalPointIds", "vtkOriginalCellIds"):
@@ -169,8 +159,7 @@ def reflected(mesh: Mesh, values: np.ndarray, axis: int, near: float) -> tuple[M
             if name in data:
                 del data[name]
     joined = pv.merge([cells, image], merge_points=True)
-    data = joined.cell_data if mesh.at_cells else joined.point_data
-    return Mesh(joined, mesh.at_cells), np.asarray(data["f"])
+    return Mesh(joined, mesh.at_cells), np.asarray(data_of(joined, mesh.at_cells)["f"])
 
 
 def cell_sizes(mesh: Mesh) -> np.ndarray:
@@ -185,18 +174,9 @@ def _inside(axis: np.ndarray, low: float, high: float, size: float) -> np.ndarra
     return np.where(near, np.clip(axis, low + inset, high - inset), axis)
 
 
-def _corners(cells: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Where each cell's points start in the list of points, and that list."""
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
-    array = cells.GetCells()
-    starts = vtk_to_numpy(array.GetOffsetsArray()).astype(np.int64)
-    return starts, vtk_to_numpy(array.GetConnectivityArray()).astype(np.int64)
-
-
 def _extents(cells: Any) -> np.ndarray:
     """Extents of the cells along x, y and z; shape (number of cells, 3)."""
-    starts, corners = _corners(cells)
+    starts, corners = cell_corners(cells.GetCells())
     points = np.asarray(cells.points)[corners]
     highest = np.maximum.reduceat(points, starts[:-1])
     return highest - np.minimum.reduceat(points, starts[:-1])
@@ -226,7 +206,7 @@ def _fullness(cells: Any) -> np.ndarray:
 
 def _means(cells: Any, weight: np.ndarray | float = 1.0) -> tuple[Any, Any]:
     """Sparse matrices: the mean of each cell's points, and that of the cells at each point."""
-    starts, corners = _corners(cells)
+    starts, corners = cell_corners(cells.GetCells())
     ones = np.ones(len(corners))
     at_cells = sparse.csr_array((ones, corners, starts), shape=(cells.n_cells, cells.n_points))
     at_points = at_cells.T.tocsr() @ sparse.diags_array(np.broadcast_to(weight, cells.n_cells))
@@ -267,9 +247,7 @@ def _mean_slopes(cells: Any, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
     # Across it a sliver knows nothing; but where there are only such, they still have a place.
     of_points, of_cells = _means(cells, _fullness(cells) ** 2 + 1e-12)
-    bare = cells.copy(deep=False)
-    bare.clear_data()
-    bare["f"] = values
+    bare = with_only(cells, f=values)
     bare.set_active_scalars("f")
     of_each = vtkCellDerivatives()
     of_each.SetInputData(bare)

@@ -17,6 +17,7 @@ from virtual_sensor.medium.imports.columns import ascending, pick_time
 from virtual_sensor.medium.imports.import_field import NEEDS_PYVISTA
 from virtual_sensor.medium.imports.sources import (
     Cloud,
+    Grid,
     Mesh,
     Source,
     Variable,
@@ -32,8 +33,11 @@ from virtual_sensor.medium.imports.vtk_arrays import (
     joined_neighbours,
     left_out,
     scalars,
+    with_only,
 )
 from virtual_sensor.medium.imports.vtk_claims import check_legacy, check_mesh, check_xml
+
+_Read = tuple[list[Variable], Grid | Cloud | Mesh, tuple[str, ...]]  # values, where, and notes
 
 SERIAL = (".vti", ".vtk", ".vtp", ".vtr", ".vts", ".vtu")
 PARALLEL = (".pvti", ".pvtr", ".pvts", ".pvtu")
@@ -271,43 +275,40 @@ def _source(data: Any, length_units: str, reader: str) -> Source:
             raise InputError("the coordinates of its points are not all finite; remove those")
         make = _irregular
     sources = [
-        make(data, at_cells, length_units, reader, notes)
+        Source(variables, geometry, length_units, reader, notes + more)
         for at_cells in (False, True)
-        if scalars(data.cell_data if at_cells else data.point_data)
+        if scalars(data, at_cells)
+        for variables, geometry, more in [make(data, at_cells)]
     ]
     if not sources:
         return Source([], Cloud(np.zeros((0, 3))), length_units, reader, notes)
     return replace(sources[0], at_cells=sources[1] if len(sources) > 1 else None)
 
 
-def _irregular(
-    data: Any, at_cells: bool, length_units: str, reader: str, notes: tuple[str, ...]
-) -> Source:
-    """Make a source of cells between points, or of points without cells."""
+def _irregular(data: Any, at_cells: bool) -> _Read:
+    """Read cells between points, or points without cells."""
     pv = pyvista()
-    shown, hidden = _without_blanks(data)
-    if hidden:
-        notes += (hidden,)
+    shown, notes = _without_blanks(data)
     if shown.n_cells == 0:
         raise InputError("has no cell that is not blanked; write it with its data")
     if set(np.unique(shown.celltypes)) <= {pv.CellType.VERTEX, pv.CellType.POLY_VERTEX}:
-        cells, geometry = shown, None
+        cells, mesh = shown, None
     else:
         cells = shown.clean()  # joins the points that parts share
         cells = moved(cells, np.asarray(cells.points, dtype=np.float64))
-        geometry = Mesh(cells, at_cells)
-    variables = scalars(cells.cell_data if at_cells else cells.point_data)
-    places = cells.cell_centers().points if at_cells else cells.points
-    places = np.asarray(places, dtype=np.float64)
+        mesh = Mesh(cells, at_cells)
+    variables = scalars(cells, at_cells)
+    points = cells.cell_centers().points if at_cells else cells.points
+    places = np.asarray(points, dtype=np.float64)
     lattice = as_lattice(places)
     if lattice and len(np.unique(lattice[1])) == len(lattice[1]) == lattice[0].size:
-        values = [Variable(v.name, v.units, on_lattice(*lattice, v.values)) for v in variables]
-        return Source(values, lattice[0], length_units, reader, notes)
-    return Source(variables, geometry or Cloud(places), length_units, reader, notes)
+        values = [replace(v, values=on_lattice(*lattice, v.values)) for v in variables]
+        return values, lattice[0], notes
+    return variables, mesh or Cloud(places), notes
 
 
-def _without_blanks(data: Any) -> tuple[Any, str]:
-    """The cells, or points without cells, that are shown, and a note on the others."""
+def _without_blanks(data: Any) -> tuple[Any, tuple[str, ...]]:
+    """The cells, or points without cells, that are shown, and notes on the others."""
     pv = pyvista()
     cells = data.cast_to_unstructured_grid()
     if cells.n_cells == 0:
@@ -319,26 +320,20 @@ def _without_blanks(data: Any) -> tuple[Any, str]:
     blank = ghosts(cells.cell_data, DUPLICATE | REFINED | HIDDEN_CELL)
     duplicates = ghosts(cells.cell_data, DUPLICATE).sum()
     if points.any():
-        of_points = np.zeros(cells.n_points)
-        of_points[points] = 1.0
-        bare = cells.copy(deep=False)
-        bare.clear_data()
-        bare["blank"] = of_points
-        blank |= np.asarray(bare.point_data_to_cell_data().cell_data["blank"]) > 0.0
+        with_blanks = with_only(cells, blank=points.astype(float)).point_data_to_cell_data()
+        blank |= np.asarray(with_blanks.cell_data["blank"]) > 0.0
     for arrays in (cells.point_data, cells.cell_data):
         if "vtkGhostType" in arrays:
             del arrays["vtkGhostType"]
     if not blank.any():
-        return cells, ""
-    shown = cells.extract_cells(~blank)
+        return cells, ()
     count = int(blank.sum() - duplicates)
-    return shown, f"{count} of {whole} cells are blanked, and hold no data" if count else ""
+    notes = (f"{count} of {whole} cells are blanked, and hold no data",) if count else ()
+    return cells.extract_cells(~blank), notes
 
 
-def _regular(
-    data: Any, at_cells: bool, length_units: str, reader: str, notes: tuple[str, ...]
-) -> Source:
-    """Make a source of an image or of a rectilinear grid."""
+def _regular(data: Any, at_cells: bool) -> _Read:
+    """Read an image or a rectilinear grid."""
     nodes = (
         [np.asarray(axis, dtype=np.float64) for axis in (data.x, data.y, data.z)]
         if hasattr(data, "x") and not hasattr(data, "spacing")
@@ -361,18 +356,18 @@ def _regular(
     else:
         shown = np.pad(~cells, [(1, 1) if n > 1 else (0, 0) for n in data.dimensions])
         blank = points | ~joined_neighbours(shown, np.logical_or)
+    notes: tuple[str, ...] = ()
     if blank.any():
         what = "cells" if at_cells else "points"
-        notes += (f"{blank.sum()} of {blank.size} {what} are blanked, and hold no data",)
+        notes = (f"{blank.sum()} of {blank.size} {what} are blanked, and hold no data",)
     elif cells.any():
-        notes += (f"{cells.sum()} blanked cells have no point of their own, and are not heeded",)
-    found = scalars(data.cell_data if at_cells else data.point_data)
+        notes = (f"{cells.sum()} blanked cells have no point of their own, and are not heeded",)
     values = []
-    for v in found:
+    for v in scalars(data, at_cells):
         if len(v.values) != blank.size:
             raise InputError(f"is damaged: {len(v.values)} values of '{v}' for {blank.size} places")
-        kind = np.result_type(v.values, np.float32) if blank.any() else v.values.dtype
-        whole = v.values.astype(kind).reshape(blank.shape, order="F")
-        whole[blank] = np.nan if blank.any() else 0
+        whole = v.values.reshape(blank.shape, order="F")
+        if blank.any():
+            whole = np.where(blank, np.float32(np.nan), whole)
         values.append(replace(v, values=whole))
-    return Source(*ascending(values, nodes), length_units, reader, notes)
+    return *ascending(values, nodes), notes

@@ -303,10 +303,8 @@ def in_order(points: np.ndarray, values: np.ndarray) -> tuple[Grid | Cloud, np.n
     high = np.maximum.reduceat(np.where(known, ordered, -np.inf), starts)
     count = np.add.reduceat(known.astype(float), starts)
     sums = np.add.reduceat(np.where(known, ordered, 0.0), starts)
-    single = np.diff([*starts, len(order)]) == 1
     means = np.where(count > 0.0, sums / np.maximum(count, 1.0), np.nan)
-    means[single] = ordered[starts[single]]
-    spread = np.where((count > 1.0) & ~single, high - low, 0.0)
+    spread = np.where(count > 1.0, high - low, 0.0)
     worst, notes = int(spread.argmax()), []
     if spread[worst] > CONTRADICTION * (np.nanmax(ordered) - np.nanmin(ordered)):
         at = ", ".join(f"{c:g}" for c in points[order[starts[worst]]])

@@ -50,10 +50,32 @@ def ghosts(arrays: Any, flags: int) -> np.ndarray:
     return (np.asarray(arrays["vtkGhostType"]).astype(int) & flags) != 0
 
 
-def scalars(data: Any) -> list[Variable]:
-    """The real scalars among a data set's arrays."""
+def data_of(cells: Any, at_cells: bool) -> Any:
+    """The arrays at a data set's cells, or those at its points."""
+    return cells.cell_data if at_cells else cells.point_data
+
+
+def with_only(cells: Any, at_cells: bool = False, **arrays: np.ndarray) -> Any:
+    """A shallow copy of cells that has these arrays, at its points or its cells, and no others."""
+    result = cells.copy(deep=False)
+    result.clear_data()
+    data_of(result, at_cells).update(arrays)
+    return result
+
+
+def cell_corners(cells: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Where each cell's points start in the list of points, and that list; of a vtkCellArray."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    arrays = (cells.GetOffsetsArray(), cells.GetConnectivityArray())
+    starts, corners = (vtk_to_numpy(array).astype(np.int64) for array in arrays)
+    return starts, corners
+
+
+def scalars(data: Any, at_cells: bool) -> list[Variable]:
+    """The real scalars among the arrays at a data set's cells, or at its points."""
     return [
         Variable(*split_units(name), np.asarray(array))
-        for name, array in data.items()
+        for name, array in data_of(data, at_cells).items()
         if array.ndim == 1 and array.dtype.kind in "fiu" and not name.startswith("vtk")
     ]

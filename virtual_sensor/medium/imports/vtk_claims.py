@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.imports.vtk_arrays import cell_corners
 
 BYTES = {
     **dict.fromkeys(("char", "unsigned_char", "signed_char"), 1),
@@ -290,16 +291,13 @@ def check_mesh(cells: object) -> None:
     InputError
         It names the cell or the point.
     """
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
     points = np.asarray(cells.points)  # type: ignore[attr-defined]
     names = ("GetCells",) if hasattr(cells, "GetCells") else ("GetVerts", "GetLines", "GetPolys")
     for name in names:
         array = getattr(cells, name)()
         if array is None or array.GetNumberOfCells() == 0:
             continue
-        starts = vtk_to_numpy(array.GetOffsetsArray()).astype(np.int64)
-        corners = vtk_to_numpy(array.GetConnectivityArray()).astype(np.int64)
+        starts, corners = cell_corners(array)
         if starts[0] != 0 or (np.diff(starts) < 0).any() or starts[-1] > len(corners):
             raise InputError("is damaged: its cells' offsets do not ascend; write it again")
         wrong = (corners < 0) | (corners >= len(points))
