@@ -52,6 +52,11 @@ class Refractive(mi.SamplingIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
+        if "way" in props:
+            raise InputError(
+                "refractive: 'way' is called 'transport' now, and its \"exact\" is \"marched\";"
+                ' put <string name="transport" value="..."/> in its place'
+            )
         name = str(props.get("field", ""))
         with naming("refractive"):
             self.air = MediumDescription(
@@ -64,12 +69,6 @@ class Refractive(mi.SamplingIntegrator):
                 dimensions=int(props.get("dimensions", 3)),
                 pose=_pose(props),
             )
-        if "way" in props:
-            raise InputError(
-                "refractive: 'way' is called 'transport' now, and its \"exact\" is \"marched\";"
-                ' put <string name="transport" value="..."/> in its place'
-            )
-        with naming("refractive"):
             march = March(
                 step_mm=float(props.get("step", 2.0)),
                 method=str(props.get("method", "leapfrog")),
@@ -145,7 +144,7 @@ def _instant(text: str) -> float | None:
         return float(text) if text else None
     except ValueError:
         raise InputError(
-            f"refractive: 'time' must be a flow time in s, or empty for the last, not \"{text}\""
+            f"'time' must be a flow time in s, or empty for the last, not \"{text}\""
         ) from None
 
 
@@ -163,7 +162,7 @@ def _beside_scene(name: str) -> Path:
     present = sorted({file.name for folder in beside for file in folder.glob("*.nc")})
     others = "".join(f"; nor is there {place}" for place in places[1:])
     raise InputError(
-        f"refractive: 'field': {places[0]}: there is no such file{others}; there"
+        f"'field': {places[0]}: there is no such file{others}; there"
         f" {'are ' + ', '.join(present) if present else 'is no .nc file'}"
     )
 
