@@ -47,10 +47,9 @@ _AT = np.linspace(0.0, 1.0, 4)  # of the box: a family is known by its rays ther
 
 @dataclass
 class _Entry:
-    """A map, or why there is none, and what it is of."""
+    """A map, or why there is none."""
 
     medium: Any  # a weak reference, or None
-    settings: Hashable
     found: RayMap | NoMapError
 
 
@@ -77,8 +76,7 @@ class MapCache:
         self._most_bytes = most_bytes
         self._forward, self._inverse = forward, inverse
         self._lattice = lattice
-        self._entries: OrderedDict[int, _Entry] = OrderedDict()
-        self._number = 0
+        self._entries: OrderedDict[Hashable, _Entry] = OrderedDict()
         self._lock = threading.RLock()
 
     def forward(self, asked: MapRequest) -> ForwardMap:
@@ -121,24 +119,22 @@ class MapCache:
         there = _in_own_frame(asked)
         quality = asked.march, asked.tolerance_mm, asked.most_nodes
         places = asked.low.tobytes(), asked.high.tobytes(), _rays(there).tobytes()
-        settings = make, by_value, quality, places, mi.variant()
+        key = id(whose), make, by_value, quality, places, mi.variant()
         with self._lock:
-            for number, entry in list(self._entries.items()):
+            # A medium that is gone may have left its number to another.
+            for other, entry in list(self._entries.items()):
                 if entry.medium is not None and entry.medium() is None:
-                    del self._entries[number]
-                    continue
-                same = (entry.medium() if entry.medium else None) is whose
-                if same and entry.settings == settings:
-                    self._entries.move_to_end(number)
-                    return _of(entry.found, asked.family)
+                    del self._entries[other]
+            if key in self._entries:
+                self._entries.move_to_end(key)
+                return _of(self._entries[key].found, asked.family)
             found: RayMap | NoMapError
             try:
                 found = make(there)
             except NoMapError as why:
                 found = why.with_traceback(None)
             reference = None if whose is None else weakref.ref(whose)
-            self._number += 1
-            self._entries[self._number] = _Entry(reference, settings, found)
+            self._entries[key] = _Entry(reference, found)
             while len(self._entries) > 1 and (
                 self.bytes > self._most_bytes or len(self._entries) > _MOST_MAPS
             ):
