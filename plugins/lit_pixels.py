@@ -151,9 +151,9 @@ def find_lit_pixels(
 def _with_maps(
     report: RenderReport, tracer: Tabulated, names: tuple[str, ...], pixel_mm: float
 ) -> RenderReport:
-    camera, *others = (map_.fineness for map_ in (tracer.camera, *tracer.maps))
-    nodes = dict(zip(("camera", *names), (f.nodes for f in (camera, *others)), strict=True))
-    error_mm = camera.error_mm + max(f.error_mm for f in others)
+    maps = tracer.camera, *tracer.maps
+    nodes = {name: each.nodes for name, each in zip(("camera", *names), maps, strict=True)}
+    error_mm = tracer.camera.linear_error_mm + max(each.linear_error_mm for each in tracer.maps)
     return replace(report, nodes=nodes, error_px=error_mm / pixel_mm)
 
 

@@ -157,13 +157,13 @@ def test_lines_of_sight_are_tabulated_to_the_tolerance_asked(case, tolerance_mm)
     """
     field, pose, box, seen = CAMERA_CASES[case]
     camera = forward_map(MapRequest(field, view(pose), *box, MARCH, tolerance_mm))
-    fineness, places = camera.fineness, around(camera.table.grid, 200)
+    error_mm, places = camera.linear_error_mm, around(camera.table.grid, 200)
     truth, told = seen(*places.T), read(camera.linear, places)
     wrong = np.linalg.norm((told - truth)[:, :2], axis=1).max()
     assert np.abs(truth[:, :2]).max() > 0.1
-    assert fineness.error_mm <= tolerance_mm
+    assert error_mm <= tolerance_mm
     assert wrong <= 1.5 * tolerance_mm
-    assert wrong / 3.0 <= fineness.error_mm <= 6.0 * wrong
+    assert wrong / 3.0 <= error_mm <= 6.0 * wrong
     cell_mm = camera.linear.grid.spacing * [places[:, 2].min(), places[:, 2].min(), 1.0]
     assert np.abs((told - truth)[:, 2:]).max() <= 10.0 * tolerance_mm / cell_mm.min()
 
@@ -281,7 +281,7 @@ def sent(laser, a, b, depth):
 
 def test_the_ray_that_the_map_tells_passes_through_the_point(laser, mapped):
     """Rationale: to the tolerance, and with the slope told; sent off from the exit by SciPy."""
-    fineness, places = mapped.fineness, around(mapped.table.grid, 150)
+    error_mm, places = mapped.linear_error_mm, around(mapped.table.grid, 150)
     a0, b0, depth = places.T
     told = read(mapped.linear, places)
     arrived = sent(laser, a0 + told[:, 0], b0 + told[:, 1], depth)
@@ -289,8 +289,8 @@ def test_the_ray_that_the_map_tells_passes_through_the_point(laser, mapped):
     miss = np.hypot(arrived[:, 0] - a0, arrived[:, 1] / scale - b0)
     assert np.abs(told[:, :2]).max() > 0.1
     assert miss.max() <= 1.5 * LASER_TOLERANCE_MM
-    assert fineness.error_mm <= LASER_TOLERANCE_MM
-    assert miss.max() / 3.0 <= fineness.error_mm <= 6.0 * miss.max()
+    assert error_mm <= LASER_TOLERANCE_MM
+    assert miss.max() / 3.0 <= error_mm <= 6.0 * miss.max()
     straight = np.stack([np.zeros_like(b0), laser.fan_per_mm * b0], axis=1)
     np.testing.assert_allclose(told[:, 2:4], arrived[:, 2:] - straight, rtol=0, atol=5e-5)
 
@@ -337,7 +337,7 @@ def test_the_determinant_is_that_of_the_shifts_where_names_lie_unevenly():
         MapRequest(SPOT.field, family, LASER_LOW, LASER_HIGH, MARCH, LASER_TOLERANCE_MM)
     )
     places = around(mapped.table.grid, 60)
-    by_s, by_t = (mapped.table.slopes(places, axis)[:, :2] for axis in (0, 1))
+    by_s, by_t = (slopes[:, :2] for slopes in mapped.table.with_slopes(places)[1:])
     determinant = (1.0 + by_s[:, 0]) * (1.0 + by_t[:, 1]) - by_s[:, 1] * by_t[:, 0]
     told = mapped.table.at(places)[:, 4]
     np.testing.assert_allclose(1.0 + told, determinant, rtol=2e-3)
@@ -470,7 +470,7 @@ def test_a_tolerance_that_is_not_refused_is_kept():
         return
     places = around(camera.table.grid, 500)
     wrong = np.linalg.norm((read(linear, places) - seen(*places.T))[:, :2], axis=1).max()
-    assert wrong <= 1.5 * camera.fineness.error_mm
+    assert wrong <= 1.5 * camera.linear_error_mm
 
 
 def test_where_light_runs_straight_the_maps_are_zero(laser):
@@ -481,7 +481,7 @@ def test_where_light_runs_straight_the_maps_are_zero(laser):
         places = around(each.table.grid, 50)
         assert np.all(read(each.linear, places) == 0.0)
         assert np.all(each.at(places) == 0.0)
-        assert each.fineness.error_mm == 0.0
+        assert each.linear_error_mm == 0.0
 
 
 # --------------------------------------------------------------------------------- point by point

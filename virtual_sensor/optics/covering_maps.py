@@ -64,19 +64,6 @@ def covering_map(
     return MAPS.forward(_covering(field, family, places, tolerance_mm))
 
 
-def covering_inverse(
-    field: Field | None, family: RayFamily, places: Array, tolerance_mm: float
-) -> InverseMap:
-    """The map of the bent rays through places; see `covering_map`.
-
-    Raises
-    ------
-    NoMapError
-        Also, as CausticError, if more than one ray passes through a place near by.
-    """
-    return MAPS.inverse(_covering(field, family, places, tolerance_mm))
-
-
 def rays_through(
     field: Field | None, family: RayFamily, points_mm: Array, tolerance_mm: float
 ) -> PointRays:
@@ -89,11 +76,11 @@ def rays_through(
     NoMapError
         If there is neither.
     """
-    places = family.coordinates(points_mm)
+    asked = _covering(field, family, family.coordinates(points_mm), tolerance_mm)
     try:
-        return covering_inverse(field, family, places, tolerance_mm).rays(points_mm)
+        return MAPS.inverse(asked).rays(points_mm)
     except NoMapError:
-        return covering_map(field, family, places, tolerance_mm).rays(points_mm)
+        return MAPS.forward(asked).rays(points_mm)
 
 
 def _covering(

@@ -76,20 +76,12 @@ class SplineTable:
 
         Beyond the grid, the outermost cubics go on.
         """
-        return self._evaluated(places, (), functions)[0]
+        return self.with_slopes(places, (), functions)[0]
 
-    def slopes(self, places: Array, axis: int) -> Array:
-        """Derivatives of the functions by a coordinate at places (N, 3): (N, C)."""
-        return self._evaluated(places, (int(axis),))[1]
-
-    def with_slopes(self, places: Array) -> tuple[Array, Array, Array]:
-        """The functions at places (N, 3), and derivatives by the first two coordinates: (N, C)."""
-        values, first, second = self._evaluated(places, (0, 1))
-        return values, first, second
-
-    def _evaluated(
-        self, places: Array, axes: tuple[int, ...], functions: int | None = None
+    def with_slopes(
+        self, places: Array, axes: tuple[int, ...] = (0, 1), functions: int | None = None
     ) -> tuple[Array, ...]:
+        """The functions at places (N, 3), and their derivatives by coordinates: (N, C) each."""
         variant, count = mi.variant(), functions or self.functions
         if variant not in self._cubic:
             self._cubic[variant] = _CubicTable(self.grid, self._coefficients)

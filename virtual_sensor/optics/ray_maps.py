@@ -75,25 +75,6 @@ class MapStatus(IntEnum):
 
 
 @dataclass(frozen=True)
-class Fineness:
-    """How fine a map's linear table is.
-
-    Attributes
-    ----------
-    nodes : tuple of three int
-        Of the splines that it interpolates.
-    error_mm : float
-        What its errors are at most, by rays marched between the nodes.
-    largest_mm : float
-        Largest displacement at the nodes.
-    """
-
-    nodes: tuple[int, int, int]
-    error_mm: float
-    largest_mm: float
-
-
-@dataclass(frozen=True)
 class RayPoints:
     """Points on bent rays.
 
@@ -191,11 +172,9 @@ class RayMap:
         return self.table.finer(self.linear_mm * np.array(self._units()))
 
     @property
-    def fineness(self) -> Fineness:
-        """Of `linear`."""
-        straight = self.largest_mm == 0.0
-        error_mm = 0.0 if straight else self.error_mm + self.linear_mm
-        return Fineness(self.nodes, error_mm, self.largest_mm)
+    def linear_error_mm(self) -> float:
+        """What the errors of `linear` are at most: none where light runs straight."""
+        return self.error_mm + self.linear_mm if self.largest_mm else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,11 +215,9 @@ class ForwardMap(RayMap):
         status = np.where(off, MapStatus.OFF, MapStatus.OK)
         status = np.where(found.folded | (found.missed & ~off), MapStatus.FOLDED, status)
         ok = status == MapStatus.OK
-        s, t, _ = np.where(ok[:, None], found.start, np.nan).T
-        slope = np.stack(np.broadcast_arrays(*self.family.slope(s, t), 1.0), axis=1)
-        slope[:, :2] += found.moved[:, 2:]
-        direction = _unit(slope @ self.family.pose.rotation.T)
-        return PointRays(np.stack([s, t], axis=1), direction, status.astype(np.uint8))
+        start = np.where(ok[:, None], found.start, np.nan)
+        _, direction = self._lines(start, found.moved)
+        return PointRays(start[:, :2], direction, status.astype(np.uint8))
 
     def jacobian(self, places: Array) -> Array:
         """d(x, y)/d(s, t) in mm of the bent rays at places (N, 3): (N, 2, 2)."""
