@@ -25,6 +25,7 @@ from virtual_sensor.optics.transports import (
     Tabulated,
     Tracer,
     Transport,
+    opaque,
     rows,
 )
 
@@ -157,11 +158,6 @@ def _with_maps(
     return replace(report, nodes=nodes, error_px=error_mm / pixel_mm)
 
 
-def _opaque(margin: Array) -> tuple[Any, ...]:
-    """A margin out of the compiler's sight: another air has another, and one kernel serves all."""
-    return tuple(dr.opaque(mi.Float, float(m)) for m in margin)
-
-
 @dataclass(frozen=True)
 class _Beam:
     """What of a source's light may be seen.
@@ -274,7 +270,7 @@ class _Region:
         """Which candidates are lit, or beside such; and how many have light that is folded."""
         lit, folded = mi.Mask(False), mi.Mask(False)
         for beam, light in zip(self.beams.values(), sight.lights, strict=True):
-            margin = _opaque(self.pixel_mm * beam.per_mm)
+            margin = opaque(self.pixel_mm * beam.per_mm)
             lit |= beam.source.reaches(light.s, light.t, margin)
             folded |= light.status == int(LightStatus.FOLDED)
         dr.eval(lit, folded)
@@ -340,7 +336,7 @@ def _beams(
     near = {}
     for name, source in sources.items():
         s, t, _ = FamilyFrame.of(source.family, mi.Array3f).coordinates(point)
-        near[name] = dr.isfinite(distance) & source.reaches(s, t, _opaque(margins[name]))
+        near[name] = dr.isfinite(distance) & source.reaches(s, t, opaque(margins[name]))
     dr.eval(*near.values())
     distances, beams = distance.numpy(), {}
     for name, mask in near.items():

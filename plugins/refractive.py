@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.renderer import Arrangement, Prepared, arrangement_of
+from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of
+from virtual_sensor_plugins.views import pinhole_of
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
@@ -89,7 +90,8 @@ class Refractive(mi.SamplingIntegrator):
         medium, transport = self.medium, self.transport
         with naming("refractive"):
             transport.check(medium)
-        return arrangement_of(scene, sensor, medium, transport)
+        camera, sources = pinhole_of(sensor), devices_of(scene)
+        return Arrangement(scene, sensor, camera, sources, medium, transport)
 
     def sample(
         self, scene: mi.Scene, sampler: mi.Sampler, ray: Any, medium: Any = None, active: Any = True

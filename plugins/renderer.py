@@ -9,7 +9,7 @@ import numpy as np
 from virtual_sensor_plugins import glow
 from virtual_sensor_plugins.exposure import Exposure, own_sampler
 from virtual_sensor_plugins.lit_pixels import Columns, LitPixels, RenderReport, find_lit_pixels
-from virtual_sensor_plugins.views import StraightSight, View, pinhole_of
+from virtual_sensor_plugins.views import StraightSight, View
 from virtual_sensor_plugins.whole_film import WholeFilm
 
 from virtual_sensor.devices.device import Device
@@ -191,13 +191,6 @@ def _from_behind(si: Any, ray: Any) -> Any:
     return dr.dot(si.n, ray.d) > 0.0
 
 
-def arrangement_of(
-    scene: mi.Scene, sensor: mi.Sensor, medium: Field | None, transport: Transport
-) -> Arrangement:
-    """What Mitsuba's scene itself has."""
-    return Arrangement(scene, sensor, pinhole_of(sensor), devices_of(scene), medium, transport)
-
-
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """What frames of an arrangement need, whatever their samples.
@@ -217,11 +210,15 @@ class Prepared:
         given = arrangement.medium, arrangement.sources, arrangement.transport, column
         return Prepared(arrangement, find_lit_pixels(arrangement.straight, *given))
 
+    @property
+    def _marches(self) -> bool:
+        return isinstance(self.lit.tracer, Marched)
+
     @cached_property
     def film(self) -> tuple[WholeFilm | None, str]:
         """For the lamps' light in pixels that no source lights; else why these are marched."""
         arrangement = self.arrangement
-        if isinstance(self.lit.tracer, Marched) and self.lit.names:
+        if self._marches and self.lit.names:
             return None, ""
         try:
             march, field = arrangement.transport.march, arrangement.refracting
@@ -263,15 +260,14 @@ class Prepared:
         def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             nonlocal samples, marched
             draws = arrangement.draws(sampler)
-            near = rows(lit.sight, row) if lit.tracer.uses_near else None
+            near = rows(lit.sight, row) if self._marches else None
             sight, count = lit.tracer.sight(ray, near)
             samples, marched = samples + dr.width(row), marched + count
             return arrangement.radiance(sight, devices, draws), sight.hit
 
         if others:
             report = self._expose_others(exposure, sampler)
-        lanes = "marched" if isinstance(lit.tracer, Marched) else "tabulated"
-        exposure.add(lit.index, by_tracer, _LANES[lanes])
+        exposure.add(lit.index, by_tracer, _LANES["marched" if self._marches else "tabulated"])
         return exposure, replace(report, samples=samples, marched=marched)
 
     def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> RenderReport:

@@ -1,7 +1,7 @@
 """Transports: how light gets from a camera to a surface, and from there to its sources."""
 
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,32 +90,6 @@ class Sight:
     lights: tuple[Illumination, ...]
 
 
-class Tracer(Protocol):
-    """A transport through a scene's air, to its surface and from its sources."""
-
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """Whose light is found."""
-        ...
-
-    @property
-    def uses_near(self) -> bool:
-        """Whether what rays close by see saves it work."""
-        ...
-
-    def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
-        """What camera rays see, evaluated; and how many of them were marched.
-
-        Parameters
-        ----------
-        ray : mi.Ray3f
-            Straight rays of the camera.
-        near : Sight, optional
-            What rays close by see, one for each: it may save marches.
-        """
-        ...
-
-
 @dataclass(frozen=True)
 class Marched:
     """Rays are marched to the surface; there, each source's ray is found by Newton's method.
@@ -134,11 +108,6 @@ class Marched:
     sources: tuple[Source, ...]
     march: March
 
-    @property
-    def uses_near(self) -> bool:
-        """See `Tracer`."""
-        return True
-
     def hits(self, ray: Any) -> Sight:
         """Where camera rays meet the surface, and none of the light there."""
         line = Straight.through(ray.o, ray.d, self.march)
@@ -149,10 +118,28 @@ class Marched:
         return Sight(point, heading, hit, ())
 
     def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
-        """See `Tracer`."""
-        seen, count = self.hits(ray), dr.width(ray.d)
-        centres = near.lights if near else [None for _ in self.sources]
-        lights = [self._light(x, seen, c) for x, c in zip(self.sources, centres, strict=True)]
+        """What camera rays see, evaluated; and how many of them were marched.
+
+        Parameters
+        ----------
+        ray : mi.Ray3f
+            Straight rays of the camera.
+        near : Sight, optional
+            What rays close by see, one for each: it saves marches.
+        """
+        seen, count, lights = self.hits(ray), dr.width(ray.d), []
+        for i, source in enumerate(self.sources):
+            light = illuminate(
+                source.family,
+                self.medium,
+                self.surface,
+                seen.point,
+                self.march,
+                near=near.lights[i] if near else None,
+                active=seen.hit,
+            )
+            dr.eval(light)
+            lights.append(light)
         seen = replace(seen, lights=tuple(lights))
         if near is None:
             return seen, count
@@ -174,19 +161,6 @@ class Marched:
         marched, count = self.sight(rows(ray, which))
         return with_rows(seen, which, marched), count
 
-    def _light(self, source: Source, seen: Sight, near: Illumination | None = None) -> Illumination:
-        light = illuminate(
-            source.family,
-            self.medium,
-            self.surface,
-            seen.point,
-            self.march,
-            near=near,
-            active=seen.hit,
-        )
-        dr.eval(light)
-        return light
-
 
 @dataclass(frozen=True)
 class Tabulated:
@@ -207,32 +181,30 @@ class Tabulated:
     pads: tuple[Array, ...]
     marched: Marched
 
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """See `Tracer`."""
-        return self.marched.sources
-
-    @property
-    def uses_near(self) -> bool:
-        """See `Tracer`."""
-        return False
-
     def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
-        """See `Tracer`: one kernel serves pixels and samples of any number."""
+        """As `Marched.sight`, which `near` is for; one kernel serves any number of rays."""
         surface = self.marched.surface
         dr.eval(ray.o, ray.d)
         seen = hits(self.camera, surface, ray, self.marched.march)
         lights: tuple[Illumination, ...] = ()
         doubtful = seen.lost
-        for source, table, pad in zip(self.sources, self.maps, self.pads, strict=True):
+        for source, table, pad in zip(self.marched.sources, self.maps, self.pads, strict=True):
             light, off = light_by(table, surface, seen.point, seen.hit)
-            margin = tuple(dr.opaque(mi.Float, float(m)) for m in pad)
-            near_light = source.reaches(light.s, light.t, margin)
+            near_light = source.reaches(light.s, light.t, opaque(pad))
             doubtful |= seen.hit & near_light & (seen.off | off)
             lights = (*lights, light)
         sight = Sight(seen.point, seen.heading, seen.hit, lights)
         dr.eval(sight, doubtful)
         return self.marched.again(ray, sight, doubtful)
+
+
+Tracer = Marched | Tabulated
+"""A transport through a scene's air, to its surface and from its sources."""
+
+
+def opaque(margin: Array) -> tuple[Any, ...]:
+    """A margin out of the compiler's sight: another air has another, and one kernel serves all."""
+    return tuple(dr.opaque(mi.Float, float(m)) for m in margin)
 
 
 def rows(tree: Any, index: Any) -> Any:
