@@ -237,3 +237,16 @@ def where(mask: Any, x: Any, y: Any) -> Any:
     from virtual_sensor.engine import dr
 
     return dr.select(mask, x, y)
+
+
+def determinant(entries: Any) -> Any:
+    """Of 2 x 2 matrices, whose four entries are given by rows."""
+    a, b, c, d = entries
+    return a * d - b * c
+
+
+def solved(entries: Any, x: Any, y: Any) -> tuple[Any, Any]:
+    """The two unknowns of 2 x 2 systems with the right sides x and y, by Cramer's rule."""
+    a, b, c, d = entries
+    area = determinant(entries)
+    return (d * x - b * y) / area, (a * y - c * x) / area

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
+from virtual_sensor.arrays import determinant, solved
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import BentRays, Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -127,7 +128,7 @@ def illuminate(
             jacobian = _jacobian(frame, line, ray)
         at_x, at_y, _ = frame.local(ray.position(line))
         miss = x - at_x, y - at_y
-        ds, dt = _solve(jacobian, *miss)
+        ds, dt = solved(jacobian, *miss)
         go = wanted & ~settled & arrived
         heading = dr.select(go, dr.normalize(ray.tangent(line)), heading)
         s, t = dr.select(go, s + ds, s), dr.select(go, t + dt, t)
@@ -139,7 +140,7 @@ def illuminate(
         dr.eval(s, t, jacobian, heading, settled, shadowed)
         if not dr.any(wanted & ~settled):
             break
-    spread = _determinant(jacobian) * dr.sign(frame.family.spread(s, t, depth))
+    spread = determinant(jacobian) * dr.sign(frame.family.spread(s, t, depth))
     folded = wanted & (~settled | (spread <= 0.0))
     status = dr.select(shadowed, int(LightStatus.SHADOWED), int(LightStatus.LIT))
     status = dr.select(folded, int(LightStatus.FOLDED), mi.UInt32(status))
@@ -162,13 +163,3 @@ def _jacobian(frame: FamilyFrame, line: Straight, ray: BentRays) -> tuple[Any, A
     columns = [w - T * (dr.dot(frame.z, w) / dr.dot(frame.z, T)) for w in ray.offset[1:]]
     (x_s, x_t), (y_s, y_t) = ([dr.dot(axis, w) for w in columns] for axis in (frame.x, frame.y))
     return x_s, x_t, y_s, y_t
-
-
-def _determinant(j: tuple[Any, Any, Any, Any]) -> Any:
-    return j[0] * j[3] - j[1] * j[2]
-
-
-def _solve(j: tuple[Any, Any, Any, Any], x: Any, y: Any) -> tuple[Any, Any]:
-    """Cramer's rule."""
-    det = _determinant(j)
-    return (j[3] * x - j[1] * y) / det, (j[0] * y - j[2] * x) / det

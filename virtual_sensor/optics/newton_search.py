@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import solved
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sight import (
     REFERENCE,
@@ -60,6 +61,11 @@ class Roots:
     slopes: Array
     seen: Array
     marches: NDArray[np.int64]
+
+    def put(self, rows: Mask, better: "Roots") -> None:
+        """Put other roots in the place of some rows."""
+        for values, others in zip(vars(self).values(), vars(better).values(), strict=True):
+            values[rows] = others
 
 
 def newton(scene: SearchScene, b: Array, march: March) -> Roots:
@@ -131,9 +137,7 @@ def newton_along_line(scene: SearchScene, b: Array) -> Roots:
         np.zeros(len(b), int),
     )
     if off.any():
-        again = newton(scene, b[off], REFERENCE)
-        for values, better in zip(vars(found).values(), vars(again).values(), strict=True):
-            values[off] = better
+        found.put(off, newton(scene, b[off], REFERENCE))
     return found
 
 
@@ -184,11 +188,9 @@ def _chords(
 
 
 def _step(slopes: Array, miss: Array) -> Array:
-    """Solve slopes @ step = miss, (N, 2, 2) and (N, 2), by Cramer's rule; NaN where it can't be."""
-    (a, b), (c, d) = np.moveaxis(slopes, 0, -1)
-    x, y = miss.T
+    """Solve slopes @ step = miss, (N, 2, 2) and (N, 2); NaN where it can't be."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[:, None]
+        return np.stack(solved(slopes.reshape(-1, 4).T, *miss.T), axis=-1)
 
 
 def _mm_per_px(slopes: Array) -> Array:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
-from virtual_sensor.arrays import by_rows, to_scalars, to_vectors
+from virtual_sensor.arrays import by_rows, determinant, solved, to_scalars, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -242,9 +242,10 @@ class ForwardMap(RayMap):
         """
         x_s, x_t, y_s, y_t = self.family.by_coordinates(*places.T)
         spread = self.family.spread(*places.T)
-        (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
+        entries = jacobian.reshape(-1, 4).T
+        a, b, c, d = entries
         trace = (y_t * a - x_t * c - y_s * b + x_s * d) / spread
-        return np.asarray((_determinant(jacobian) / spread <= 0.0) | (trace <= 0.0))
+        return np.asarray((determinant(entries) / spread <= 0.0) | (trace <= 0.0))
 
     def _turned(self, places: Array, jacobian: Array) -> NDArray[np.bool_]:
         """Where tubes are known to be turned over: only the map's own places show it."""
@@ -273,7 +274,8 @@ class ForwardMap(RayMap):
                 folded[slow] |= self._turned(start[slow], jacobian[slow])
             before = miss
             some = slice(None) if go.all() else go
-            start[some, :2] += _solved(jacobian[some], away[some])
+            here = jacobian[some].reshape(-1, 4).T
+            start[some, :2] += np.stack(solved(here, *away[some].T), axis=1)
             moved[some] = self.table.at(start[some])
         jacobian = self.jacobian(start)
         return _Through(start, moved, jacobian, folded | self._turned(start, jacobian), missed)
@@ -555,13 +557,13 @@ def _inverted(ahead: ForwardMap, grid: Grid) -> tuple[Array, Array]:
         np.stack(np.broadcast_arrays(*family.slope(*p.T[:2])), axis=1) for p in (start, places)
     )
     shift, slope = start[:, :2] - places[:, :2], bent - straight + found.moved[:, 2:]
-    more = family.spread(*places.T) / _determinant(found.jacobian) - 1.0
+    more = family.spread(*places.T) / determinant(found.jacobian.reshape(-1, 4).T) - 1.0
     return np.column_stack([shift, slope, more]), start
 
 
 def in_coordinates(family: RayFamily, places: Array, moved_mm: Array) -> Array:
     """By how much straight coordinates change with displacements (N, 2) at places (N, 3)."""
-    return _solved(_matrices(family.by_coordinates(*places.T), len(places)), moved_mm)
+    return np.stack(solved(family.by_coordinates(*places.T), *moved_mm.T), axis=1)
 
 
 def _refined(asked: MapRequest, shape: tuple[int, int, int], linear_mm: float) -> ForwardMap:
@@ -763,17 +765,6 @@ def _zero(asked: MapRequest, functions: int) -> SplineTable:
 def _matrices(entries: tuple[Array, ...], count: int) -> Array:
     """Matrices (N, 2, 2) of four entries by rows, of shape (N,) or numbers."""
     return np.stack([np.broadcast_to(e, count) for e in entries], axis=1).reshape(count, 2, 2)
-
-
-def _determinant(m: Array) -> Array:
-    return m[:, 0, 0] * m[:, 1, 1] - m[:, 0, 1] * m[:, 1, 0]
-
-
-def _solved(m: Array, right: Array) -> Array:
-    """Cramer's rule for matrices (N, 2, 2) and right sides (N, 2)."""
-    x, y = right.T
-    columns = m[:, 1, 1] * x - m[:, 0, 1] * y, m[:, 0, 0] * y - m[:, 1, 0] * x
-    return np.stack(columns, axis=1) / _determinant(m)[:, None]
 
 
 def _unit(vectors: Array) -> Array:

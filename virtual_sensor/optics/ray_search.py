@@ -230,9 +230,7 @@ def _tabulated(scene: SearchScene, b: Array, march: March | None, tolerance_px: 
     except NoMapError:
         return _newton(scene, b, march)
     if not mapped.all():
-        marched = _newton(scene, b[~mapped], march)
-        for values, better in zip(vars(roots).values(), vars(marched).values(), strict=True):
-            values[~mapped] = better
+        roots.put(~mapped, _newton(scene, b[~mapped], march))
     return roots
 
 
@@ -265,23 +263,14 @@ def _checked(
     in_line = apart_um <= r_max_um + _LEAN * depth_um
     close = found.distance_um <= r_max_um
     missed = np.isnan(found.laser_point_mm[:, 0])
-    status = np.select(
-        [
-            missed,
-            ~lit,
-            ~camera.inside(found.pixel),
-            ~near & (in_line | close),
-            ~close,
-        ],
-        [
-            SearchStatus.LASER_MISSED,
-            SearchStatus.UNLIT,
-            SearchStatus.OUTSIDE_IMAGE,
-            SearchStatus.UNDERCUT,
-            SearchStatus.ABOVE_RADIUS,
-        ],
-        SearchStatus.FOUND,
-    )
+    reasons = {
+        SearchStatus.LASER_MISSED: missed,
+        SearchStatus.UNLIT: ~lit,
+        SearchStatus.OUTSIDE_IMAGE: ~camera.inside(found.pixel),
+        SearchStatus.UNDERCUT: ~near & (in_line | close),
+        SearchStatus.ABOVE_RADIUS: ~close,
+    }
+    status = np.select(list(reasons.values()), list(reasons), SearchStatus.FOUND)
     used = near & np.isin(status, (SearchStatus.FOUND, SearchStatus.ABOVE_RADIUS))
     return FoundPixels(
         np.where(lit[:, None], found.laser_point_mm, np.nan),
