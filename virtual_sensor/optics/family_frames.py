@@ -50,10 +50,6 @@ class FamilyFrame:
         a, b, c = (number(v) for v in family.pose.origin_mm @ rotation)
         return FamilyFrame(parameters, x, y, z, (a, b, c))
 
-    @property
-    def _scalar(self) -> Any:
-        return type(self.z.x)
-
     def local(self, p: Any) -> tuple[Any, Any, Any]:
         """x, y and depth of world points, mm."""
         x, y, z = self.centre
@@ -75,7 +71,7 @@ class FamilyFrame:
 
     def rays(self, s: Any, t: Any) -> tuple[Any, Any, tuple[tuple[Any, Any], tuple[Any, Any]]]:
         """Origins and unit directions, world, and the derivatives of both by s and by t."""
-        none = self._scalar(0.0) * (s + t)  # all are as wide as the coordinates
+        none = type(self.z.x)(0.0) * (s + t)  # all are as wide as the coordinates
         x, y = self.family.foot(s, t)
         along_x, along_y = self.family.slope(s, t)
         slope = self.z + self.x * (along_x + none) + self.y * along_y

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from virtual_sensor.arrays import by_rows, to_numpy, to_vectors
-from virtual_sensor.engine import dr, mi
+from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
 from virtual_sensor.optics.ray_families import Motion, RayStarts
@@ -340,6 +340,4 @@ def _normals(scene: SearchScene, rays: _Carried) -> Array:
     if not isinstance(surface, SceneSurface):
         raise InputError("line_sensitivity: the surface is neither a cylinder nor Mitsuba's shapes")
     heading = rays.tangent / np.linalg.norm(rays.tangent, axis=1, keepdims=True)
-    origin = mi.Point3f(to_vectors(rays.point - LAST_PIECE_MM * heading))
-    met = surface.scene.ray_intersect(mi.Ray3f(origin, mi.Vector3f(to_vectors(heading))))
-    return to_numpy(met.n)  # of the shape itself, not one interpolated for shading
+    return surface.normals(rays.point, heading, LAST_PIECE_MM)

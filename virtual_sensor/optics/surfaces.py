@@ -10,6 +10,8 @@ from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import EngineError
 
+Array = NDArray[np.float64]
+
 _NEAR_MM = 1.0  # float32 hits from so near are good to 0.03 um
 
 
@@ -71,9 +73,12 @@ class SceneSurface:
         met = self.scene.ray_intersect_preliminary(ray, active=active)
         return type(direction.x)(dr.select(met.is_valid(), met.t, dr.inf))
 
-    def normals(self, points: NDArray[np.float64], directions: NDArray[np.float64]) -> Any:
-        """Geometric normals (N, 3) at points on it that unit directions come to; 0 for none."""
-        start, heading = to_vectors(points - _NEAR_MM * directions), to_vectors(directions)
+    def normals(self, points: Array, directions: Array, before_mm: float = _NEAR_MM) -> Array:
+        """Normals (N, 3) at points on it that unit directions come to, from so far before; 0: none.
+
+        They are the shapes' own, not those that are interpolated for shading.
+        """
+        start, heading = to_vectors(points - before_mm * directions), to_vectors(directions)
         met = self.scene.ray_intersect(mi.Ray3f(mi.Point3f(start), mi.Vector3f(heading)))
         return to_numpy(met.n)
 

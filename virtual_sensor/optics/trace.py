@@ -83,11 +83,8 @@ def trace(
         raise InputError("trace: lengths must be finite and not negative")
     lengths = np.broadcast_to(lengths, norm.shape)
     march = March(step_mm, method, precision, tolerance_mm=tolerance_mm)
-
-    def marched(origins: Array, directions: Array, lengths: Array) -> Rays:
-        return _marched(field, march, origins, directions, lengths)
-
-    return by_rows(marched, origins, scaled / norm[:, None], lengths)
+    unit = scaled / norm[:, None]
+    return by_rows(lambda *rays: _marched(field, march, *rays), origins, unit, lengths)
 
 
 def _marched(field: Field, march: March, origins: Array, directions: Array, lengths: Array) -> Rays:
@@ -96,16 +93,15 @@ def _marched(field: Field, march: March, origins: Array, directions: Array, leng
     ends = after_length(march.scalar(to_scalars(lengths)))
     ray = bend(field, NoSurface(), line, march, remaining=ends)
     dr.eval(ray)
-    position = to_numpy(ray.position(line))
+    position, tangent = to_numpy(ray.position(line)), to_numpy(ray.tangent(line))
     status = np.array(ray.status)
     low, high = field.box
     local = field.to_local(position)
     outside = np.any((local < low) | (local > high), axis=1)
-    backwards = np.einsum("ij,ij->i", to_numpy(ray.tangent(line)), directions) < 0.0
+    backwards = np.einsum("ij,ij->i", tangent, directions) < 0.0
     ended = status == RayStatus.ENDED
     status[ended & outside] = RayStatus.LEFT
     status[ended & outside & backwards] = RayStatus.TURNED_BACK
-    tangent = to_numpy(ray.tangent(line))
     relative = np.array(ray.t, float) - np.array(line.start, float) + np.array(ray.path, float)
     return Rays(
         position,
