@@ -144,12 +144,12 @@ def _lines(
     grey: NDArray[np.float32], noise: Noise, min_amplitude: float, scale: float
 ) -> tuple[Array, Array]:
     """Points (N, 2); and last step, sigma, width, amplitude, background, normal: (6, N)."""
-    half = int(np.ceil(_REACH * scale))
+    half = _half(scale)
     padded = np.pad(grey, half, mode="edge")
-    candidates = _candidates(grey, noise, min_amplitude, scale, half)
+    candidates = _candidates(grey, noise, min_amplitude, scale)
     each = max(_CHUNK // (2 * half + 1) ** 2, 1)
     parts = [
-        _refined(padded, candidates[first : first + each], noise, scale, half)
+        _refined(padded, candidates[first : first + each], noise, scale)
         for first in range(0, len(candidates), each)
     ]
     pixel = np.concatenate([np.empty((0, 2)), *(part[0] for part in parts)])
@@ -161,6 +161,11 @@ def _lines(
     first = first[inside[first]]
     strong = found[3, first] > min_amplitude * found[3, first].max(initial=0.0)
     return pixel[first[strong]], found[:, first[strong]]
+
+
+def _half(scale: float) -> int:
+    """Rows and columns of the filters on either side of their middle."""
+    return int(np.ceil(_REACH * scale))
 
 
 def _margin(pixel: Array, shape: tuple[int, ...]) -> Array:
@@ -199,10 +204,10 @@ def _unbent(
 
 
 def _candidates(
-    grey: NDArray[np.float32], noise: Noise, min_amplitude: float, scale: float, half: int
+    grey: NDArray[np.float32], noise: Noise, min_amplitude: float, scale: float
 ) -> Index:
     """Pixels (u, v), (N, 2), at which the smoothed image is curved more than by noise."""
-    flat, _, curved = _kernels(np.zeros(1), np.zeros(1, int), scale, half)[0].T.astype(np.float32)
+    flat, _, curved = _kernels(np.zeros(1), np.zeros(1, int), scale)[0].T.astype(np.float32)
     bend = cv2.sepFilter2D(grey, cv2.CV_32F, curved, flat, borderType=cv2.BORDER_REPLICATE)
     bend += cv2.sepFilter2D(grey, cv2.CV_32F, flat, curved, borderType=cv2.BORDER_REPLICATE)
     both = np.outer(flat, curved) + np.outer(curved, flat)
@@ -215,11 +220,11 @@ def _candidates(
 
 
 def _refined(
-    padded: NDArray[np.float32], candidates: Index, noise: Noise, scale: float, half: int
+    padded: NDArray[np.float32], candidates: Index, noise: Noise, scale: float
 ) -> tuple[Array, Array]:
     """The points of lines near some pixels, and what `_lines` says of them."""
     pixel = candidates.astype(float)
-    local = _filtered(padded, pixel, scale, half)
+    local = _filtered(padded, pixel, scale)
     normal, across, along = _normals(local.r)
     step = _first(local.r, normal) / np.where(across < 0.0, -across, np.nan)
     with np.errstate(invalid="ignore"):
@@ -234,42 +239,44 @@ def _refined(
 
     start, width = pixel, np.full(len(pixel), 1.5 * scale)
     for number in range(_STEPS):
-        across = _second(local.r, normal)
-        levels, width = _beside(padded, pixel, normal, local.r, across, width, scale, half)
+        curved = _curved(local.r, normal)
+        levels, width = _beside(padded, pixel, normal, local.r, curved, width, scale)
         h = levels[1] - levels[0]
         h = np.where(np.abs(h) > _SEEN * dark / (np.sqrt(2.0 * np.pi) * scale), h, 0.0)
         slope = _first(local.r, normal) - h / (np.sqrt(2.0 * np.pi) * np.hypot(scale, 12**-0.5))
-        step = slope / np.where(across < 0.0, -across, np.nan)
+        step = slope / curved
         pixel = pixel + np.clip(np.nan_to_num(step), -1.0, 1.0)[:, None] * normal
         if number < _STEPS - 1:
-            local = _filtered(padded, pixel, scale, half)
+            local = _filtered(padded, pixel, scale)
 
     background = levels.mean(axis=0)
     height = local.r[:, 0, 0] - background
     line = np.sqrt(np.maximum(width**2 - scale**2 - 1.0 / 12.0, 0.01))
-    sigma, doubt = _noise_passed_on(local, normal, across, background, noise, column)
+    sigma, doubt = _noise_passed_on(local, normal, curved, background, noise, column)
     # Each level has the noise dark/(2 sqrt(pi) scale), and so h has its own in the slope.
     of_h = np.where(h != 0.0, dark / (2.0 * np.pi * scale**2), 0.0)
-    sigma = np.hypot(sigma, of_h / np.where(across < 0.0, -across, np.nan))
+    sigma = np.hypot(sigma, of_h / curved)
     sound = (doubt < _MAX_NOISE) & (np.linalg.norm(pixel - start, axis=1) < np.maximum(scale, 1.0))
     angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) % 180.0
     found = np.stack([step, sigma, line, height * width / line, background, angle])
     return pixel[sound], found[:, sound]
 
 
-def _filtered(padded: NDArray[np.float32], pixel: Array, scale: float, half: int) -> _Local:
+def _filtered(padded: NDArray[np.float32], pixel: Array, scale: float) -> _Local:
     """Derivatives up to the second at points (N, 2), by filters that are centred on them."""
+    half = _half(scale)
     size = np.array(padded.shape[::-1]) - 2 * half
     nearest = np.clip(np.rint(pixel).astype(int), 0, size - 1)
     windows = sliding_window_view(padded, (2 * half + 1, 2 * half + 1))
     pixels = windows[nearest[:, 1], nearest[:, 0]]
-    along_u, along_v = (_kernels(pixel[:, k], nearest[:, k], scale, half) for k in (0, 1))
+    along_u, along_v = (_kernels(pixel[:, k], nearest[:, k], scale) for k in (0, 1))
     r = np.matmul(along_v.transpose(0, 2, 1), np.matmul(pixels, along_u))
     return _Local(r, pixels, along_u, along_v)
 
 
-def _kernels(place: Array, nearest: Index, scale: float, half: int) -> Array:
+def _kernels(place: Array, nearest: Index, scale: float) -> Array:
     """Gaussian and its first two derivatives at pixels about places (N,): shape (N, m, 3)."""
+    half = _half(scale)
     x = (place - nearest)[:, None] - np.arange(-half, half + 1)
     g = np.exp(-0.5 * (x / scale) ** 2)
     g /= g.sum(axis=1, keepdims=True)
@@ -289,10 +296,11 @@ def _first(r: Array, normal: Array) -> Array:
     return r[:, 0, 1] * normal[:, 0] + r[:, 1, 0] * normal[:, 1]
 
 
-def _second(r: Array, normal: Array) -> Array:
-    """Second derivative along the normals."""
+def _curved(r: Array, normal: Array) -> Array:
+    """Second derivative along the normals, negated: NaN where there is no crest."""
     x, y = normal.T
-    return r[:, 0, 2] * x**2 + 2.0 * r[:, 1, 1] * x * y + r[:, 2, 0] * y**2
+    second = r[:, 0, 2] * x**2 + 2.0 * r[:, 1, 1] * x * y + r[:, 2, 0] * y**2
+    return np.where(second < 0.0, -second, np.nan)
 
 
 def _beside(
@@ -300,27 +308,23 @@ def _beside(
     pixel: Array,
     normal: Array,
     r: Array,
-    across: Array,
+    curved: Array,
     width: Array,
     scale: float,
-    half: int,
 ) -> tuple[Array, Array]:
     """Levels of both sides (2, N), and the smoothed line's widths (N,), better than those given.
 
     With a height a above the level, r_nn = -a/s^2; beside it, at 3 s, exp(-4.5) of a is left.
     """
     away = (_BESIDE * width)[:, None] * normal
-    sides = np.stack(
-        [_filtered(padded, pixel + sign * away, scale, half).r[:, 0, 0] for sign in (-1, 1)]
-    )
+    sides = np.stack([_filtered(padded, pixel + sign * away, scale).r[:, 0, 0] for sign in (-1, 1)])
     height = (r[:, 0, 0] - sides.mean(axis=0)) / (1.0 - _TAIL)
-    curved = np.where(across < 0.0, -across, np.nan)
     width = np.sqrt(np.clip(np.nan_to_num(height / curved), scale**2, 64.0 * scale**2))
     return sides - _TAIL * height, width
 
 
 def _noise_passed_on(
-    local: _Local, normal: Array, across: Array, background: Array, noise: Noise, column: Index
+    local: _Local, normal: Array, curved: Array, background: Array, noise: Noise, column: Index
 ) -> tuple[Array, Array]:
     """Standard deviation of the points along their normals, and of r_nn, relative: (N,) each."""
     variance = noise.variance((local.pixels - background[:, None, None]).T, column).T
@@ -336,7 +340,6 @@ def _noise_passed_on(
     second = x**4 * summed(u2**2, v0**2) + y**4 * summed(u0**2, v2**2)
     second += 4.0 * x**2 * y**2 * summed(u1**2, v1**2)
     second += 2.0 * x**2 * y**2 * summed(u2 * u0, v0 * v2)
-    curved = np.where(across < 0.0, -across, np.nan)
     return np.sqrt(np.maximum(first, 0.0)) / curved, np.sqrt(np.maximum(second, 0.0)) / curved
 
 
