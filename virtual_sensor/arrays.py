@@ -67,6 +67,20 @@ def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
     return array.astype(float)
 
 
+def image_of(name: str, values: ArrayLike, least: float = -LARGEST) -> NDArray[np.float64]:
+    """The values as an image (H, W) of float; raises InputError, naming it, if it is none.
+
+    A mask hides numbers, and what is not finite, or is below `least`, is none.
+    """
+    image = numbers_of(name, unmasked(values))
+    if image.ndim != 2 or not np.all((image >= least) & (image <= LARGEST)):
+        wanted = f"finite numbers{f' from {least:g} on' if least > -LARGEST else ''}"
+        raise InputError(
+            f"{name} is of shape {image.shape}; give an image (height, width) of {wanted}"
+        )
+    return image
+
+
 def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
     """The values as an array of float, whose shape is the caller's to check; [] as (0, length).
 

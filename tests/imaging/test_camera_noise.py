@@ -207,7 +207,10 @@ def test_a_camera_that_can_not_be_is_refused(bad, says):
         CameraNoise(**bad)
 
 
-@pytest.mark.parametrize("light", [np.full((3, 3), np.nan), -np.ones((3, 3)), np.ones(3)])
+@pytest.mark.parametrize(
+    "light",
+    [np.full((3, 3), np.nan), -np.ones((3, 3)), np.ones(3), np.ma.masked_less(np.eye(3), 0.5)],
+)
 def test_light_that_can_not_be_is_refused(light):
     """Rather than turned into grey values."""
     with pytest.raises(InputError, match="photons"):

@@ -19,6 +19,7 @@ from scipy.constants import c, h
 from virtual_sensor.arrays import (
     LARGEST,
     SMALLEST,
+    image_of,
     number_within,
     numbers_of,
     unmasked,
@@ -162,11 +163,7 @@ def record(
     InputError
         Where `photons` has another shape, or holds what is negative or no number.
     """
-    light = numbers_of("record: photons", photons)
-    if light.ndim != 2:
-        raise InputError(f"record: photons has shape {light.shape}; give it (height, width)")
-    if not (np.isfinite(light).all() and light.min(initial=0.0) >= 0.0):
-        raise InputError("record: photons holds negative numbers or none; give a mean for each")
+    light = image_of("record: photons", photons, 0.0)
     rng = np.random.default_rng(seed)
     offset, response = _pattern(camera, light.shape)
     full = min(_SURELY_FULL * camera.full_well_e, _MOST_E)

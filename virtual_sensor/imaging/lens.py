@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
-from virtual_sensor.arrays import number_within, numbers_of, unmasked
+from virtual_sensor.arrays import image_of, number_within
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_families import Pinhole
 
@@ -37,7 +37,7 @@ def defocus_blur(image: ArrayLike, radius_px: float) -> Array:
 
 def _blurred(image: Array, by: Callable[..., NDArray], size: float, reach_px: float) -> Array:
     """Multiply an image's spectrum: exact where its pixels sample what it shows."""
-    if not size:
+    if not (size and image.size):
         return image
     apron = int(np.ceil(reach_px)) + 1
     shape = [next_fast_len(n + apron, real=True) for n in image.shape]
@@ -70,7 +70,7 @@ def distorted(image: ArrayLike, camera: Pinhole) -> Array:
     InputError
         Where the image has another shape, or holds no numbers.
     """
-    image, _ = _checked(image, 0.0, "distortion")
+    image = image_of("distorted: the image", image)
     if image.shape != camera.size[::-1]:
         raise InputError(
             f"distorted: the image is {image.shape[1]} x {image.shape[0]} px, the camera has"
@@ -104,9 +104,7 @@ def _reached(lit: NDArray[np.bool_], camera: Pinhole) -> NDArray[np.bool_]:
 
 
 def _checked(image: ArrayLike, number: float, name: str) -> tuple[Array, float]:
-    image = numbers_of("lens: the image", unmasked(image))
-    if image.ndim != 2 or not image.size or not np.isfinite(image).all():
-        raise InputError(f"lens: the image of shape {image.shape} must be (height, width), finite")
+    image = image_of("lens: the image", image)
     most = min(image.shape) / 2.0 + 1.0
     return image, number_within(
         f"lens: {name}", number, 0.0, most, "it from 0 up to half the image"

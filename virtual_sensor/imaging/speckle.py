@@ -22,7 +22,7 @@ from scipy.integrate import quad
 from scipy.interpolate import PchipInterpolator
 from scipy.special import j1, struve
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, numbers_of, unmasked
+from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -129,9 +129,7 @@ def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generat
         Where the image has another shape, or holds what is negative or no number; where the grains
         are finer than a 16th of a pixel.
     """
-    image = numbers_of("speckled: the image", unmasked(image))
-    if image.ndim != 2 or not (np.isfinite(image).all() and image.min(initial=0.0) >= 0.0):
-        raise InputError("speckled: give an image (height, width) of finite numbers from 0 on")
+    image = image_of("speckled: the image", image, 0.0)
     fine = max(3, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
     if fine > _MOST_FINE:
         raise InputError(

@@ -119,14 +119,13 @@ class March:
         if self.step_mm > sides.min():
             raise InputError(
                 f"a step of {self.step_mm:g} mm is longer than the field's shortest side,"
-                f" {sides.min():g} mm; give a shorter one, such as 2 mm (step)"
+                f" {sides.min():g} mm; give a shorter one, such as 2 mm"
             )
         longest = float(sides.max())
         if self.method not in CONTROLLED and self.step_mm * self.max_steps < longest:
             raise InputError(
                 f"{self.max_steps} steps of {self.step_mm:g} mm end within the field, which is"
                 f" {longest:.0f} mm long; give steps of {longest / self.max_steps:.2g} mm or more"
-                " (step)"
             )
 
     def __str__(self) -> str:
