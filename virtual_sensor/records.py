@@ -13,7 +13,7 @@ import json
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from pathlib import Path
@@ -231,6 +231,18 @@ def write_csv(path: Path, table: Table | Mapping[str, ArrayLike]) -> None:
     lines = [",".join(map(_cell, columns)), *(",".join(row) for row in zip(*cells, strict=True))]
     with written_whole(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace")
+
+
+def record_columns(kind: type[Record], records: Iterable[Record]) -> dict[str, list[Any]]:
+    """Columns of a table with a row for each record; mappings are JSON, truths yes or no."""
+
+    def cell(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return json.dumps(plain(value))
+        return value if not isinstance(value, bool) else "yes" if value else "no"
+
+    rows = list(records)
+    return {f.name: [cell(getattr(row, f.name)) for row in rows] for f in _fields(kind)}
 
 
 def _cell(value: object) -> str:

@@ -5,8 +5,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from virtual_sensor.records import Described, Record, Table, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, dictionary, file_table, undocumented
+from virtual_sensor.records import (
+    Described,
+    Record,
+    Table,
+    record_columns,
+    write_csv,
+    write_json,
+)
+from virtual_sensor.reporting.files import (
+    FileOf,
+    dictionary,
+    file_table,
+    undocumented,
+    write_results,
+)
+from virtual_sensor.reporting.page import Page, Section
+from virtual_sensor.reporting.pictures import Panel, draw_picture
 
 
 @dataclass(frozen=True)
@@ -96,14 +111,37 @@ def test_a_file_a_column_and_a_key_that_no_dictionary_lists_are_found(tmp_path):
 
 
 def test_the_files_of_a_page_are_links_with_words():
-    """Rationale: a name with a space must lead there, and a pattern to the folder it is in."""
+    """Rationale: a name with a space must lead there, and many names to the folder they are in."""
     files = (*FILES, FileOf("report.html", "This page."), FileOf("cases/*", "Cases."))
-    named = file_table(files, ["points_a b.csv", "report.html", "unknown.txt"])
-    [(link, words)] = named.rows
+    many = [f"{folder}{number}.csv" for number in range(4) for folder in ("points_", "cases/")]
+    [(link, words)] = file_table(files, ["points_a b.csv", "report.html", "unknown.txt"]).rows
     assert (link.text, link.url, words) == ("points_a b.csv", "points_a%20b.csv", "Points.")
-    first, *_, last = file_table(files).rows
-    assert (first[0], last[0].url) == ("points_*.csv", "cases/")
-    assert len(file_table(files).rows) == len(files) - 1
+    (points, _), (cases, _) = file_table(files, many).rows
+    assert (points, cases.text, cases.url) == ("points_*.csv", "cases/*", "cases/")
+
+
+def test_each_result_is_written_as_what_it_is_and_the_page_lists_them_all(tmp_path):
+    """Rationale: a file that no page mentions is found by nobody."""
+    (tmp_path / "cold.exr").touch()
+    state = State(0.1, {"ok": 2})
+    picture = draw_picture("", [Panel("P", lambda axes: axes.plot([1]), "a line")])
+    files = (*FILES, FileOf("table.md", "Table."), FileOf("report.html", "Page."))
+    contents = {
+        "points_hot.csv": record_columns(State, [state]),
+        "report.png": picture,
+        "table.md": "µm\ud800\n",
+        "report.html": Page("T", "Lead.", (Section("One", "text"),), "c", {"of": {"a": 1}}),
+        "summary.json": Summary({"hot": state}, 1.0),
+    }
+    write_results(tmp_path, files, contents)
+    assert (tmp_path / "points_hot.csv").read_text() == 'rms_px,counts\n0.1,"{""ok"": 2}"\n'
+    assert (tmp_path / "report.png").read_bytes() == picture.png
+    assert (tmp_path / "table.md").read_text() == "µm\\ud800\n"
+    assert json.loads((tmp_path / "summary.json").read_text())["seconds"] == 1.0
+    html = (tmp_path / "report.html").read_text()
+    assert "a: 1" in html
+    for name in {"cold.exr", *contents} - {"report.html"}:
+        assert f'href="{name}"' in html
 
 
 def test_the_dictionary_lists_names_units_and_words():

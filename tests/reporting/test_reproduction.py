@@ -544,7 +544,7 @@ def test_a_page_that_can_not_be_written_leaves_the_earlier_results(saved, monkey
     def fail(*arguments):
         raise OSError("disk full")
 
-    monkeypatch.setattr(reporting, "write_page", fail)
+    monkeypatch.setattr("virtual_sensor.reporting.files.write_page", fail)
     stand_in(monkeypatch, "airs", "figure", "fits", "poses", "reconstruction")
     with pytest.raises(InputError, match="disk full"):
         save(result, folder.parent, "virtual-sensor reproduce")

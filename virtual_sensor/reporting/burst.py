@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr, write_png
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.records import write_csv, write_json, write_ply
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Page, Section, write_page
+from virtual_sensor.records import write_ply
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import colour, plain
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
@@ -111,14 +111,17 @@ def save(result: Burst, folder: Path, command: str, overwrite: bool = False) -> 
 def fill(result: Burst, folder: Path, command: str) -> Tables:
     """Write a burst's files into a folder that is there."""
     tables = Tables.of(result)
-    write_csv(folder / "sway.csv", tables.line)
-    write_csv(folder / "probe_rays.csv", tables.rays)
-    write_csv(folder / "frames.csv", frame_table(result))
-    write_ply(folder / "sway.ply", tables.line.mean_mm, tables.line.std_height_um)
     picture = draw(result, tables)
-    picture.write(folder / PICTURE)
-    write_page(folder / PAGE, page(result, tables, picture, command, (folder / FRAMES).is_dir()))
-    write_json(folder / RESULTS_SIGN, tables.summary)
+    write_ply(folder / "sway.ply", tables.line.mean_mm, tables.line.std_height_um)
+    contents = {
+        "sway.csv": tables.line,
+        "probe_rays.csv": tables.rays,
+        "frames.csv": frame_table(result),
+        PICTURE: picture,
+        PAGE: page(result, tables, picture, command),
+        RESULTS_SIGN: tables.summary,
+    }
+    write_results(folder, FILES, contents)
     return tables
 
 
@@ -169,9 +172,7 @@ def lead(figures: BurstSummary) -> str:
     )
 
 
-def page(
-    result: Burst, tables: Tables, picture: Picture, command: str, with_frames: bool = False
-) -> Page:
+def page(result: Burst, tables: Tables, picture: Picture, command: str) -> Page:
     """The page of a burst."""
     figures = tables.summary
     name = result.scene.path.stem
@@ -180,7 +181,6 @@ def page(
         f" {counted(figures.field.instants, 'instant')} from {figures.field.first_s:g} to"
         f" {figures.field.last_s:g} s. A frame took {figures.time_per_frame_s:.2g} s."
     )
-    written = [f for f in FILES if with_frames or not f.pattern.startswith(FRAMES)]
     return Page(
         f"Sway of {name} in moving air",
         lead(figures),
@@ -193,10 +193,9 @@ def page(
                 " frames: where the line has moved, one side is brighter and the other darker.",
                 draw_views(result),
             ),
-            Section("Files", file_table(written)),
         ),
         command,
-        figures.made_with.to_dict(),
+        figures.made_with,
         figures.notes,
     )
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -19,16 +18,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.records import Record, plain, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import (
-    PAGE,
-    Content,
-    Details,
-    Page,
-    Section,
-    write_page,
-)
+from virtual_sensor.records import Record, record_columns
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import GREY, MARKERS, colours
 from virtual_sensor.reporting.tables import TextTable, text_table
@@ -466,19 +458,6 @@ def summary(chart: Chart) -> Summary:
     )
 
 
-def csv_columns(
-    kind: type[Measured | Scaling], records: Sequence[Measured | Scaling]
-) -> dict[str, list[Any]]:
-    """A row for each record; settings are JSON, truths yes or no."""
-
-    def cell(value: Any) -> Any:
-        if isinstance(value, dict):
-            return json.dumps(plain(value))
-        return value if not isinstance(value, bool) else "yes" if value else "no"
-
-    return {f.name: [cell(getattr(each, f.name)) for each in records] for f in fields(kind)}
-
-
 def measured_table(measured: Sequence[Measured], caption: str, whole: bool = False) -> TextTable:
     """Configurations of one task; `whole`: with all that is known of them, the front in bold.
 
@@ -594,16 +573,19 @@ def save(chart: Chart, folder: Path, command: str, overwrite: bool = False) -> N
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
     picture = draw_chart(chart)
+    panels = zip(chart.panels, picture.panels, strict=True)
+    contents = {
+        "configurations.csv": record_columns(Measured, chart.measured),
+        "failures.csv": chart.failures,
+        "scaling.csv": record_columns(Scaling, chart.scalings),
+        PICTURE: picture,
+        **{f"{name}.png": panel.png for name, panel in panels},
+        FRONT_TABLE: front_text(chart),
+        PAGE: page(chart, picture, command),
+        RESULTS_SIGN: summary(chart),
+    }
     with folder_written_whole(folder, overwrite) as place:
-        write_csv(place / "configurations.csv", csv_columns(Measured, chart.measured))
-        write_csv(place / "failures.csv", chart.failures)
-        write_csv(place / "scaling.csv", csv_columns(Scaling, chart.scalings))
-        picture.write(place / PICTURE)
-        for name, panel in zip(chart.panels, picture.panels, strict=True):
-            (place / f"{name}.png").write_bytes(panel.png)
-        (place / FRONT_TABLE).write_text(front_text(chart), encoding="utf-8")
-        write_page(place / PAGE, page(chart, picture, command))
-        write_json(place / RESULTS_SIGN, summary(chart))
+        write_results(place, FILES, contents)
 
 
 def front_text(chart: Chart) -> str:
@@ -657,10 +639,7 @@ def page(chart: Chart, picture: Picture, command: str) -> Page:
         memory = f"Peak memory of a process that renders a frame: {megabytes}."
         sections.append(Section("How time and memory grow", _GROW, table, memory))
     sections.append(Section("How it was measured", *_HOW))
-    sections.append(Section("Files", file_table(_written(chart))))
-    made = chart.machine.to_dict() | chart.machine.made_with.to_dict()
-    del made["made_with"]
-    made["time of the chart"] = time_in_words(chart.time_s)
+    made = {"machine": chart.machine, "time of the chart": time_in_words(chart.time_s)}
     title = "Speed against accuracy"
     return Page(title, headline(chart), tuple(sections), command, made, chart.notes)
 
@@ -687,8 +666,3 @@ def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
     count = sum(m.panel == name for m in chart.measured)
     content.append(Details(f"All {count} that were measured, the most accurate first", tables))
     return content
-
-
-def _written(chart: Chart) -> list[FileOf]:
-    absent = {f"{name}.png" for name in TITLES if name not in chart.panels}
-    return [each for each in FILES if each.pattern not in absent | {PAGE}]

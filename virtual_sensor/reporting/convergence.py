@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
-from virtual_sensor.records import plain, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.records import plain, record_columns
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import BLACK, GREEN, colour, decimal_ticks
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
@@ -43,15 +43,16 @@ def save(result: Convergence, folder: Path, command: str, overwrite: bool = Fals
     InputError
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
-    rows = [plain(change) for change in (*result.changes, result.longer_run)]
+    picture = draw(result)
+    contents = {
+        "convergence.csv": record_columns(Change, (*result.changes, result.longer_run)),
+        "convergence.png": picture,
+        "convergence.md": markdown(result),
+        PAGE: page(result, picture, command),
+        RESULTS_SIGN: result,
+    }
     with folder_written_whole(folder, overwrite) as place:
-        write_csv(place / "convergence.csv", {k: np.array([r[k] for r in rows]) for k in rows[0]})
-        picture = draw(result)
-        picture.write(place / "convergence.png")
-        with written_whole(place / "convergence.md") as temporary:
-            temporary.write_text(markdown(result), encoding="utf-8")
-        write_page(place / PAGE, page(result, picture, command))
-        write_json(place / RESULTS_SIGN, result)
+        write_results(place, FILES, contents)
 
 
 # Words and tables
@@ -138,10 +139,9 @@ def page(result: Convergence, picture: Picture, command: str) -> Page:
             Section("What suffices", table(result), *outcome(result), _sentence(result)),
             Section("Mesh, flow time and grid", picture),
             Section("Every setting", Details(f"All {len(result.changes)}", (settings,))),
-            Section("Files", file_table(FILES)),
         ),
         command=command,
-        made_with=result.made_with.to_dict(),
+        made_with=result.made_with,
         notes=result.notes,
     )
 

@@ -15,9 +15,9 @@ from virtual_sensor.errors import printable
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import STEGER
-from virtual_sensor.records import Record, plain, write_csv, write_json, write_ply
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Content, Page, Section, write_page
+from virtual_sensor.records import Record, plain, write_csv, write_ply
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Content, Page, Section
 from virtual_sensor.reporting.pictures import CELL_IN, Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import BLACK, GREEN, ORANGE, PURPLE, SKY, YELLOW, colour
 from virtual_sensor.reporting.style import plain as plain_text
@@ -40,7 +40,6 @@ MOST_WHOLE_PICTURES = 20
 _PEAKS = (GREEN, SKY, ORANGE, PURPLE, YELLOW)
 _JOINED = "\N{NO-BREAK SPACE}"
 _POINTS = 72.0  # of an inch
-_POINTS_FILE = "*.ply"
 _MARGIN_PX, _CLOSE_UP_PX = 12, (48, 30)
 _MOST_PX = 900  # shown of an image along a side: finer pixels are taken together
 _MOST_STRETCH, _LEAST_STRETCH = 50.0, 1.5
@@ -84,7 +83,7 @@ FILES = (
     FileOf(PAGE, "Page with the table of all images and their pictures."),
     FileOf("*.png", "Picture of an image: centres, statuses, predicted errors."),
     FileOf("*.csv", "Line centres of an image.", CentreTable),
-    FileOf(_POINTS_FILE, "Points of an image by --calibration: world, mm, with the line's height."),
+    FileOf("*.ply", "Points of an image by --calibration: world, mm, with the line's height."),
     FileOf(RESULTS_SIGN, "Settings, and what was found in each image.", Summary),
 )
 
@@ -158,8 +157,7 @@ def save(
         summary = Summary(
             command, versions(), settings, calibration, images, (*notes, *joined_notes(remarks))
         )
-        write_page(place / PAGE, page(summary, shown))
-        write_json(place / RESULTS_SIGN, summary)
+        write_results(place, FILES, {PAGE: page(summary, shown), RESULTS_SIGN: summary})
     return summary
 
 
@@ -220,14 +218,12 @@ def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
     settings.append({"setting": "calibration", "value": plain(summary.calibration)})
     columns = ("setting", Column("value", shape="{}", nothing="not given"))
     sections.append(Section("Settings", text_table(settings, columns)))
-    written = [f for f in FILES if summary.calibration or f.pattern != _POINTS_FILE]
-    sections.append(Section("Files", file_table(written)))
     return Page(
         title=f"Line centres in {counted(len(summary.images), 'image') if many else name}",
         lead=lead(summary),
         sections=tuple(sections),
         command=summary.command,
-        made_with=summary.made_with.to_dict(),
+        made_with=summary.made_with,
         notes=summary.notes,
     )
 

@@ -348,7 +348,7 @@ def page(info: FieldInfo, picture: Picture, command: str) -> Page:
         lead=lead(info),
         sections=tuple(sections),
         command=command,
-        made_with=info.made_with.to_dict(),
+        made_with=info.made_with,
         notes=info.notes,
     )
 

@@ -1,4 +1,4 @@
-"""The data dictionary: every file that a command writes, with what its columns and keys mean.
+"""The files of results, and the data dictionary: what each file's columns and keys mean.
 
 Each module of this room that writes files lists them as `FILES`; the words are those of the
 records and tables that the files hold.
@@ -9,18 +9,21 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 from urllib.parse import quote
 
-from virtual_sensor.records import Described, Record, documented
-from virtual_sensor.reporting.page import PAGE
+from virtual_sensor.files import written_whole
+from virtual_sensor.records import Described, Record, documented, write_csv, write_json
+from virtual_sensor.reporting.page import PAGE, Page, Section, write_page
+from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.tables import Link, TextTable
 
 _AXES = {f"_{axis}" for axis in (*"xyzuv", "norm")}
+_MOST_NAMED = 3  # files of a pattern that a page names one by one
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,41 @@ class FileOf:
         return list(self.kind) if isinstance(self.kind, tuple) else documented(self.kind)
 
 
+def write_results(folder: Path, files: Sequence[FileOf], contents: Mapping[str, Any]) -> None:
+    """Write files of results, each as what it is; the page gets a section that lists them all.
+
+    Parameters
+    ----------
+    folder : Path
+        What is in it already is listed too.
+    files : sequence of FileOf
+        With what the list says of each.
+    contents : dict of str to Page, Picture, bytes, str, Table or columns (CSV), or Record (JSON)
+        By their names, in the order in which they are written.
+
+    Raises
+    ------
+    InputError
+        If one can't be written.
+    """
+    there = [path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+    for name, content in contents.items():
+        path = folder / name
+        if isinstance(content, Page):
+            listed = Section("Files", file_table(files, sorted({*there, *contents})))
+            write_page(path, replace(content, sections=(*content.sections, listed)))
+        elif isinstance(content, Picture):
+            content.write(path)
+        elif isinstance(content, bytes):
+            with written_whole(path) as temporary:
+                temporary.write_bytes(content)
+        elif isinstance(content, str):
+            with written_whole(path) as temporary:
+                temporary.write_text(content, encoding="utf-8", errors="backslashreplace")
+        else:
+            (write_csv if path.suffix == ".csv" else write_json)(path, content)
+
+
 def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
     """The data dictionary in Markdown: command by command, then the objects within JSON files."""
     parts = [
@@ -75,18 +113,23 @@ def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
     return "\n".join(parts)
 
 
-def file_table(files: Sequence[FileOf], names: Sequence[str] | None = None) -> TextTable:
-    """Files beside a page, with links and words: `names`, or a row for each pattern.
-
-    A pattern leads to its folder.
-    """
+def file_table(files: Sequence[FileOf], names: Sequence[str]) -> TextTable:
+    """Files beside a page, with links and words; of many alike their pattern, with its folder."""
+    found: dict[FileOf, list[str]] = {each: [] for each in files}
+    for name in names:
+        if name != PAGE and (file := _file_of(files, name)):
+            found[file].append(name)
     rows: list[tuple[str | Link, str]] = []
-    for name in [each.pattern for each in files] if names is None else names:
-        file = next((each for each in files if fnmatchcase(name, each.pattern)), None)
-        if file and name != PAGE:
+    for file, alike in found.items():
+        for name in alike if len(alike) <= _MOST_NAMED else [file.pattern]:
             place = name if "*" not in name else name[: name.rfind("/", 0, name.index("*")) + 1]
             rows.append((Link(name, quote(place)) if place else name, file.words))
     return TextTable(("file", "what it holds"), tuple(rows))
+
+
+def _file_of(files: Sequence[FileOf], name: str) -> FileOf | None:
+    """The first whose pattern a name has."""
+    return next((each for each in files if fnmatchcase(name, each.pattern)), None)
 
 
 def _listed(fields: Sequence[Described], objects: dict[str, type]) -> list[str]:
@@ -106,7 +149,7 @@ def undocumented(folder: Path, files: Sequence[FileOf]) -> list[str]:
     found = []
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
         name = path.relative_to(folder).as_posix()
-        file = next((each for each in files if fnmatchcase(name, each.pattern)), None)
+        file = _file_of(files, name)
         if file is None:
             found.append(name)
         elif isinstance(file.kind, type) and path.suffix == ".csv":

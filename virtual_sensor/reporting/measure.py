@@ -1,6 +1,6 @@
 """A measurement's results: its picture, page and tables, and all files that it writes."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from operator import attrgetter
@@ -12,14 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.render import EXR_LAYERS, write_exr, write_png
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import DotErrors
-from virtual_sensor.records import write_csv, write_json, write_ply
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
+from virtual_sensor.records import write_csv, write_ply
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, plain
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
@@ -107,21 +107,20 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
                 write_csv(place / f"dots_{name}.csv", dot_table(state))
             brightness = state.dots.flux if state.dots else state.line.amplitude
             write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
-        write_csv(place / "probe_rays.csv", probe_table(result))
-        write_csv(place / "dense_search.csv", dense_table(result))
-        sensor = result.cold.scene.sensor
-        with written_whole(place / CALIBRATION) as temporary:
-            text = calibration_text(calibration_of(sensor), CALIBRATION)
-            temporary.write_text(text, encoding="utf-8")
+        sensor = calibration_of(result.cold.scene.sensor)
         whole, panels = picture(result, figures)
-        whole.write(place / "report.png")
-        with written_whole(place / "table.md") as temporary:
-            temporary.write_text(_table_page(result, figures), encoding="utf-8")
+        contents = {
+            "probe_rays.csv": probe_table(result),
+            "dense_search.csv": dense_table(result),
+            CALIBRATION: calibration_text(sensor, CALIBRATION),
+            "report.png": whole,
+            "table.md": _table_page(result, figures),
+            PAGE: page(result, figures, panels, command),
+            RESULTS_SIGN: figures,
+        }
         for frame in written:
             frame.result()
-        write_json(place / RESULTS_SIGN, figures)
-        names = [path.name for path in sorted(place.iterdir())]
-        write_page(place / PAGE, page(result, figures, panels, command, names))
+        write_results(place, FILES, contents)
     return figures
 
 
@@ -246,10 +245,9 @@ def page(
     figures: Summary,
     panels: Mapping[str, PanelPicture],
     command: str,
-    files: Sequence[str],
 ) -> Page:
-    """The page of a measurement; `files` are the names of those beside it."""
-    lead = headline(figures)
+    """The page of a measurement."""
+    said = headline(figures)
     sections = [
         Section(
             "The measured section",
@@ -285,13 +283,10 @@ def page(
             *(_frame_words(name, state) for name, state in figures.states.items()),
             Details("All parameters of the scene", (_parameters_table(figures),)),
         ),
-        Section("Files", file_table(FILES, files)),
     ]
-    made = figures.made_with.to_dict()
     title = f"{result.scene.path.stem}: a measurement"
-    return Page(
-        title, f"{lead[:1].upper()}{lead[1:]}.", tuple(sections), command, made, figures.notes
-    )
+    lead = f"{said[:1].upper()}{said[1:]}."
+    return Page(title, lead, tuple(sections), command, figures.made_with, figures.notes)
 
 
 def _beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from virtual_sensor.errors import printable
 from virtual_sensor.files import written_whole
+from virtual_sensor.records import Record, plain
 from virtual_sensor.reporting.pictures import PanelPicture, Picture
 from virtual_sensor.reporting.tables import Link, TextTable
 from virtual_sensor.reporting.words import anchor
@@ -93,7 +94,7 @@ class Page:
     sections : tuple of Section
     command : str
         The exact command that the results come from.
-    made_with : mapping
+    made_with : Record or mapping
         Versions and machine, by their names.
     notes : tuple of str
         What the reader should know besides; shown below the lead.
@@ -103,8 +104,13 @@ class Page:
     lead: str
     sections: tuple[Section, ...]
     command: str
-    made_with: Mapping[str, object]
+    made_with: Record | Mapping[str, object]
     notes: tuple[str, ...] = ()
+
+    @property
+    def facts(self) -> dict[str, object]:
+        """What it was made with, one by one: records within it are opened."""
+        return _opened(plain(self.made_with))
 
 
 def write_page(path: Path, page: Page) -> None:
@@ -128,6 +134,13 @@ def page_html(page: Page) -> str:
 def table_html(table: TextTable) -> Markup:
     """A table as HTML."""
     return _environment().get_template("content.html.j2").module.table(table)  # type: ignore[attr-defined]
+
+
+def _opened(values: Mapping[str, object]) -> dict[str, object]:
+    opened: dict[str, object] = {}
+    for name, value in values.items():
+        opened |= _opened(value) if isinstance(value, Mapping) else {name: value}
+    return opened
 
 
 @cache

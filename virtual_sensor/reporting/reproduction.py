@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
-from virtual_sensor.records import write_csv, write_json
-from virtual_sensor.reporting.files import FileOf
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import (
     PAGE,
     Details,
@@ -19,7 +18,6 @@ from virtual_sensor.reporting.page import (
     Page,
     Paragraph,
     Section,
-    write_page,
 )
 from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.reproduction_pictures import (
@@ -104,25 +102,25 @@ def save(result: Reproduction, folder: Path, command: str) -> None:
         "reconstruction": draw_reconstruction(result.reconstructions),
     }
     drawn = {name: picture for name, picture in pictures.items() if picture}
+    contents: dict[str, Any] = {f"{name}.png": picture for name, picture in drawn.items()}
+    for air in result.airs:
+        for part in dict.fromkeys(d.part for figure in FIGURES for d in figure.diagrams):
+            if columns := figure_columns(part, curves, air):
+                contents[f"figure_{part}_{air}.csv"] = columns
+        if poses := [curve for (at, _), curve in curves.poses.items() if at.air == air]:
+            contents[f"all_poses_{air}.csv"] = _lines(poses)
+    contents |= {
+        "whole_line.csv": _lines(curves.whole.values()),
+        "reconstruction.csv": result.cylinders,
+        "rendered_sections.csv": result.sections,
+        "rendered_minus_searched.csv": result.measured,
+        "statements.csv": statement_table(result.verdicts),
+        "statements.md": markdown(result),
+    }
+    tables = [name for name in contents if name.startswith("figure_") and name.endswith(".csv")]
+    contents |= {PAGE: page(result, drawn, tables, command), RESULTS_SIGN: result.summary}
     with folder_written_whole(folder / "report", overwrite=True) as place:
-        for name, picture in drawn.items():
-            picture.write(place / f"{name}.png")
-        for air in result.airs:
-            for part in dict.fromkeys(d.part for figure in FIGURES for d in figure.diagrams):
-                if columns := figure_columns(part, curves, air):
-                    write_csv(place / f"figure_{part}_{air}.csv", columns)
-            if poses := [curve for (at, _), curve in curves.poses.items() if at.air == air]:
-                write_csv(place / f"all_poses_{air}.csv", _lines(poses))
-        write_csv(place / "whole_line.csv", _lines(curves.whole.values()))
-        write_csv(place / "reconstruction.csv", result.cylinders)
-        write_csv(place / "rendered_sections.csv", result.sections)
-        write_csv(place / "rendered_minus_searched.csv", result.measured)
-        write_csv(place / "statements.csv", statement_table(result.verdicts))
-        with written_whole(place / "statements.md") as temporary:
-            temporary.write_text(markdown(result), encoding="utf-8")
-        tables = sorted(path.name for path in place.glob("*.csv"))
-        write_page(place / PAGE, page(result, drawn, tables, command))
-        write_json(place / RESULTS_SIGN, result.summary)
+        write_results(place, FILES, contents)
 
 
 def _lines(curves: Iterable[Curve]) -> dict[str, Any]:
@@ -197,7 +195,7 @@ def markdown(result: Reproduction) -> str:
 def page(
     result: Reproduction, pictures: Mapping[str, Picture], tables: Sequence[str], command: str
 ) -> Page:
-    """The page that sets all beside the paper; `tables` are files beside it."""
+    """The page that sets all beside the paper; `tables` are the figures' files beside it."""
     summary = result.summary
     apart = summary.rendered_minus_searched
     statements, reasons = table(result, verdict_first=True)
@@ -267,16 +265,12 @@ def page(
                 _agreement(result.measured, "dots"),
             ),
             Section(
-                "Tables",
-                Listing(tuple(Link(t, t) for t in tables if not t.startswith("figure_"))),
-                Details(
-                    "The figures' tables",
-                    (Listing(tuple(Link(t, t) for t in tables if t.startswith("figure_"))),),
-                ),
+                "The figures as tables",
+                Details(f"All {len(tables)}", (Listing(tuple(Link(t, t) for t in tables)),)),
             ),
         ),
         command,
-        {**summary.made_with.to_dict(), "cases measured now": summary.made_now},
+        {"versions": summary.made_with, "cases measured now": summary.made_now},
         tuple(summary.notes),
     )
 

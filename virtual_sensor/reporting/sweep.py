@@ -15,9 +15,8 @@ from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
-from virtual_sensor.records import write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Section, write_page
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import (
     LINES,
@@ -81,10 +80,13 @@ def save(result: Sweep, folder: Path, command: str) -> None:
         If the files can't be written.
     """
     picture = draw(result)
-    write_csv(folder / TABLE, result.table)
-    picture.write(folder / PICTURE)
-    write_page(folder / PAGE, page(result, picture, command))
-    write_json(folder / RESULTS_SIGN, result.summary)
+    contents = {
+        TABLE: result.table,
+        PICTURE: picture,
+        PAGE: page(result, picture, command),
+        RESULTS_SIGN: result.summary,
+    }
+    write_results(folder, FILES, contents)
 
 
 def unit_of(parameter: SweptParameter) -> str:
@@ -606,8 +608,5 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
         many = len(summary.notes) > _SHOWN_NOTES
         shown = Details(f"All {len(summary.notes)} notes", (notes,)) if many else notes
         sections.append(Section("Notes", shown))
-    sections.append(Section("Files", file_table(FILES)))
     name = Path(summary.scene).stem
-    return Page(
-        f"Sweep of {name}", lead(result), tuple(sections), command, summary.made_with.to_dict()
-    )
+    return Page(f"Sweep of {name}", lead(result), tuple(sections), command, summary.made_with)

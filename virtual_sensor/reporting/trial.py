@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,11 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from virtual_sensor.errors import printable
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.detectors import NAMES, STEGER
-from virtual_sensor.records import Record, write_csv, write_json
-from virtual_sensor.reporting.files import FileOf, file_table
-from virtual_sensor.reporting.page import PAGE, Details, Page, Section, write_page
+from virtual_sensor.records import Record, record_columns
+from virtual_sensor.reporting.files import FileOf, write_results
+from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, colours, decimal_ticks
 from virtual_sensor.reporting.style import plain as plain_text
@@ -112,16 +112,16 @@ def save(trial: Trial, folder: Path, command: str, overwrite: bool = False) -> N
         columns=trial.columns,
         time_s=trial.time_s,
     )
+    contents = {
+        "scores.csv": record_columns(Score, trial.scores),
+        "phases.csv": trial.phases,
+        **{f"{name}.png": picture for name, picture in pictures.items()},
+        TABLE: markdown(trial),
+        PAGE: page(trial, pictures, command),
+        RESULTS_SIGN: summary,
+    }
     with folder_written_whole(folder, overwrite) as place:
-        names = [each.name for each in fields(Score)]
-        write_csv(place / "scores.csv", {n: [getattr(s, n) for s in trial.scores] for n in names})
-        write_csv(place / "phases.csv", trial.phases)
-        for name, picture in pictures.items():
-            picture.write(place / f"{name}.png")
-        with written_whole(place / TABLE) as temporary:
-            temporary.write_text(markdown(trial), encoding="utf-8")
-        write_page(place / PAGE, page(trial, pictures, command))
-        write_json(place / RESULTS_SIGN, summary)
+        write_results(place, FILES, contents)
 
 
 def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> TextTable:
@@ -231,17 +231,12 @@ def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
         Section("All scores", Details(f"Tables of {len(tables)} images", tuple(tables)))
     )
     sections.append(Section("How it was done", *_HOW))
-    drawn = {f"{name}.png" for name in pictures}
-    written = [f for f in FILES if f.pattern in drawn or not f.pattern.endswith(".png")]
-    sections.append(Section("Files", file_table(written)))
     return Page(
         title="A trial of line detectors",
         lead=lead(trial),
         sections=tuple(sections),
         command=command,
-        made_with={"seed": trial.seed, "columns": trial.columns}
-        | {name: value for name, value in trial.machine.to_dict().items() if name != "made_with"}
-        | trial.machine.made_with.to_dict(),
+        made_with={"seed": trial.seed, "columns": trial.columns, "machine": trial.machine},
     )
 
 
