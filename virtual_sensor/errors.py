@@ -5,6 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+LONGEST_MESSAGE = 600  # behind its place, in characters
+
 
 def printable(text: str) -> str:
     r"""A text whose control characters are escapes, such as ``\x1b``; line ends and tabs stay."""
@@ -17,6 +19,11 @@ def _is_harmless(character: str) -> bool:
     return character.isprintable() or character in "\n\t" or unicodedata.category(character) == "Zs"
 
 
+def cause_of(error: Exception) -> str:
+    """The first line of what a library's error says; its kind if it says nothing."""
+    return f"{error}".partition("\n")[0][:200] or type(error).__name__
+
+
 class InputError(ValueError):
     """A scene, a field, an option or an output folder that the program cannot work with."""
 
@@ -26,11 +33,19 @@ class InputError(ValueError):
 
 @contextmanager
 def naming(place: object) -> Iterator[None]:
-    """Put a place, such as a file or an element of it, before the words of an InputError."""
+    """Put a place, such as a file or an element of it, before the words of an InputError, once.
+
+    A long text, such as a damaged file may make, is quoted in part.
+    """
     try:
         yield
     except InputError as error:
-        raise InputError(f"{place}: {error}") from None
+        said = f"{error}"
+        if said.startswith(f"{place}: "):
+            raise
+        if len(said) > LONGEST_MESSAGE:
+            said = f"{said[: LONGEST_MESSAGE - 100]}...{said[-100:]}"
+        raise InputError(f"{place}: {said}") from None
 
 
 class EngineError(RuntimeError):

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.medium.netcdf import naming
 from virtual_sensor.poses import Pose
 
 _LOCK = threading.Lock()

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from virtual_sensor.arrays import points_of, to_numpy, to_vectors
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.lookups import LOOKUPS, GridLookup
-from virtual_sensor.medium.netcdf import GriddedQuantity, naming, read_field_file, write_quantity
+from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
 from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES

@@ -49,15 +49,14 @@ variable then says ``fill_value_means = "solid"`` and there is no mask.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from scipy.io import netcdf_file
 
-from virtual_sensor.errors import InputError, printable
+from virtual_sensor.errors import InputError, naming, printable
 from virtual_sensor.files import written_whole
 from virtual_sensor.medium.air import (
     ATMOSPHERE_PA,
@@ -90,7 +89,6 @@ AMBIENT = {
 AMBIENT_TEMPERATURE_K = 293.15
 AMBIENT_DENSITY = 1.2041  # kg/m^3, dry air at 20 degC and 1 atm as an ideal gas
 PACKED_MAX = 32767  # and its negative; the one integer left, -32768, fills the solid
-LONGEST_MESSAGE = 600  # about a file, in characters
 TIME_DOUBT = 1e-6  # of the time itself: a float32 coordinate's rounding is no other instant
 
 
@@ -287,20 +285,6 @@ def write_quantity(path: str | Path, quantity: GriddedQuantity, packed: bool = T
 
     with written_whole(path) as unfinished:
         unfinished.write_bytes(buffer.getvalue())
-
-
-@contextmanager
-def naming(path: str | Path) -> Iterator[None]:
-    """Let errors about what is in a file begin with its name, and quote a damaged one in part."""
-    try:
-        yield
-    except InputError as error:
-        said = f"{error}"
-        if said.startswith(f"{path}: "):
-            raise
-        if len(said) > LONGEST_MESSAGE:
-            said = f"{said[: LONGEST_MESSAGE - 100]}...{said[-100:]}"
-        raise InputError(f"{path}: {said}") from error
 
 
 def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:

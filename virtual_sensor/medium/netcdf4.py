@@ -5,7 +5,7 @@ from __future__ import annotations
 import netCDF4
 import numpy as np
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, cause_of
 from virtual_sensor.medium.netcdf_elements import AXES, Contents, Variable
 from virtual_sensor.medium.quantities import UNITS
 
@@ -30,8 +30,7 @@ def read(path: str) -> Contents:
     except MemoryError:
         raise
     except Exception as error:  # as the damage will have it
-        told = f"{error}".partition("\n")[0][:200] or type(error).__name__
-        raise InputError(f"is truncated or damaged ({told}); copy it again") from error
+        raise InputError(f"is truncated or damaged ({cause_of(error)}); copy it again") from error
 
 
 def _variable(name: str, variable: netCDF4.Variable) -> Variable:

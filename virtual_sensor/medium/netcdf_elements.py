@@ -14,7 +14,7 @@ import numpy as np
 from scipy.io import netcdf_file
 
 from virtual_sensor.child import physical_memory, run_in_child
-from virtual_sensor.errors import InputError, printable
+from virtual_sensor.errors import InputError, cause_of, printable
 from virtual_sensor.files import readable
 from virtual_sensor.medium.units import unit_of
 
@@ -90,8 +90,7 @@ def open_netcdf(path: Path) -> Contents:
     try:
         nc = _File(io.BytesIO(content), "r", mmap=False)
     except Exception as error:  # of struct, NumPy and others, as the damage will have it
-        cause = f"{error}".partition("\n")[0][:200] or type(error).__name__
-        raise InputError(f"is truncated or damaged ({cause}); copy it again") from error
+        raise InputError(f"is truncated or damaged ({cause_of(error)}); copy it again") from error
     for name, variable in nc.variables.items():
         attributes = getattr(variable, "_attributes", None)
         taken = _OF_VARIABLES & set(attributes if isinstance(attributes, dict) else _OF_VARIABLES)

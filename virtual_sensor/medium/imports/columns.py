@@ -13,11 +13,11 @@ import numpy as np
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.imports.sources import Cloud, Grid, Source, Variable, split_units
+from virtual_sensor.medium.netcdf_elements import SECONDS
 
 # Coordinates by the names that COMSOL, ParaView, Fluent and STAR-CCM+ give them.
 COORDINATE = re.compile(r"([xyz])(?:[-_ ]?coord(?:inate)?)?|(?:points|centers?)[:_]([012])", re.I)
 TIME = re.compile(r"(?:\d+:\s*)?t\s*=\s*(\S*?)\s*(ms|s|min|h)?")
-SECONDS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0, None: 1.0}
 SAME_TIME = 1e-6  # of the time itself
 MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-nan", "-nan(ind)", "1.#qnan"}
 NIL = 1e-9  # an imaginary part of this times the real one is rounding
@@ -148,12 +148,35 @@ def _refuse_cut(lines: Sequence[str], mark: str | None) -> None:
         )
 
 
-def axis_of(name: str) -> int | None:
-    """Which axis a column is; None if none."""
-    match = COORDINATE.fullmatch(split_units(name)[0])
-    if not match:
-        return None
-    return "xyz".index(match[1].lower()) if match[1] else int(match[2])
+def coordinates_among(names: Sequence[str], what: str) -> tuple[dict[int, int], str]:
+    """Find the coordinates among the names of columns or arrays.
+
+    Returns
+    -------
+    places : dict of int to int
+        By the axis, which of the names is its coordinate's.
+    units : str
+        Of all coordinates.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, two of one axis, or their units differ.
+    """
+    found = [(i, COORDINATE.fullmatch(split_units(name)[0])) for i, name in enumerate(names)]
+    axes = [(m[1].lower() if m[1] else "xyz"[int(m[2])], i) for i, m in found if m]
+    places = {"xyz".index(axis): i for axis, i in axes}
+    listed = ", ".join(names) or "none"
+    if len(places) < 2:
+        raise InputError(
+            f"needs {what} x, y and z; there are: {listed} (for a cross-section two will do)"
+        )
+    if len(places) < len(axes):
+        raise InputError(f"two of the {what} {listed} are the same axis; leave one out")
+    units = {split_units(names[i])[1] for i in places.values()}
+    if len(units) > 1:
+        raise InputError(f"coordinates in different units: {', '.join(sorted(units))}; use one")
+    return places, units.pop()
 
 
 def from_columns(labels: Sequence[str], table: np.ndarray, reader: str) -> Source:
@@ -170,17 +193,7 @@ def from_columns(labels: Sequence[str], table: np.ndarray, reader: str) -> Sourc
             f"{table.shape[1]}; name each column once"
             + (", and use no comma as decimal mark" if table.shape[1] > len(labels) else "")
         )
-    axes = [axis_of(name) for name in labels]
-    places = {axis: i for i, axis in enumerate(axes) if axis is not None}
-    if len(places) < 2:
-        raise InputError(
-            f"needs columns x, y and z, or two for a cross-section; it has {', '.join(labels)}"
-        )
-    if len(places) < len([axis for axis in axes if axis is not None]):
-        raise InputError(f"two of the columns {', '.join(labels)} are the same axis; rename one")
-    units = {split_units(labels[i])[1] for i in places.values()}
-    if len(units) > 1:
-        raise InputError(f"coordinates in different units: {', '.join(sorted(units))}; use one")
+    places, units = coordinates_among(labels, "columns")
     points = np.zeros((len(table), 3))
     for axis, i in places.items():
         points[:, axis] = real_numbers(labels[i], table[:, i])[0]
@@ -192,7 +205,7 @@ def from_columns(labels: Sequence[str], table: np.ndarray, reader: str) -> Sourc
             values, note = real_numbers(label, table[:, i])
             variables.append(Variable(*split_sweep(label), values))
             notes = notes or note
-    return Source(variables, Cloud(points), units.pop(), reader, (notes,) if notes else ())
+    return Source(variables, Cloud(points), units, reader, (notes,) if notes else ())
 
 
 def real_numbers(label: str, values: np.ndarray) -> tuple[np.ndarray, str]:
@@ -250,7 +263,7 @@ def _time_of(variable: Variable) -> tuple[str, float | None]:
         if not match:
             continue
         try:
-            time = float(match[1]) * SECONDS[match[2]]
+            time = float(match[1]) * SECONDS[match[2] or "s"]
         except ValueError:
             time = np.nan
         if not np.isfinite(time):

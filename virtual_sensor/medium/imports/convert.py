@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy import ndimage
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.air import ZERO_CELSIUS_K, air_refractivity
 from virtual_sensor.medium.imports.import_field import Choices, Imported, Report
 from virtual_sensor.medium.imports.placement import (
@@ -39,7 +39,6 @@ from virtual_sensor.medium.netcdf import (
     AMBIENT_DENSITY,
     AMBIENT_TEMPERATURE_K,
     GriddedQuantity,
-    naming,
 )
 from virtual_sensor.medium.quantities import AMBIENT_LIMITS
 from virtual_sensor.medium.units import unit_of
@@ -76,13 +75,12 @@ def import_here(
             notes += more
 
         report("resampling", 0.3)
-        flags, nodes = _on_nodes(
+        at_nodes, solid, mirror, nodes = _on_nodes(
             replace(source, geometry=geometry),
             values,
             choices,
             lambda fraction: report("resampling", 0.3 + 0.6 * fraction),
         )
-        at_nodes, solid, mirror = flags
         at_nodes[solid] = np.nan
         notes += _border(kind, at_nodes, mirror, ambient)
         stated = {f"ambient_{kind}": ambient} if ambient is not None else {}
@@ -232,7 +230,7 @@ def _refuse(
 
 def _on_nodes(
     source: Source, values: np.ndarray, choices: Choices, report: Callable[[float], None]
-) -> tuple[tuple[np.ndarray, np.ndarray, tuple[bool, ...]], tuple[np.ndarray, ...]]:
+) -> tuple[np.ndarray, np.ndarray, tuple[bool, ...], tuple[np.ndarray, ...]]:
     """Values, solid and mirror planes on the output grid, and the grid's axes."""
     frame = Frame.parse(choices.axes, choices.origin_mm, choices.scale)
     has = bounds(source.geometry)
@@ -264,7 +262,7 @@ def _on_nodes(
     axes = output_axes(geometry, mirror, choices.box_mm, choices.spacing_mm, choices.extrude_mm)
     at_nodes = resample(geometry, values, axes, report)
     solid = _solid(at_nodes, axes, mirror, flat[0], choices.solid)
-    return (at_nodes, solid, mirror), axes
+    return at_nodes, solid, mirror, axes
 
 
 def _solid(

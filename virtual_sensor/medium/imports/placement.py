@@ -198,8 +198,7 @@ def unfold(
     inner = nodes > -0.01 * step
     nodes, values = nodes[inner], values.compress(inner, axis)
     near = nodes > 0.01 * step
-    if not near.all():
-        nodes = np.where(near, nodes, 0.0)
+    nodes = np.where(near, nodes, 0.0)
     axes = list(geometry.axes)
     axes[axis] = np.concatenate([-nodes[near][::-1], nodes])
     image = np.flip(values.compress(near, axis), axis)

@@ -11,6 +11,7 @@ import numpy as np
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.air import ZERO_CELSIUS_K
+from virtual_sensor.medium.netcdf_elements import MM
 from virtual_sensor.medium.units import unit_of
 
 # For each quantity, what makes K, kg/m3 or 1 of a value in these units: factor, then addend.
@@ -20,7 +21,7 @@ UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "refractivity": {"1": (1.0, 0.0)},
     "index": {"1": (1.0, -1.0)},
 }
-LENGTHS = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "inch": 25.4}
+LENGTHS = MM | {"um": 1e-3, "inch": 25.4}
 NAMES = {
     "temperature": {"t", "temp", "temperature", "statictemperature"},
     "density": {"rho", "density"},

@@ -5,16 +5,15 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, cause_of
 from virtual_sensor.medium.imports.columns import (
     ascending,
     at_time,
-    axis_of,
+    coordinates_among,
     delimiter,
     from_columns,
     is_numbers,
@@ -128,32 +127,26 @@ def read_numpy(path: Path, spacing_mm: Sequence[float] | None) -> Source:
         plain = Variable("values", "", _real("values", content))
         return Source(*ascending([plain], nodes), "mm", reader)
 
-    axes = {name: axis_of(name) for name in arrays}
-    places = {axis: name for name, axis in axes.items() if axis is not None}
-    others = {name: a for name, a in arrays.items() if axes[name] is None}
-    if len(places) < 2:
-        raise InputError(f"needs arrays x, y and z; there are: {', '.join(arrays) or 'none'}")
-    if len(places) < len(arrays) - len(others):
-        raise InputError(f"two of the arrays {', '.join(arrays)} are the same axis; leave one out")
+    names = list(arrays)
+    found, units = coordinates_among(names, "arrays")
+    places = {axis: names[i] for axis, i in found.items()}
+    others = {name: a for name, a in arrays.items() if name not in places.values()}
     real = {name: _real(name, arrays[name]) for name in places.values()}
     coordinates = [np.ravel(real[places[i]]) if i in places else np.zeros(1) for i in range(3)]
     shape = tuple(a.size for a in coordinates)
     on_axes = [n for n, a in others.items() if a.ndim > 1 and a.size == np.prod(shape, dtype=float)]
-    units = {split_units(name)[1] for name in places.values()}
     if on_axes and all(a.ndim == 1 for a in real.values()):
-        if len(units) > 1:
-            raise InputError(f"axes in different units: {', '.join(sorted(units))}; use one")
         values = [
             Variable(*split_units(name), _real(name, others[name]).reshape(shape))
             for name in on_axes
         ]
-        return Source(*ascending(values, coordinates), units.pop(), reader)
+        return Source(*ascending(values, coordinates), units, reader)
     labels = [*(places[i] for i in sorted(places)), *others]
     columns = [np.ravel(_real(name, arrays[name])) for name in labels]
     if len({len(c) for c in columns}) > 1:
         shapes = ", ".join(f"{name} {a.shape}" for name, a in arrays.items())
         raise InputError(f"the arrays do not fit each other: {shapes}; give x, y, z as axes")
-    return replace(from_columns(labels, np.stack(columns, axis=1), reader), reader=reader)
+    return from_columns(labels, np.stack(columns, axis=1), reader)
 
 
 def _loaded(path: Path) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
@@ -166,9 +159,9 @@ def _loaded(path: Path) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
     except (
         Exception
     ) as error:  # of tokenize, ast, zipfile, zlib, struct, as the damage will have it
-        cause = f"{error}".partition("\n")[0][:200] or type(error).__name__
         raise InputError(
-            f"is truncated, damaged or no NumPy file of numbers ({cause}); write or copy it again"
+            f"is truncated, damaged or no NumPy file of numbers ({cause_of(error)}); write or copy"
+            " it again"
         ) from error
     names = content.dtype.names or ()
     return (None, {n: content[n] for n in names}) if names else (content, {})
