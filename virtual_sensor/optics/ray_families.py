@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 
 _FAR_MM = 1024.0  # a ray is linear in the depth: its slope's derivatives come from so far apart
 _PLANAR = 1e-9  # rays of one coordinate lie in a plane if they leave it by no more, rad
-_BORDER = 65  # pixels along each side, to find what a distorted image shows
 
 # Of undoing a distortion.
 _MOST_STEPS = 30
@@ -295,16 +294,6 @@ class Pinhole(RayFamily):
     def distorts(self) -> bool:
         """Whether the camera is no ideal pinhole."""
         return self.fisheye or self.distortion.size > 0
-
-    @property
-    def extent(self) -> tuple[Array, Array]:
-        """Smallest and largest (p, q) on the sensor, each of shape (2,); NaN where none are."""
-        right, low = np.array(self.size) - 0.5
-        u, v = np.linspace(-0.5, right, _BORDER), np.linspace(-0.5, low, _BORDER)
-        sides = [(u, -0.5), (u, low), (-0.5, v), (right, v)]
-        border = np.concatenate([np.stack(np.broadcast_arrays(*s), axis=-1) for s in sides])
-        p, q = self.of_pixels(border)
-        return np.array([p.min(), q.min()]), np.array([p.max(), q.max()])
 
     def pixels(self, p: ArrayLike, q: ArrayLike) -> Array:
         """The pixels (..., 2) that see rays of coordinates (...); NaN of NaN."""
