@@ -98,20 +98,24 @@ def bend(
     """
     if field and any(variation.pose != field.pose for variation in variations):
         raise InputError("bend: a field and its variations must be moved by the same motions")
+    task = _Task(field, surface, line, march, remaining, tangents, variations)
     if field is None or field.pose is None:
-        return _bent(field, surface, line, march, remaining, tangents, variations, active)
+        return _bent(task, active)
     inside = _MediumFrame.of(field.pose, march)
-    ray = _bent(
-        field,
-        inside.surface(surface),
-        inside.line(line),
-        march,
-        inside.remaining(remaining, line),
-        tuple((inside.turned(x), inside.turned(v)) for x, v in tangents),
-        variations,
-        active,
-    )
-    return ray.turned(inside.turned_back)
+    return _bent(inside.task(task), active).turned(inside.turned_back)
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is marched, and where to; see `bend`."""
+
+    field: Field | None
+    surface: Surface
+    line: Straight
+    march: March
+    remaining: Remaining
+    tangents: tuple[tuple[Any, Any], ...]
+    variations: tuple[Field, ...]
 
 
 @dataclass(frozen=True)
@@ -145,19 +149,17 @@ class _MediumFrame:
         """A direction of this frame in the world's."""
         return self.x * v[0] + self.y * v[1] + self.z * v[2]
 
-    def line(self, line: Straight) -> Straight:
-        """Straight rays of the world in this frame."""
-        return Straight(
-            self.turned(line.anchor - self.origin), self.turned(line.direction), line.start
+    def task(self, task: _Task) -> _Task:
+        """A task of the world's in this frame."""
+        surface, line, remaining = task.surface, task.line, task.remaining
+        anchor, direction = self.turned(line.anchor - self.origin), self.turned(line.direction)
+        return replace(
+            task,
+            surface=surface if isinstance(surface, NoSurface) else _SurfaceSeenFrom(surface, self),
+            line=Straight(anchor, direction, line.start),
+            remaining=lambda _, ray: remaining(line, ray.turned(self.turned_back)),
+            tangents=tuple((self.turned(x), self.turned(v)) for x, v in task.tangents),
         )
-
-    def surface(self, surface: Surface) -> Surface:
-        """What stops rays, asked from this frame."""
-        return surface if isinstance(surface, NoSurface) else _SurfaceSeenFrom(surface, self)
-
-    def remaining(self, remaining: Remaining, line: Straight) -> Remaining:
-        """Where rays end, asked from this frame; `line` is the world's."""
-        return lambda _, ray: remaining(line, ray.turned(self.turned_back))
 
 
 @dataclass(frozen=True)
@@ -180,22 +182,15 @@ class _SurfaceSeenFrom:
         return self.surface.starts_inside(*self._in_world(origin, direction))
 
 
-def _bent(
-    field: Field | None,
-    surface: Surface,
-    line: Straight,
-    march: March,
-    remaining: Remaining,
-    tangents: tuple[tuple[Any, Any], ...],
-    variations: tuple[Field, ...],
-    active: Any,
-) -> BentRays:
+def _bent(task: _Task, active: Any) -> BentRays:
     """March rays in the field's frame; see `bend`."""
+    field, surface, line, march = task.field, task.surface, task.line, task.march
     width = dr.width(line.start)
     mask = dr.full(mi.Mask, True, width) & active
     zero = dr.zeros(march.scalar, width)
     none = dr.zeros(march.vector, width)
-    tangents = (*tangents, *((none, none) for _ in variations))
+    tangents = (*task.tangents, *((none, none) for _ in task.variations))
+    task = replace(task, tangents=tangents)
     ray = BentRays(
         march.scalar(line.start),
         (none, *(x for x, _ in tangents)),
@@ -211,29 +206,21 @@ def _bent(
         near, far = _slab(ray.position(line), line.direction, _box(field, march))
         meets = mask & (near < far) & (far > 0.0)
         gap = dr.select(meets & (near > 0.0), near + _BORDER_MM, 0.0)
-        ray, stopped = _run_straight(line, ray, gap, surface, remaining, meets)
+        ray, stopped = _run_straight(task, ray, gap, meets)
         meets &= ~stopped
-        ray = _march(field, surface, line, ray, march, remaining, tangents, variations, meets)
+        ray = _march(field, task, ray, meets)
         mask &= ~stopped & (ray.status == int(RayStatus.LEFT))
-    ray, _ = _run_straight(line, ray, never(line, ray), surface, remaining, mask)
+    ray, _ = _run_straight(task, ray, never(line, ray), mask)
     against = dr.dot(line.direction, ray.tangent(line)) < 0.0
     ray.status[(ray.status == int(RayStatus.LEFT)) & against] = int(RayStatus.TURNED_BACK)
     return ray
 
 
-def _march(
-    field: Field,
-    surface: Surface,
-    line: Straight,
-    ray: BentRays,
-    march: March,
-    remaining: Remaining,
-    tangents: tuple[tuple[Any, Any], ...],
-    variations: tuple[Field, ...],
-    active: Any,
-) -> BentRays:
+def _march(field: Field, task: _Task, ray: BentRays, active: Any) -> BentRays:
     """From the border (or from inside) through the field, step by step."""
-    rhs = _right_hand_side(field, line, march, tangents, variations)
+    surface, line, march = task.surface, task.line, task.march
+    remaining, variations = task.remaining, task.variations
+    rhs = _right_hand_side(field, task)
     controlled = march.method in CONTROLLED
     stops = not isinstance(surface, NoSurface)  # where nothing does, a tenth of a step is spared
     box = _box(field, march)
@@ -335,18 +322,13 @@ def _ahead(ray: BentRays, h: Any, step: Step) -> BentRays:
     )
 
 
-def _right_hand_side(
-    field: Field,
-    line: Straight,
-    march: March,
-    tangents: tuple[tuple[Any, Any], ...],
-    variations: tuple[Field, ...],
-) -> Rhs:
+def _right_hand_side(field: Field, task: _Task) -> Rhs:
     """The steppers' rhs: n grad n at the ray, and its derivative for each tangent."""
+    line, march = task.line, task.march
     lookup = field.lookup(march.precision)
-    varied = [variation.lookup(march.precision) for variation in variations]
+    varied = [variation.lookup(march.precision) for variation in task.variations]
     scale = 1.0 / (1.0 + field.ambient)
-    starts = ((dr.zeros(march.vector), dr.zeros(march.vector)), *tangents)
+    starts = ((dr.zeros(march.vector), dr.zeros(march.vector)), *task.tangents)
 
     def rhs(t: Any, x: Vectors) -> tuple[Vectors, Any]:
         if march.first_order:  # where the straight ray is, and its neighbours
@@ -367,15 +349,14 @@ def _right_hand_side(
     return rhs
 
 
-def _run_straight(
-    line: Straight, ray: BentRays, gap: Any, surface: Surface, remaining: Remaining, active: Any
-) -> tuple[BentRays, Any]:
+def _run_straight(task: _Task, ray: BentRays, gap: Any, active: Any) -> tuple[BentRays, Any]:
     """Move rays straight by dt = gap at most; also returns which of them were stopped.
 
     Those that nothing stops in an infinite gap stay where they are.
     """
+    line, surface = task.line, task.surface
     T = ray.tangent(line)
-    left = remaining(line, ray)
+    left = task.remaining(line, ray)
     reach = dr.minimum(gap, dr.maximum(left, 0.0))
     met = surface.distance(ray.position(line), T, reach, active)
     hit = active & dr.isfinite(met) & (met <= reach)
