@@ -67,9 +67,15 @@ def remove_later(folder: Path, time_s: float) -> None:
 
 def remove_series_from(folder: Path, time_s: float) -> None:
     """Remove series that start at a time or later, which the run will write again."""
-    for path in folder.glob("postProcessing/*/*"):
-        if _NUMBER.fullmatch(path.name) and float(path.name) >= time_s:
+    for start, path in _series_folders(folder, "*"):
+        if start >= time_s:
             remove_folder(path)
+
+
+def _series_folders(folder: Path, name: str) -> list[tuple[float, Path]]:
+    """A function object's folders, named for the times in s from which they hold; ascending."""
+    found = folder.glob(f"postProcessing/{name}/*")
+    return sorted((float(p.name), p) for p in found if _NUMBER.fullmatch(p.name))
 
 
 def series(folder: Path, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -96,14 +102,9 @@ def series(folder: Path, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     InputError
         If there is none of that name.
     """
-    starts = sorted(
-        (float(p.name), p)
-        for p in folder.glob(f"postProcessing/{name}/*")
-        if _NUMBER.fullmatch(p.name)
-    )
     headings: list[str] = []
     rows: list[list[str]] = []
-    for start, path in starts:
+    for start, path in _series_folders(folder, name):
         rows = [row for row in rows if float(row[0]) <= start]
         for file in sorted(path.glob("*.dat")):
             found, records = _records(file)
@@ -118,8 +119,8 @@ def series(folder: Path, name: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
 
 def last_record(folder: Path, name: str) -> list[float] | None:
     """The latest row that a function object has recorded: time in s, then its figures."""
-    starts = [p for p in folder.glob(f"postProcessing/{name}/*") if _NUMBER.fullmatch(p.name)]
-    files = sorted(max(starts, key=lambda p: float(p.name)).glob("*.dat")) if starts else []
+    folders = _series_folders(folder, name)
+    files = sorted(folders[-1][1].glob("*.dat")) if folders else []
     if not files:
         return None
     with files[-1].open("rb") as stream:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -46,16 +46,29 @@ class _Legacy:
         self.claimed: dict[str, int] = {}  # numbers of points and cells
         self.kind = ""
 
-    def line(self) -> list[str]:
-        """Words of the next line that is not empty; none at the end."""
+    def lines(self) -> Iterator[list[str]]:
+        """Step over lines one by one, and give their words."""
         while self.at < len(self.content):
             end = self.content.find(b"\n", self.at)
             end = len(self.content) if end < 0 else end
-            words = self.content[self.at : end].decode("latin-1").split()
-            self.at = end + 1
-            if words:
-                return words
+            line, self.at = self.content[self.at : end], end + 1
+            yield line.decode("latin-1").split()
+
+    def line(self) -> list[str]:
+        """Words of the next line that is not empty; none at the end."""
+        return next(filter(None, self.lines()), [])
+
+    def line_of(self, keyword: str) -> list[str]:
+        """Words of the next line if it begins with a keyword; else none, and it stays the next."""
+        place, words = self.at, self.line()
+        if words and words[0].upper() == keyword:
+            return words
+        self.at = place
         return []
+
+    def skip_metadata(self) -> None:
+        """Step behind the empty line that ends metadata."""
+        next((words for words in self.lines() if not words), None)
 
     def array(self, what: str, count: int, kind: str) -> None:
         """Step over an array."""
@@ -149,7 +162,7 @@ def _section(file: _Legacy, words: list[str], tuples: int) -> int:
     elif key in ("X_COORDINATES", "Y_COORDINATES", "Z_COORDINATES"):
         step(key, int(words[1]), words[2].lower())
     elif key in CELLS:
-        return _cells(file, words, tuples)
+        _cells(file, words)
     elif key == "CELL_TYPES":
         step(key, int(words[1]), "int")
     elif key in ("POINT_DATA", "CELL_DATA"):
@@ -162,9 +175,7 @@ def _section(file: _Legacy, words: list[str], tuples: int) -> int:
         return count
     elif key == "SCALARS":
         components = int(words[3]) if len(words) > 3 else 1
-        place, following = file.at, file.line()
-        if not following or following[0].upper() != "LOOKUP_TABLE":
-            file.at = place
+        file.line_of("LOOKUP_TABLE")
         step(words[1], components * tuples, words[2].lower())
     elif key in COMPONENTS:
         step(words[1], COMPONENTS[key] * tuples, words[2].lower())
@@ -185,7 +196,7 @@ def _section(file: _Legacy, words: list[str], tuples: int) -> int:
             else:
                 step(name, components * length, kind)
     elif key == "METADATA":
-        _skip_metadata(file)
+        file.skip_metadata()
     else:
         raise InputError(f"is damaged: '{key[:40]}' is no keyword of a VTK file")
     return tuples
@@ -202,40 +213,26 @@ DATASETS = (
 
 def _field_array(file: _Legacy) -> tuple[str, int, int, str]:
     """Head of an array of a FIELD; the metadata of the one before are skipped."""
+    if file.line_of("METADATA"):
+        file.skip_metadata()
     words = file.line()
-    if words and words[0].upper() == "METADATA":
-        _skip_metadata(file)
-        words = file.line()
     if len(words) < 4:
         raise InputError(f"is truncated or damaged at '{' '.join(words)}', an array of a FIELD")
     return words[0], int(words[1]), int(words[2]), words[3].lower()
 
 
-def _skip_metadata(file: _Legacy) -> None:
-    """Step behind the empty line that ends the metadata."""
-    while file.at < len(file.content):
-        end = file.content.find(b"\n", file.at)
-        end = len(file.content) if end < 0 else end
-        empty = not file.content[file.at : end].strip()
-        file.at = end + 1
-        if empty:
-            return
-
-
-def _cells(file: _Legacy, words: list[str], tuples: int) -> int:
+def _cells(file: _Legacy, words: list[str]) -> None:
     """Step over cells, in the form of version 5 (offsets and connectivity) or of older ones."""
     count, size = int(words[1]), int(words[2])
-    place, following = file.at, file.line()
-    if not following or following[0].upper() != "OFFSETS":
-        file.at = place
+    offsets = file.line_of("OFFSETS")
+    if not offsets:
         file.array(words[0], size, "int")
-        return tuples
-    file.array(f"{words[0]}, offsets", count, following[1].lower())
-    following = file.line()
-    if not following or following[0].upper() != "CONNECTIVITY":
+        return
+    file.array(f"{words[0]}, offsets", count, offsets[1].lower())
+    corners = file.line_of("CONNECTIVITY")
+    if not corners:
         raise InputError(f"is truncated or damaged: {words[0]} without a connectivity")
-    file.array(f"{words[0]}, connectivity", size, following[1].lower())
-    return tuples
+    file.array(f"{words[0]}, connectivity", size, corners[1].lower())
 
 
 def check_xml(path: Path) -> None:
