@@ -16,8 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from virtual_sensor.errors import InputError
-from virtual_sensor.files import folder_written_whole
+from virtual_sensor.files import folder_written_whole, readable
 from virtual_sensor.medium.heat_flow import setup, snapped_mesh
 from virtual_sensor.medium.heat_flow.mesh import block_mesh_dict, cylinder_mesh
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
@@ -68,10 +67,7 @@ def setup_record(flow: HeatFlow) -> dict[str, Any]:
     """What `setup.json` holds."""
     record = dataclasses.asdict(flow)
     if flow.stl:
-        try:
-            content = flow.stl.read_bytes()
-        except OSError as error:
-            raise InputError(f"{flow.stl}: can't be read ({error.strerror})") from error
+        content = readable(flow.stl).read_bytes()
         record |= {"stl": flow.stl.name, "stl_sha256": hashlib.sha256(content).hexdigest()}
     return record
 

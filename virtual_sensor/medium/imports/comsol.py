@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,8 +83,7 @@ def read_comsol(path: Path, time_s: float | None) -> Source:
             f"is truncated: its header says {nodes} nodes, there are {len(table)} rows;"
             " export or copy it again"
         )
-    source = from_columns(labels, table, reader)
-    return at_time(Source(source.variables, source.geometry, unit, reader, source.notes), time_s)
+    return at_time(replace(from_columns(labels, table, reader), length_units=unit), time_s)
 
 
 def _labels(line: str, count: int) -> list[str]:

@@ -40,7 +40,7 @@ from virtual_sensor.medium.netcdf import (
     AMBIENT_TEMPERATURE_K,
     GriddedQuantity,
 )
-from virtual_sensor.medium.quantities import AMBIENT_LIMITS
+from virtual_sensor.medium.quantities import AMBIENT_LIMITS, LIMITS
 from virtual_sensor.medium.units import unit_of
 
 with contextlib.suppress(ImportError):  # once, before children are forked
@@ -317,7 +317,7 @@ def _border(
     around = default if ambient is None else ambient
     if abs(border / around - 1.0) < BORDER_DIFFERS:
         return []
-    unit = {"temperature": " K", "density": " kg/m³", "refractivity": ""}[kind]
+    *_, unit = LIMITS[kind]
     taken = "taken as" if ambient is None else "said to be"
     return [
         f"the {'n - 1' if kind == 'refractivity' else kind} at the field's border is {border:.5g}"

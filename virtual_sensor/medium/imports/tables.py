@@ -63,9 +63,8 @@ def read_csv(path: Path, time_s: float | None) -> Source:
         If there is no header, or a row that is not numbers, or has too few.
     """
     lines = read_lines(path)
-    header = next((i for i, line in enumerate(lines) if not is_numbers(line)), None)
-    start = next((i for i, line in enumerate(lines) if is_numbers(line)), len(lines))
-    if header is None or start <= header or start == len(lines):
+    start = next((i for i, line in enumerate(lines) if is_numbers(line)), 0)
+    if not start:  # no header, or no numbers
         raise InputError(
             "needs a header row with names and units, such as x [mm],y [mm],z [mm],T [K], and then "
             "rows of numbers"

@@ -35,8 +35,6 @@ def joined_neighbours(flags: np.ndarray, join: np.ufunc) -> np.ndarray:
 def blank_points(data: Any) -> np.ndarray:
     """Which points have no data."""
     blank = ghosts(data.point_data, HIDDEN_POINT)
-    if not len(blank):
-        blank = np.zeros(data.n_points, bool)
     if "vtkValidPointMask" in data.point_data:
         blank |= np.asarray(data.point_data["vtkValidPointMask"]) == 0
     return blank
