@@ -1,7 +1,7 @@
 """The errors that a user is meant to read: each names the file, the element and the remedy."""
 
 import unicodedata
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,6 +22,12 @@ def _is_harmless(character: str) -> bool:
 def cause_of(error: Exception) -> str:
     """The first line of what a library's error says; its kind if it says nothing."""
     return f"{error}".partition("\n")[0][:200] or type(error).__name__
+
+
+def few(names: Sequence[str], most: int) -> str:
+    """Names for a message: so many at most, and how many more there are."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
 
 
 class InputError(ValueError):

@@ -9,6 +9,7 @@ And only regular files are read: a FIFO would block for ever.
 import ctypes
 import errno
 import fcntl
+import hashlib
 import logging
 import os
 import re
@@ -70,6 +71,12 @@ def readable(path: Path) -> Path:
     if not os.access(path, os.R_OK):
         raise InputError(f"{path}: can't be read (Permission denied); change its permissions")
     return path
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:

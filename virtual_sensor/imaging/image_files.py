@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, few
 from virtual_sensor.files import exists, readable
 from virtual_sensor.imaging.image_formats import (
     StoredImage,
@@ -104,11 +104,8 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
             if not inside:
                 raise InputError(f"{place}: holds no image; known are {', '.join(ENDINGS)}")
             if others := [p.name for p in entries if p not in set(inside)]:
-                more = (
-                    "" if len(others) <= _MOST_NAMES else f" and {len(others) - _MOST_NAMES} more"
-                )
-                names = ", ".join(others[:_MOST_NAMES])
-                notes.append(f"{place}: left out, as no images known here: {names}{more}.")
+                names = few(others, _MOST_NAMES)
+                notes.append(f"{place}: left out, as no images known here: {names}.")
             found += inside
         else:
             found.append(place)

@@ -1,6 +1,5 @@
 """A scene's text to Mitsuba's objects, checked meanwhile; errors in a user's terms."""
 
-import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
+from virtual_sensor.child import physical_memory
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
@@ -363,7 +363,7 @@ def _check_pose(where: str, matrix: NDArray[np.float64], camera: bool) -> list[s
 
 
 def _check_film(where: str, width: int, height: int) -> None:
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    memory = physical_memory()
     if width * height * _PIXEL_BYTES > memory:
         raise InputError(
             f"{where}: a film of {width} x {height} px needs {width * height * _PIXEL_BYTES:.2g}"

@@ -25,7 +25,6 @@ lengths                          in mm; a scene that seems to be in metres gets 
 
 from __future__ import annotations
 
-import hashlib
 import pickle
 import re
 from collections.abc import Iterable, Mapping
@@ -46,7 +45,7 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import exists, readable
+from virtual_sensor.files import exists, readable, sha256_of
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
     SceneFile,
@@ -105,7 +104,7 @@ class _Origin:
             inside = (file.relative_to(each) for each in folders if file.is_relative_to(each))
             return next(inside, file.absolute())
 
-        digests = tuple((place(file.absolute()), _digest(file)) for file in files)
+        digests = tuple((place(file.absolute()), sha256_of(file)) for file in files)
         return _Origin(given, here.absolute(), digests)
 
     @property
@@ -117,7 +116,7 @@ class _Origin:
         """Raise InputError if a file has changed."""
         for file, (_, digest) in zip(self.files, self.digests, strict=True):
             there = exists(file)
-            if not there or _digest(file) != digest:
+            if not there or sha256_of(file) != digest:
                 raise InputError(
                     f"{self.files[0]}: can't be loaded again, since {file}"
                     f" {'was changed' if there else 'is gone'}; load the scene by load_scene"
@@ -634,11 +633,6 @@ def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str
             if exists(place) and place.is_file():
                 found[place.resolve()] = None
     return list(found)
-
-
-def _digest(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _places(path: Path, loaded: Any, cameras: dict[str, Pinhole]) -> list[str]:

@@ -35,7 +35,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError, naming
+from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import readable
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
@@ -324,9 +324,7 @@ class _File:
         """All notes, one on the names that were not used among them."""
         others = sorted(self.elements.keys() - self.used)
         if others:
-            more = f" and {len(others) - _MOST_NAMES} more" if len(others) > _MOST_NAMES else ""
-            names = ", ".join(f"{name!r}" for name in others[:_MOST_NAMES])
-            self.notes.append(f"not used: {names}{more}")
+            self.notes.append(f"not used: {few([f'{n!r}' for n in others], _MOST_NAMES)}")
         return tuple(f"{self.path}: {note}." for note in dict.fromkeys(self.notes))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import SMALLEST, number_within, whole_number
-from virtual_sensor.metrology.line_profiles import checked_image, saturation_level
+from virtual_sensor.metrology.line_profiles import QUARTILE, checked_image, saturation_level
 
 Array = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ def dot_centres(
     smooth = cv2.GaussianBlur(filled, (0, 0), SMOOTHING_PX, borderType=cv2.BORDER_REFLECT_101)
     some = smooth.ravel()[:: smooth.size // SAMPLE | 1]
     background = np.median(some)
-    noise = np.median(np.abs(some - background)) / 0.6745
+    noise = np.median(np.abs(some - background)) / QUARTILE
     contrast = smooth - background
     rounding = 16.0 * np.finfo(float).eps * np.abs(smooth).max()
     lowest = max(threshold * contrast.max(), SIGNIFICANCE * noise, rounding)

@@ -19,7 +19,7 @@ import numpy as np
 
 from virtual_sensor import engine
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import discard, folder_written_whole, settle, written_whole
+from virtual_sensor.files import discard, folder_written_whole, settle, sha256_of, written_whole
 
 _DISTRIBUTION = "virtual-sensor"
 _PACKAGES = {  # and what of their files belongs to the program: a scene's are inputs of its case
@@ -132,8 +132,7 @@ def _plain(value: object) -> object:
 
 @cache
 def _hash_of(path: Path, size: int, mtime_ns: int) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return sha256_of(path)
 
 
 def file_hash(path: Path) -> str:
