@@ -374,13 +374,14 @@ def _probed(
         return replace(beam, margin=spare, moved=np.zeros(2), sight_mm=0.0, march_mm=0.0)
     some = np.linspace(0, len(beam.index) - 1, _PROBES).astype(int)
     seen_at, lit_at = (places[some].astype(float) for places in (beam.seen, beam.own))
-    (sideways, moved), finer = (
-        (
-            displaced(field, camera, steps, seen_at)[:, :2],
-            displaced(field, family, steps, lit_at)[:, :2],
-        )
-        for steps in (march, replace(march, step_mm=march.step_mm / 2.0))
-    )
+
+    def moved_by(steps: March) -> list[Array]:
+        """By how much rays of the camera and of the source are moved, mm."""
+        rays = (camera, seen_at), (family, lit_at)
+        return [displaced(field, each, steps, places)[:, :2] for each, places in rays]
+
+    sideways, moved = moved_by(march)
+    finer = moved_by(replace(march, step_mm=march.step_mm / 2.0))
     apart = (np.abs(one - two).max() for one, two in zip((sideways, moved), finer, strict=True))
     # On the surface's tangent plane, the point seen moves along the ray too.
     centre, heading = camera.rays(*seen_at[:, :2].T)

@@ -18,7 +18,7 @@ from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
 from virtual_sensor.optics.illumination import Illumination
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError
-from virtual_sensor.optics.surfaces import SceneSurface, own_variant
+from virtual_sensor.optics.surfaces import SceneSurface, own_variant, slab
 from virtual_sensor.optics.transports import Marched, Sight, Transport, rows
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
@@ -137,8 +137,7 @@ class Arrangement:
         the seam of two triangles, and meets the next face from behind, a micrometre aside.
         """
         low, high = (dr.opaque(mi.Point3f(corner)) for corner in self.surface.corners)
-        inverse = dr.rcp(dr.select(ray.d == 0.0, 1e-30, ray.d))
-        enters = dr.max(dr.minimum((low - ray.o) * inverse, (high - ray.o) * inverse))
+        enters, _ = slab(ray.o, ray.d, (low, high))
         start = dr.maximum(enters - _NEAR_MM, 0.0)
         near = mi.Ray3f(ray(start), ray.d)
         si = self.scene.ray_intersect(near)

@@ -20,7 +20,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import BentRays, Field, March, Straight
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
-from virtual_sensor.optics.surfaces import NoSurface, Surface
+from virtual_sensor.optics.surfaces import NoSurface, Surface, slab
 from virtual_sensor.poses import Pose
 
 LAST_PIECE_MM = 0.05
@@ -203,7 +203,7 @@ def _bent(task: _Task, active: Any) -> BentRays:
     ray.status[inside] = int(RayStatus.STARTED_INSIDE)
     mask &= ~inside
     if field is not None:
-        near, far = _slab(ray.position(line), line.direction, _box(field, march))
+        near, far = slab(ray.position(line), line.direction, _box(field, march))
         meets = mask & (near < far) & (far > 0.0)
         gap = dr.select(meets & (near > 0.0), near + _BORDER_MM, 0.0)
         ray, stopped = _run_straight(task, ray, gap, meets)
@@ -247,7 +247,7 @@ def _march(field: Field, task: _Task, ray: BentRays, active: Any) -> BentRays:
 
     def ahead_of(ray: BentRays) -> tuple[Any, Any]:
         """Signed dt to the place where a ray is asked to end; dt to the border, above 0 inside."""
-        return remaining(line, ray), _slab(ray.position(line), ray.tangent(line), box)[1]
+        return remaining(line, ray), slab(ray.position(line), ray.tangent(line), box)[1]
 
     def body(
         ray: BentRays, moving: Any, chord: Any, count: Any, pace: Any, left: Any, out: Any
@@ -391,10 +391,3 @@ def _box(field: Field, march: March) -> tuple[Any, Any]:
     """Corners of the field's box in the march's precision; opaque: one kernel for any box."""
     low, high = (dr.opaque(march.vector(*map(float, corner))) for corner in field.box)
     return low, high
-
-
-def _slab(p: Any, direction: Any, box: tuple[Any, Any]) -> tuple[Any, Any]:
-    """Where lines enter and leave a box, in units of the direction's length."""
-    inverse = dr.rcp(dr.select(direction == 0.0, 1e-30, direction))
-    one, two = (box[0] - p) * inverse, (box[1] - p) * inverse
-    return dr.max(dr.minimum(one, two)), dr.min(dr.maximum(one, two))

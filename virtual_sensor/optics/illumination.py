@@ -22,7 +22,9 @@ from virtual_sensor.optics.surfaces import NoSurface, Surface
 
 _SETTLED_MM = 5e-3  # of a miss: Newton's correction of it leaves about 0.01 um
 _MAX_MARCHES = 8
-_CLEARANCE_MM = 0.05  # shadows are searched up to here before the point itself
+
+CLEARANCE_MM = 0.05
+"""Shadows are searched up to here before the point itself."""
 
 
 class LightStatus(IntEnum):
@@ -118,12 +120,12 @@ def illuminate(
             NoSurface() if newton else surface,
             line,
             march,
-            remaining=in_plane(frame.z, to_plane - _CLEARANCE_MM),
+            remaining=in_plane(frame.z, to_plane - CLEARANCE_MM),
             tangents=by_start if newton else (),
             active=wanted & ~settled,
         )
         arrived = ray.status == int(RayStatus.ENDED)
-        ray = ray.moved(_CLEARANCE_MM / dr.dot(frame.z, ray.tangent(line)))
+        ray = ray.moved(CLEARANCE_MM / dr.dot(frame.z, ray.tangent(line)))
         if newton:
             jacobian = _jacobian(frame, line, ray)
         at_x, at_y, _ = frame.local(ray.position(line))

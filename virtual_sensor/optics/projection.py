@@ -129,12 +129,15 @@ def projected_points(
     view, rows = scene.camera, points.reshape(-1, 3)
     finite = np.asarray(np.isfinite(rows).all(axis=1))
     rows = np.where(finite[:, None], rows, np.nan)
-    pixel, status = np.full((len(rows), 2), np.nan), np.zeros(len(rows), np.uint8)
     straight, depth = view.project(rows), view.pose.to_local(rows)[:, 2]
     near = in_view(view, rows)
-    reasons = (~finite, ProjectionStatus.NO_POINT), (~(depth > 0.0), ProjectionStatus.BEHIND)
-    for missing, reason in (*reasons, (~near, ProjectionStatus.OFF)):
-        status[missing & (status == ProjectionStatus.OK)] = reason
+    reasons = {
+        ProjectionStatus.NO_POINT: ~finite,
+        ProjectionStatus.BEHIND: ~(depth > 0.0),
+        ProjectionStatus.OFF: ~near,
+    }
+    status = np.select(list(reasons.values()), list(reasons), ProjectionStatus.OK)
+    pixel = np.full((len(rows), 2), np.nan)
     if not through_medium or scene.field is None:
         beside = finite & (depth > 0.0) & np.isfinite(straight[:, 0])
         pixel, status = np.where(beside[:, None], straight, np.nan), np.where(beside, 0, status)

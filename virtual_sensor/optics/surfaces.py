@@ -130,3 +130,10 @@ class Cylinder:
         y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm
         within = dr.square(y) + dr.square(z) < self.radius_mm**2
         return within & (dr.abs(origin.x) < self.half_length_mm)
+
+
+def slab(p: Any, direction: Any, box: tuple[Any, Any]) -> tuple[Any, Any]:
+    """Where lines enter and leave a box, in units of the direction's length."""
+    inverse = dr.rcp(dr.select(direction == 0.0, 1e-30, direction))
+    one, two = (box[0] - p) * inverse, (box[1] - p) * inverse
+    return dr.max(dr.minimum(one, two)), dr.min(dr.maximum(one, two))

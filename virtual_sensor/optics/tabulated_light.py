@@ -6,12 +6,11 @@ from typing import Any
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import March, Straight
 from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.illumination import Illumination, LightStatus
+from virtual_sensor.optics.illumination import CLEARANCE_MM, Illumination, LightStatus
 from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap
 from virtual_sensor.optics.surfaces import SceneSurface
 
 _REACH_MM = 0.5  # the last search for a surface reaches so far before and behind the place guessed
-_CLEARANCE_MM = 0.05  # shadows are searched up to here before the point itself
 
 
 @dataclass
@@ -117,7 +116,7 @@ def light(
     met = surface.distance(
         point - chord * room,
         chord,
-        room - dr.opaque(mi.Float, _CLEARANCE_MM),
+        room - dr.opaque(mi.Float, CLEARANCE_MM),
         active & (room > lift),
     )
     shadowed = active & dr.isfinite(met)
