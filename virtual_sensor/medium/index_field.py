@@ -256,9 +256,9 @@ class IndexField(Movable):
     def _section(self) -> np.ndarray:
         """Difference from ambient at the nodes of the section x = 0; shape (ny, nz)."""
         y, z = (self.origin[i] + self.spacing[i] * np.arange(self.shape[i]) for i in (1, 2))
-        points = np.stack(np.broadcast_arrays(0.0, *np.meshgrid(y, z, indexing="ij")), axis=-1)
+        points = np.stack(np.meshgrid(0.0, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
         whole = self.simplified(self.interpolation, 3).lookup("double")
-        return whole.delta(to_vectors(points.reshape(-1, 3))).numpy().reshape(points.shape[:2])
+        return whole.delta(to_vectors(points)).numpy().reshape(self.shape[1:])
 
     @property
     def shape(self) -> tuple[int, ...]:

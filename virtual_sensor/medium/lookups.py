@@ -7,6 +7,7 @@ symbolic loops may call them; the derivatives cannot themselves be differentiate
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from itertools import product
@@ -108,6 +109,11 @@ class GridLookup(ABC):
         return self._matrix(rows)
 
 
+def _strides(shape: tuple[int, ...]) -> list[Any]:
+    """From one number to the next along each axis, in C order."""
+    return [dr.opaque(mi.UInt32, math.prod(shape[axis + 1 :])) for axis in range(len(shape))]
+
+
 class CubicLookup(GridLookup):
     """The cubic spline through the nodes: continuous up to the second derivative.
 
@@ -131,8 +137,7 @@ class CubicLookup(GridLookup):
         self._packet = mi.Array4f64 if self._scalar is mi.Float64 else mi.Array4f
 
         # Opaque: one kernel for any grid.
-        strides = np.cumprod([1, *shape[:0:-1]])[::-1].tolist()
-        self._strides = [dr.opaque(mi.UInt32, stride) for stride in strides]
+        self._strides = _strides(shape)
         self._last = [dr.opaque(mi.UInt32, count - 4) for count in shape]
         self._end = self._opaque(np.array(shape) - 3)
         self._scale = self._opaque(1.0 / spacing)
@@ -247,8 +252,7 @@ class LinearLookup(GridLookup):
         self._last = dr.opaque(
             dr.int32_array_t(self._grid_vector)(*(n - 2 for n in difference.shape))
         )
-        strides = np.cumprod([1, *difference.shape[:0:-1]])[::-1].tolist()
-        self._strides = [dr.opaque(mi.UInt32, stride) for stride in strides]
+        self._strides = _strides(difference.shape)
 
     def delta(self, p: Any) -> Any:
         """See `GridLookup`."""
