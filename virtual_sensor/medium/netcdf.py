@@ -135,14 +135,10 @@ class FieldFile:
     ----------
     refractivity : ndarray of shape (nx, ny, nz)
         n - 1 at the nodes; NaN where the file has no value.
-    origin_mm, spacing_mm : ndarray of shape (3,)
-        World position of node [0, 0, 0], and the distance of nodes, mm.
+    origin_mm, spacing_mm, mirror, solid
+        As those of `GriddedQuantity`.
     ambient : float
         n - 1 of the surrounding air.
-    mirror : tuple of three bool
-        Whether the field is even about the plane through an axis's first node.
-    solid : ndarray of bool of shape (nx, ny, nz) or None
-        True inside the solid.
     source : str
         Where the field comes from, in words; empty if the file does not say.
     notes : tuple of str
@@ -329,6 +325,14 @@ def _checked(quantity: GriddedQuantity) -> tuple[np.ndarray, np.ndarray | None]:
     return values, solid
 
 
+def ambient_of(nc: Contents, kind: str, name: str, default: float) -> float:
+    """A property of the surrounding air, an attribute of the variable or the file, in K, Pa, ..."""
+    variable = nc.variables[kind]
+    owner = variable if name in variable.attributes else nc
+    addend = units_of(nc, kind, UNITS[kind]) if name == f"ambient_{kind}" else 0.0
+    return possible_ambient(name, number(owner, name, default - addend) + addend)
+
+
 def _kind(nc: Contents) -> str:
     """Find which of the three quantities the file holds."""
     found = [kind for kind in UNITS if kind in nc.variables]
@@ -373,24 +377,19 @@ def _read_refractivity(
 ) -> tuple[np.ndarray, float]:
     """Read n - 1 at the nodes, NaN where missing or solid, and of the surrounding air."""
     kind = _kind(nc)
-    variable = nc.variables[kind]
-    offset = units_of(nc, kind, UNITS[kind])
-    values = _read_values(nc, kind, time_s) + offset
+    values = _read_values(nc, kind, time_s) + units_of(nc, kind, UNITS[kind])
     if solid is not None:
         values[solid] = np.nan
     check_limits(kind, values)
 
-    def ambient(name: str, default: float, addend: float = 0.0) -> float:
-        owner = variable if name in variable.attributes else nc
-        return possible_ambient(name, number(owner, name, default - addend) + addend)
-
     if kind == "temperature":
-        T = ambient("ambient_temperature", AMBIENT_TEMPERATURE_K, offset)
-        pressure = ambient("ambient_pressure", ATMOSPHERE_PA)
-        humidity = ambient("ambient_relative_humidity", 0.0)
+        T = ambient_of(nc, kind, "ambient_temperature", AMBIENT_TEMPERATURE_K)
+        pressure = ambient_of(nc, kind, "ambient_pressure", ATMOSPHERE_PA)
+        humidity = ambient_of(nc, kind, "ambient_relative_humidity", 0.0)
         n = float(air_refractivity(wavelength_nm, T - ZERO_CELSIUS_K, pressure, humidity))
         return n * (T / values), n
     if kind == "density":
         K = float(refractivity_of_density(1.0, wavelength_nm))  # m^3/kg
-        return K * values, K * ambient("ambient_density", AMBIENT_DENSITY)
-    return values, ambient("ambient_refractivity", float(air_refractivity(wavelength_nm)))
+        return K * values, K * ambient_of(nc, kind, "ambient_density", AMBIENT_DENSITY)
+    default = float(air_refractivity(wavelength_nm))
+    return values, ambient_of(nc, kind, "ambient_refractivity", default)

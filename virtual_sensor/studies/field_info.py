@@ -23,8 +23,8 @@ from virtual_sensor.imaging.checks import (
 )
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, read_field_file
-from virtual_sensor.medium.netcdf_elements import number, open_netcdf, read_times, text, units_of
+from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, ambient_of, read_field_file
+from virtual_sensor.medium.netcdf_elements import open_netcdf, read_times, text
 from virtual_sensor.metrology.truth import FINE_PX
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.trace import trace
@@ -371,9 +371,7 @@ def _contents(path: Path) -> dict[str, Any]:
     quantity = next(name for name in UNITS if name in nc.variables)
     ambient = AMBIENT_TEMPERATURE_K
     if quantity == "temperature":
-        offset, variable = units_of(nc, quantity, UNITS[quantity]), nc.variables[quantity]
-        owner = variable if "ambient_temperature" in variable.attributes else nc
-        ambient = number(owner, "ambient_temperature", ambient - offset) + offset
+        ambient = ambient_of(nc, quantity, "ambient_temperature", ambient)
     texts = {name: text(nc, name) for name, v in nc.attributes.items() if isinstance(v, str)}
     return {
         "quantity": quantity,
