@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from virtual_sensor.errors import InputError
@@ -21,8 +22,15 @@ from virtual_sensor.reporting.page import (
     write_page,
 )
 from virtual_sensor.reporting.pictures import Panel, draw_picture
-from virtual_sensor.reporting.style import COLOURS, colour, colours, plain
-from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
+from virtual_sensor.reporting.style import (
+    COLOURS,
+    colour,
+    colours,
+    plain,
+    write_beside,
+    write_on_line,
+)
+from virtual_sensor.reporting.tables import Column, Link, TextTable, pair_table, text_table
 
 NASTY = "<script>alert('1')</script> \"quoted\" & $x$ a|b \x1b[31m"
 
@@ -197,3 +205,26 @@ def test_colours_are_told_apart_by_any_eye():
             shown = np.clip(seen @ matrix.T, 0.0, 1.0) ** (1.0 / 2.4)
             apart = np.linalg.norm(shown[:, None] - shown[None], axis=-1)
             assert apart[~np.eye(len(group), dtype=bool)].min() > 0.12, group
+
+
+def test_pairs_are_a_table_with_a_word_for_what_is_not_there():
+    """Rationale: a setting that was not given must not look like a text "None"."""
+    table = pair_table(("setting", "value"), {"gain": 0.5, "noise": None, "own": True}, "not given")
+    assert table.rows == (("gain", "0.5"), ("noise", "not given"), ("own", "yes"))
+
+
+def test_words_stand_beside_their_point_and_above_their_line():
+    """Rationale: words on a marker hide it, and are not read themselves."""
+    axes = Figure().add_subplot()
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+    for offset in ((5.0, 0.0), (-5.0, 0.0), (0.0, 9.0)):
+        write_beside(axes, "words", (0.5, 0.5), offset)
+    for right in (False, True):
+        write_on_line(axes, "words", 0.5, right)
+    axes.figure.canvas.draw()
+    x, y = axes.transData.transform((0.5, 0.5))
+    after, before, above, left, right = (text.get_window_extent() for text in axes.texts)
+    assert after.x0 > x > before.x1
+    assert above.x0 < x < above.x1
+    assert left.x1 < x < right.x0
+    assert min(each.y0 for each in (above, left, right)) > y

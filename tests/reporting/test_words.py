@@ -1,8 +1,18 @@
 """Names, numbers and times say what they say in the words that people read."""
 
+import textwrap
+
 import numpy as np
 
-from virtual_sensor.reporting.words import anchor, counted, heading, in_words, time_in_words
+from virtual_sensor.reporting.words import (
+    anchor,
+    capital,
+    counted,
+    heading,
+    in_words,
+    time_in_words,
+    unbroken,
+)
 
 
 def test_names_become_headings_with_their_unit():
@@ -61,3 +71,11 @@ def test_links_within_a_page_are_plain_letters():
     """Rationale: a browser finds no anchor with a quote in it."""
     assert anchor('Where & why: "B - A" <i>') == "where-why-b-a-i"
     assert anchor("µ") == "section"
+
+
+def test_words_begin_a_sentence_and_stay_on_a_line():
+    """Rationale: an empty text has no first letter, and a number is not parted from its unit."""
+    assert (capital("the mm"), capital("")) == ("The mm", "")
+    assert textwrap.wrap("of " + unbroken("3 x 4 mm"), 5, break_long_words=False)[1:] == [
+        "3\xa0x\xa04\xa0mm"
+    ]

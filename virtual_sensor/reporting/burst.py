@@ -19,7 +19,7 @@ from virtual_sensor.records import write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import colour, plain
+from virtual_sensor.reporting.style import colour, plain, write_beside
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words
 from virtual_sensor.studies.burst import (
@@ -289,13 +289,7 @@ def _std(axes: Axes, line: SwayTable, x: NDArray[Any], std: Array, unit: str, la
     if not always[at]:
         where += f", in {line.frames[at]} of {line.frames.max()} frames"
     left = x[at] < np.nanmean(x[known])
-    axes.annotate(
-        f"largest: {where}",
-        (x[at], std[at]),
-        xytext=(8 if left else -8, 8),
-        textcoords="offset points",
-        ha="left" if left else "right",
-    )
+    write_beside(axes, f"largest: {where}", (x[at], std[at]), (8 if left else -8, 12))
     axes.plot(x[at], std[at], "o", ms=6, color=colour("hot"))
     if np.any(known & ~always):
         axes.set_xlabel(f"{label}   (○ not in every frame)")

@@ -22,9 +22,9 @@ from virtual_sensor.records import Record, record_columns
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
-from virtual_sensor.reporting.style import GREY, MARKERS, colours
+from virtual_sensor.reporting.style import GREY, MARKERS, colours, write_beside, write_on_line
 from virtual_sensor.reporting.tables import TextTable, text_table
-from virtual_sensor.reporting.words import counted, in_words, time_in_words
+from virtual_sensor.reporting.words import capital, counted, in_words, time_in_words
 from virtual_sensor.studies.chart.benchmark import (
     EFFECT_PX,
     RESOLVED_PX,
@@ -128,7 +128,7 @@ def enough_in_words(measured: Sequence[Measured]) -> str:
 def headline(chart: Chart) -> str:
     """The cheapest of each panel whose error no sensor resolves."""
     found = [
-        f"{_capital(_JOBS[panel])}: {enough_in_words(chart.of(panel, chart.tasks(panel)[0]))}."
+        f"{capital(_JOBS[panel])}: {enough_in_words(chart.of(panel, chart.tasks(panel)[0]))}."
         for panel in chart.panels
     ]
     return f"How little is enough for {RESOLVED_PX:g} px? {' '.join(found)}"
@@ -168,7 +168,7 @@ def draw_other_tasks(chart: Chart, panel: str) -> Picture | None:
     for task in chart.tasks(panel)[1:]:
         measured = chart.of(panel, task)
         alt = f"Error in px over time per {ITEMS[panel]}. Enough: {enough_in_words(measured)}."
-        panels.append(Panel(_capital(task), partial(_draw_small, measured), alt))
+        panels.append(Panel(capital(task), partial(_draw_small, measured), alt))
     return draw_picture("", panels) if panels else None
 
 
@@ -186,10 +186,6 @@ def _front(measured: Sequence[Measured]) -> list[Measured]:
     return sorted((m for m in measured if m.on_front), key=lambda m: m.time_s)
 
 
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
-
-
 def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
     """A panel: its task, the axes, and below them the key of the front's numbers."""
     width, height = figure.get_size_inches() * DPI
@@ -205,7 +201,7 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
     def write(x: float, y: float, text: str, **style: Any) -> None:
         figure.text(x / width, y / height, text, va="center", **style)
 
-    write(13.0, height - 42.0, _capital(measured[0].task), fontsize=11, color="0.3")
+    write(13.0, height - 42.0, capital(measured[0].task), fontsize=11, color="0.3")
     for number, each in enumerate(key):
         style: dict[str, Any] = {"fontsize": 10.2}
         if each is best:
@@ -329,29 +325,14 @@ def _bands(axes: Axes, bound_px: float) -> None:
     low, high = axes.get_ylim()
     if low < RESOLVED_PX:
         axes.axhspan(low, RESOLVED_PX, color=_ENOUGH, alpha=0.12, lw=0)
-        _label(axes, "finer than a sensor resolves", low, 0.01, _ENOUGH)
+        write_on_line(axes, "finer than a sensor resolves", low, color=_ENOUGH)
     if high > EFFECT_PX:
         axes.axhspan(EFFECT_PX, high, color=_EFFECT, alpha=0.12, lw=0)
-        _label(axes, "as wrong as without hot air", EFFECT_PX, 0.99, _EFFECT)
+        write_on_line(axes, "as wrong as without hot air", EFFECT_PX, right=True, color=_EFFECT)
     if bound_px:
         axes.axhline(bound_px, color="black", lw=1.3, ls="--")
-        _label(axes, f"Cramér-Rao bound: {bound_px:.2g} px", bound_px, 0.99, "black")
+        write_on_line(axes, f"Cramér-Rao bound: {bound_px:.2g} px", bound_px, right=True)
     axes.set_ylim(low, high)
-
-
-def _label(axes: Axes, words: str, px: float, x: float, colour: str) -> None:
-    """Words above a horizontal line, at its left or right end."""
-    axes.annotate(
-        words,
-        (x, px),
-        (0.0, 3.0),
-        xycoords=axes.get_yaxis_transform(),
-        textcoords="offset points",
-        ha="right" if x > 0.5 else "left",
-        va="bottom",
-        color=colour,
-        fontsize=9.5,
-    )
 
 
 def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
@@ -396,18 +377,10 @@ def _number(axes: Axes, key: Sequence[Measured], measured: Sequence[Measured]) -
         ]
         offset = offsets[int(np.argmin(crowd))]
         taken.append(at + offset)
-        axes.annotate(
-            f"{number + 1}",
-            (each.time_s, _error(each)),
-            offset * 72.0 / DPI,
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=10.5,
-            fontweight="bold",
-            color=_ENOUGH if each is best else "black",
-            zorder=6,
-        )
+        place, (right, up) = (each.time_s, _error(each)), offset * 72.0 / DPI
+        shade = _ENOUGH if each is best else "black"
+        style = {"ha": "center", "fontsize": 10.5, "fontweight": "bold", "color": shade}
+        write_beside(axes, f"{number + 1}", place, (right, up), **style, zorder=6)
 
 
 # ----------------------------------------------------------------------------------------- tables
@@ -649,7 +622,7 @@ def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
     main, *others = chart.tasks(name)
     measured = chart.of(name, main)
     content: list[Content] = [
-        f"{_capital(main)}. Errors are against {measured[0].reference}.",
+        f"{capital(main)}. Errors are against {measured[0].reference}.",
         panel,
         measured_table(chart.front(name, main), "The Pareto front, the fastest first"),
     ]
@@ -658,7 +631,7 @@ def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
     tables = tuple(
         measured_table(
             sorted(chart.of(name, task), key=lambda m: (not np.isfinite(m.rms_px), m.rms_px)),
-            f"{_capital(task)}, against {chart.of(name, task)[0].reference}",
+            f"{capital(task)}, against {chart.of(name, task)[0].reference}",
             whole=True,
         )
         for task in (main, *others)

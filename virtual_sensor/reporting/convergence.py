@@ -14,8 +14,16 @@ from virtual_sensor.records import plain, record_columns
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import BLACK, GREEN, colour, decimal_ticks
+from virtual_sensor.reporting.style import (
+    BLACK,
+    GREEN,
+    colour,
+    decimal_ticks,
+    write_beside,
+    write_on_line,
+)
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.words import capital, unbroken
 from virtual_sensor.studies.convergence import BOUNDS_PX, SHIPPED, Change, Convergence
 
 COMMAND = "field convergence"
@@ -31,7 +39,6 @@ _CURVES = (
     ("rays_px", "probe rays", colour("search"), "s"),
     ("line_px", "line", colour("line"), "o"),
 )
-_JOINED = "\N{NO-BREAK SPACE}"
 _BANDS = ("#E3EFE3", "#F3F8F0")  # within the smaller bound, and the larger one
 
 
@@ -101,8 +108,7 @@ def _table(rows: Sequence[tuple[str, Change]], caption: str = "") -> TextTable:
         Column("file_mb", "file", "{:.1f} MB"),
     )
     shown = [
-        {"name": name, "grid": f"{c.grid_y_mm:g} x {c.grid_z_mm:g} mm".replace(" ", _JOINED)}
-        | plain(c)
+        {"name": name, "grid": unbroken(f"{c.grid_y_mm:g} x {c.grid_z_mm:g} mm")} | plain(c)
         for name, c in rows
     ]
     return text_table(shown, columns if any(name for name, _ in rows) else columns[1:], caption)
@@ -136,7 +142,7 @@ def page(result: Convergence, picture: Picture, command: str) -> Page:
         title="Convergence of the air's field",
         lead=outcome(result)[-2],
         sections=(
-            Section("What suffices", table(result), *outcome(result), _sentence(result)),
+            Section("What suffices", table(result), *outcome(result), capital(_conditions(result))),
             Section("Mesh, flow time and grid", picture),
             Section("Every setting", Details(f"All {len(result.changes)}", (settings,))),
         ),
@@ -144,11 +150,6 @@ def page(result: Convergence, picture: Picture, command: str) -> Page:
         made_with=result.made_with,
         notes=result.notes,
     )
-
-
-def _sentence(result: Convergence) -> str:
-    words = _conditions(result)
-    return words[0].upper() + words[1:]
 
 
 # Picture
@@ -249,14 +250,8 @@ def _label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> No
         right = place < middle
         close = len(ordered) > 1 and ordered[0][0] < 3.0 * ordered[1][0]
         offset = (12, -12)[rank] if close else 9
-        axes.annotate(
-            words,
-            (place, value),
-            xytext=(10 if right else -10, offset),
-            textcoords="offset points",
-            **{"ha": "left" if right else "right", "va": "center", "color": shade},
-            fontweight="bold",
-        )
+        style = {"color": shade, "fontweight": "bold", "fontsize": 10.0}
+        write_beside(axes, words, (place, value), (10 if right else -10, offset), **style)
 
 
 def _draw_cost(axes: Axes, result: Convergence) -> None:
@@ -276,13 +271,8 @@ def _draw_cost(axes: Axes, result: Convergence) -> None:
             [c.solver_s for c in curve], [c.line_px for c in curve], "o-", color=shade, lw=1.0
         )
         first = curve[0]
-        axes.annotate(
-            f"{cell:g} mm mesh" if cell == cells[0] else f"{cell:g}",
-            (first.solver_s, first.line_px),
-            xytext=(0, 7),
-            textcoords="offset points",
-            **{"ha": "center", "color": shade, "fontsize": 9.5},
-        )
+        words = f"{cell:g} mm mesh" if cell == cells[0] else f"{cell:g}"
+        write_beside(axes, words, (first.solver_s, first.line_px), (0, 11), color=shade)
     axes.set(xscale="log", yscale="log", xlabel="solver's time on one core in s")
     axes.set_ylabel("change of the line in px")
     for each, marker in zip(result.coarsest, ("D", "*"), strict=False):
@@ -310,11 +300,7 @@ def _draw_bounds(axes: Axes) -> None:
     axes.axhspan(fine, coarse, color=_BANDS[1], zorder=0)
     for bound in BOUNDS_PX:
         axes.axhline(bound, color=GREEN, lw=0.8)
-        axes.text(
-            *(0.01, bound, f"{bound:g} px"),
-            transform=axes.get_yaxis_transform(),
-            **{"ha": "left", "va": "bottom", "color": GREEN, "fontsize": 9.5},
-        )
+        write_on_line(axes, f"{bound:g} px", bound, color=GREEN)
     axes.set_ylim(low, max(high, 2.0 * coarse))
     decimal_ticks(axes.yaxis)
 

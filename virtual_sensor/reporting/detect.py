@@ -19,10 +19,26 @@ from virtual_sensor.records import Record, plain, write_csv, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Content, Page, Section
 from virtual_sensor.reporting.pictures import CELL_IN, Panel, PanelPicture, Picture, draw_picture
-from virtual_sensor.reporting.style import BLACK, GREEN, ORANGE, PURPLE, SKY, YELLOW, colour
+from virtual_sensor.reporting.style import (
+    BLACK,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    YELLOW,
+    colour,
+    write_on_line,
+)
 from virtual_sensor.reporting.style import plain as plain_text
-from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
-from virtual_sensor.reporting.words import anchor, counted, heading, in_words, time_in_words
+from virtual_sensor.reporting.tables import Column, Link, TextTable, pair_table, text_table
+from virtual_sensor.reporting.words import (
+    anchor,
+    counted,
+    heading,
+    in_words,
+    time_in_words,
+    unbroken,
+)
 from virtual_sensor.studies.detect import (
     CentreTable,
     Detected,
@@ -38,7 +54,6 @@ MOST_WHOLE_PICTURES = 20
 """Of more images than that, the page shows one panel each; the picture files have all."""
 
 _PEAKS = (GREEN, SKY, ORANGE, PURPLE, YELLOW)
-_JOINED = "\N{NO-BREAK SPACE}"
 _POINTS = 72.0  # of an inch
 _MARGIN_PX, _CLOSE_UP_PX = 12, (48, 30)
 _MOST_PX = 900  # shown of an image along a side: finer pixels are taken together
@@ -173,9 +188,9 @@ def table(summary: Summary, page: bool = False) -> TextTable:
             plain(image)
             | {
                 "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
-                "size": f"{image.columns} x {image.rows} px".replace(" ", _JOINED),
+                "size": unbroken(f"{image.columns} x {image.rows} px"),
                 "others": _most(others, len(others) if page else 2),
-                "time": time_in_words(image.time_s).replace(" ", _JOINED),
+                "time": unbroken(time_in_words(image.time_s)),
             }
         )
     columns = [
@@ -214,10 +229,9 @@ def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
             content.append(Link(f"All panels: {each}.png", f"{quote(each)}.png"))
         content.append(Link(f"Centres as a table: {each}.csv", f"{quote(each)}.csv"))
         sections.append(Section(_title(number, each) if many else "Picture", *content))
-    settings = [{"setting": heading(k), "value": v} for k, v in plain(summary.settings).items()]
-    settings.append({"setting": "calibration", "value": plain(summary.calibration)})
-    columns = ("setting", Column("value", shape="{}", nothing="not given"))
-    sections.append(Section("Settings", text_table(settings, columns)))
+    settings = {heading(name): value for name, value in plain(summary.settings).items()}
+    settings["calibration"] = plain(summary.calibration)
+    sections.append(Section("Settings", pair_table(("setting", "value"), settings, "not given")))
     return Page(
         title=f"Line centres in {counted(len(summary.images), 'image') if many else name}",
         lead=lead(summary),
@@ -408,14 +422,10 @@ def _draw_over(
         axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes)
         return
     axes.set_ylim(0.0, 1.3 * max(float(np.percentile(known, 99.0)), 1e-12))
-    axes.axhline(float(np.median(known)), color=colour("truth"), lw=1.0, ls="--")
-    axes.text(
-        *(0.99, float(np.median(known))),
-        f"median {np.median(known):.3g} px",
-        transform=axes.get_yaxis_transform(),
-        **{"ha": "right", "va": "bottom", "fontsize": 9.5},
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1},
-    )
+    median = float(np.median(known))
+    axes.axhline(median, color=colour("truth"), lw=1.0, ls="--")
+    behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1}
+    write_on_line(axes, f"median {median:.3g} px", median, right=True, bbox=behind)
 
 
 def _coarser(image: NDArray) -> tuple[NDArray[np.float32], tuple[int, int]]:
@@ -453,7 +463,7 @@ def _most(statuses: dict[str, int], count: int) -> str:
     said = [f"{n} {_words(status)}" for status, n in ordered[:count]]
     rest = sum(n for _, n in ordered[count:])
     more = [f"{rest} more"] if rest else []
-    return ", ".join(each.replace(" ", _JOINED) for each in [*said, *more])
+    return ", ".join(map(unbroken, [*said, *more]))
 
 
 def _words(status: str) -> str:

@@ -24,8 +24,8 @@ from virtual_sensor.reporting.page import Content, Details, Page, Section, page_
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, write_vector
 from virtual_sensor.reporting.style import BLACK, colour
 from virtual_sensor.reporting.style import plain as plain_text
-from virtual_sensor.reporting.tables import Column, TextTable, text_table
-from virtual_sensor.reporting.words import counted, in_words, listed
+from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
+from virtual_sensor.reporting.words import capital, counted, in_words, listed
 from virtual_sensor.studies.field_info import COARSE_PX, Border, FieldInfo, Grid, inside_part
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def lead(info: FieldInfo) -> str:
         Grid.TOO_FEW_NODES: "the grid has too few nodes to be judged",
         Grid.UNKNOWN: "whether the grid is fine enough is unknown without a scene's light",
     }[info.grid]
-    verdict = grid[0].upper() + grid[1:] if info.border == Border.UNKNOWN else f"{border}; {grid}"
+    verdict = capital(grid) if info.border == Border.UNKNOWN else f"{border}; {grid}"
     return f"{said}. {verdict}."
 
 
@@ -316,7 +316,7 @@ def page(info: FieldInfo, picture: Picture, command: str) -> Page:
             (Column("y_mm"), Column("shift_u_px", "along u, px"), Column("shift_v_px", "v, px")),
             "Shift of the probe rays' pixels, hot minus cold",
         )
-        settings = TextTable(("parameter", "value"), tuple(given.items()))
+        settings = pair_table(("parameter", "value"), given)
         light = [
             replace(picture, panels=picture.panels[3:]),
             *light,
@@ -403,7 +403,7 @@ def panels_of(info: FieldInfo) -> list[Panel]:
         place = f"{name} = {cut.place_mm:.3g} mm"
         panels.append(
             Panel(
-                f"{of[0].upper() if celsius else of[0]}{of[1:]} at {place}",
+                f"{capital(of) if celsius else of} at {place}",
                 partial(_draw_cut, info=info, cut=cut, celsius=celsius),
                 f"Cut through the field at {place}, coloured by {of}: {_air(info)}"
                 + (", with the laser's light and the camera's lines of sight." * bool(info.line)),

@@ -22,8 +22,8 @@ from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, plain
-from virtual_sensor.reporting.tables import Column, TextTable, text_table
-from virtual_sensor.reporting.words import counted, in_words, listed, time_in_words
+from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
+from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
 from virtual_sensor.studies.measure import (
     DenseTable,
     DotTable,
@@ -247,7 +247,6 @@ def page(
     command: str,
 ) -> Page:
     """The page of a measurement."""
-    said = headline(figures)
     sections = [
         Section(
             "The measured section",
@@ -269,6 +268,7 @@ def page(
                 _probe_rays_table(result),
             )
         )
+    parameters = pair_table(("parameter", "value"), figures.parameters)
     sections += [
         Section(
             "Check: renderer and ray search agree",
@@ -281,11 +281,11 @@ def page(
         Section(
             "Settings",
             *(_frame_words(name, state) for name, state in figures.states.items()),
-            Details("All parameters of the scene", (_parameters_table(figures),)),
+            Details("All parameters of the scene", (parameters,)),
         ),
     ]
     title = f"{result.scene.path.stem}: a measurement"
-    lead = f"{said[:1].upper()}{said[1:]}."
+    lead = f"{capital(headline(figures))}."
     return Page(title, lead, tuple(sections), command, figures.made_with, figures.notes)
 
 
@@ -347,11 +347,6 @@ def _probe_rays_table(result: Measurement) -> TextTable:
         ),
         "Distances between points lit and measured, for each probe ray",
     )
-
-
-def _parameters_table(figures: Summary) -> TextTable:
-    rows = tuple((name, str(value)) for name, value in figures.parameters.items())
-    return TextTable(("parameter", "value"), rows)
 
 
 # The picture.

@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle, islice
+from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -146,6 +148,26 @@ def plain(text: str) -> str:
     if len(text) > 60:
         text = f"{text[:28]} ... {text[-27:]}"
     return text.replace("$", r"\$")
+
+
+def write_beside(
+    axes: Axes,
+    words: str,
+    at: tuple[float, float],
+    offset: tuple[float, float],
+    **style: Any,
+) -> None:
+    """Write words so many printer's points to the right of a point and above it."""
+    side = "center" if offset[0] == 0.0 else "left" if offset[0] > 0.0 else "right"
+    style = {"ha": side, "va": "center", "fontsize": 9.5} | style
+    axes.annotate(words, at, offset, textcoords="offset points", **style)
+
+
+def write_on_line(axes: Axes, words: str, y: float, right: bool = False, **style: Any) -> None:
+    """Write words above a horizontal line, at its left or right end."""
+    at = (0.99 if right else 0.01, y)
+    style = {"ha": "right" if right else "left", "va": "bottom"} | style
+    write_beside(axes, words, at, (0.0, 3.0), xycoords=axes.get_yaxis_transform(), **style)
 
 
 def decimal_ticks(axis: Axis, fine: bool = False) -> None:

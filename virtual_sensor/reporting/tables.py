@@ -137,6 +137,14 @@ def text_table(
     return TextTable(tuple(c.head for c in shown), cells, caption, tuple(emphasised), numeric)
 
 
+def pair_table(
+    head: tuple[str, str], values: Mapping[str, Any], nothing: str = "none"
+) -> TextTable:
+    """Names and what each of them is, a row each."""
+    rows = ((name, in_words(value, "{}", nothing)) for name, value in values.items())
+    return TextTable(head, tuple(rows))
+
+
 def _rows(rows: Any) -> Iterable[Any]:
     return rows.rows() if isinstance(rows, Table) else rows
 

@@ -18,10 +18,17 @@ from virtual_sensor.records import Record, record_columns
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import LINES, MARKERS, colour, colours, decimal_ticks
+from virtual_sensor.reporting.style import (
+    LINES,
+    MARKERS,
+    colour,
+    colours,
+    decimal_ticks,
+    write_beside,
+)
 from virtual_sensor.reporting.style import plain as plain_text
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
-from virtual_sensor.reporting.words import time_in_words
+from virtual_sensor.reporting.words import time_in_words, unbroken
 from virtual_sensor.studies.machine import Machine
 from virtual_sensor.studies.trial.images import Condition
 from virtual_sensor.studies.trial.scores import OUTLIER_BOUNDS, OUTLIER_PX, Phases, Score
@@ -139,7 +146,7 @@ def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> T
             "predicted_px": each.predicted_px,
             "outliers": each.outlier_share,
             "lost": each.lost_share,
-            "time": time_in_words(1e-6 * each.time_us).replace(" ", "\N{NO-BREAK SPACE}"),
+            "time": unbroken(time_in_words(1e-6 * each.time_us)),
         }
         for each in ordered
     ]
@@ -306,15 +313,9 @@ def _speed(trial: Trial, key: _Key) -> Picture:
         ratios = np.array([each.ratio for each in ordered])
         axes.barh(place, ratios, color=shade)
         for number, each in enumerate(ordered):
-            axes.annotate(
-                f"{each.ratio:.2f}  ({each.rms_px:.3g} px)",
-                (each.ratio, number),
-                xytext=(4, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=9.5,
-                bbox={"facecolor": "white", "edgecolor": "none", "pad": 0.5},
-            )
+            words = f"{each.ratio:.2f}  ({each.rms_px:.3g} px)"
+            behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
+            write_beside(axes, words, (each.ratio, number), (4, 0), bbox=behind)
         names = [key.names[each.detector] for each in ordered]
         axes.set_yticks(place, names)
         axes.axvline(1.0, color=colour("bound"), ls="--")
@@ -346,14 +347,7 @@ def _signal(trial: Trial, key: _Key) -> Picture:
             shade = 0.75 * (1.0 - number / max(len(widths) - 1, 1))
             axes.loglog(*zip(*sorted(bound.items()), strict=True), "o-", color=str(shade))
             last = max(bound)
-            axes.annotate(
-                f"{width:g} px",
-                (last, bound[last]),
-                xytext=(6, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=9.5,
-            )
+            write_beside(axes, f"{width:g} px", (last, bound[last]), (6, 0))
         axes.margins(x=0.12)
         decimal_ticks(axes.xaxis)
         decimal_ticks(axes.yaxis)

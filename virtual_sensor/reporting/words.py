@@ -41,6 +41,16 @@ def counted(number: int, thing: str, things: str | None = None) -> str:
     return f"{number} {thing if number == 1 else things or thing + 's'}"
 
 
+def capital(text: str) -> str:
+    """A text as a sentence begins."""
+    return text[:1].upper() + text[1:]
+
+
+def unbroken(text: str) -> str:
+    """A text of which no line ends between its words."""
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
+
+
 def heading(name: str) -> str:
     """A column's or key's name as a heading: "rms_px" is "rms in px"."""
     unit = unit_of(name)
