@@ -6,7 +6,7 @@ counted here. `OpenEXR/src/lib/OpenEXRCore/internal_piz.c` and `internal_huf.c` 
 """
 
 import struct
-from itertools import groupby
+from collections import defaultdict
 
 _ROWS = 32  # of a block
 _HEADER = 8  # magic number and version
@@ -98,15 +98,14 @@ def _code_lengths(digits: str, low: int, high: int) -> tuple[dict[int, int], int
 
 def _canonical(lengths: dict[int, int]) -> dict[str, int]:
     """Symbols by their codes, in binary digits: the canonical code of these lengths."""
-    by_length = {
-        length: list(group)
-        for length, group in groupby(sorted(lengths, key=lengths.__getitem__), lengths.__getitem__)
-    }
+    by_length = defaultdict(list)
+    for symbol, length in lengths.items():  # by rising symbol
+        by_length[length].append(symbol)
     codes: dict[str, int] = {}
     code = 0
     for length in range(_LONGEST_CODE, 0, -1):
-        symbols = by_length.get(length, [])
-        for number, symbol in enumerate(sorted(symbols)):
-            codes[f"{code + number:0{length}b}"] = symbol
-        code = (code + len(symbols)) >> 1
+        for symbol in by_length[length]:
+            codes[f"{code:0{length}b}"] = symbol
+            code += 1
+        code >>= 1
     return codes

@@ -12,6 +12,7 @@ laser line's columns are as alike as the aperture makes them.  Light that the su
 makes two patterns, which add: `polarisations`.  Light of other sources is added afterwards.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -100,13 +101,16 @@ class Aperture:
             parts = ends - r * (np.sin(ends) - np.cos(ends)) + 0.5 * r**2 * np.sin(ends) ** 2
             return 4.0 * r * float(parts[1] - parts[0])
 
-        edges = np.unique(np.clip(np.arange(0.0, 3.0, 0.5 * self.resolution_px), 0.0, np.sqrt(2)))
-        edges = np.unique([*edges, 1.0, np.sqrt(2.0)])
-        total = sum(
-            quad(lambda r: ring(r) * float(self.correlation(r)), a, b)[0]
-            for a, b in pairwise(edges)
-        )
+        edges = np.clip(np.arange(0.0, 3.0, 0.5 * self.resolution_px), 0.0, np.sqrt(2.0))
+        ends = [*edges, 1.0, np.sqrt(2.0)]
+        total = _integral(lambda r: ring(r) * float(self.correlation(r)), ends)
         return float(np.sqrt(total / self.polarisations))
+
+
+def _integral(function: Callable[[float], float], edges: list[float]) -> float:
+    """Integral of a function that is smooth between the edges, from the first to the last."""
+    between = pairwise(np.unique(edges))
+    return float(sum(quad(function, a, b, limit=200)[0] for a, b in between))
 
 
 def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generator = 0) -> Array:
@@ -267,10 +271,7 @@ def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:
         x = np.pi * u / aperture.resolution_px
         return float(4.0 * struve(1, 2.0 * x) / x**2) if x > 1e-6 else 32.0 / (3.0 * np.pi)
 
-    edges = np.unique(np.clip(np.array([0.0, 1.0, 4.0, 16.0]) * aperture.resolution_px, 0.0, 1.0))
-    overlap = sum(
-        quad(lambda u: 2.0 * (1.0 - u) * line_spread(u), a, b, limit=200)[0]
-        for a, b in pairwise(np.unique([*edges, 1.0]))
-    )
+    edges = np.clip(np.array([0.0, 1.0, 4.0, 16.0]) * aperture.resolution_px, 0.0, 1.0)
+    overlap = _integral(lambda u: 2.0 * (1.0 - u) * line_spread(u), [*edges, 1.0])
     length = aperture.resolution_px / np.pi * overlap
     return float(np.sqrt(length * width_px / (4.0 * np.sqrt(np.pi)) / aperture.polarisations))
