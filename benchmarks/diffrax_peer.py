@@ -1,7 +1,7 @@
 """JAX and diffrax: Tsit5 with step control, or fixed steps, through a cubic spline in jax.numpy.
 
 As in our march, what is integrated is the difference from the straight ray, so that float32 loses
-nothing by long ways; rays are shared out over as many host devices as there are cores.
+nothing on long paths; rays are shared out over as many host devices as there are cores.
 """
 
 from __future__ import annotations

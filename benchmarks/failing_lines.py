@@ -22,7 +22,7 @@ Draw = Callable[[float, Array], Array]
 
 SIGMA_PX = 2.0
 NOISE = 0.005
-"""Of the line's height: what can't be told from noise is no failure of the statuses."""
+"""Of the line's height: what can't be distinguished from noise is no failure of the statuses."""
 
 HEIGHT_PX = 64
 _COLUMNS = 400

@@ -219,7 +219,7 @@ class Plume:
         return trace(field, *self.rays, self.length_mm, step_mm, method, **march)
 
     def errors(self, field: Field, step_mm: float = 1.0, method: str = "rk4", **march: Any) -> Any:
-        """Outcome of one way of marching in one field."""
+        """Outcome of marching in one field with one setting."""
         rays = self.ends(field, step_mm, method, **march)
         error = _apart_px(rays.position, self.truth, self.rays[1])
         return judged(rays.status, _GOOD, error)

@@ -55,7 +55,7 @@ def all_rays(method: str, index_of: Callable[[Grid], Index]) -> Callable[..., Ca
 
         def work() -> Array:
             # Of t / length, so that all rays arrive at once; what is solved for is the difference
-            # from the straight rays, which needs no digits for the way to the sensor.
+            # from the straight rays, which needs no digits for the distance to the sensor.
             d, lengths = problem.directions, problem.lengths[:, None]
 
             def slope(s: float, state: Array) -> Array:

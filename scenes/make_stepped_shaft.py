@@ -1,4 +1,4 @@
-"""Writes meshes/stepped_shaft.ply, the part of stepped_shaft.xml: run it to make it anew."""
+"""Writes meshes/stepped_shaft.ply, the part of stepped_shaft.xml: run it to make the mesh again."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -28,7 +28,7 @@ def revolved(outline: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
     Returns
     -------
     vertices : ndarray of shape (V, 6)
-        Position in the world, mm, and unit normal.  Edges are sharp: each straight piece of the
+        Position in the world, mm, and unit normal.  Edges are sharp: each straight segment of the
         outline has vertices of its own.
     faces : ndarray of shape (F, 3)
         Triangles, anticlockwise seen from outside.

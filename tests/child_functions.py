@@ -1,4 +1,4 @@
-"""Functions for a child process: each ends in another way."""
+"""Functions for a child process: each ends differently."""
 
 import os
 import signal

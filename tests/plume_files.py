@@ -69,7 +69,7 @@ def write_comsol_grid(path, x=X, y=Y, z=Z, values=None):
 
 
 def write_parallel_image(path, image):
-    """An image in two pieces along x, as .pvti."""
+    """An image in two parts along x, as .pvti."""
     (nx, ny, nz), half = (n - 1 for n in image.dimensions), 7
     pieces = ""
     for i, (first, last) in enumerate(((0, half), (half, nx))):
@@ -86,7 +86,7 @@ def write_parallel_image(path, image):
 
 
 def write_parallel_mesh(path, mesh):
-    """An unstructured grid with cell values in two pieces, as .pvtu; the pieces share points."""
+    """An unstructured grid with cell values in two parts, as .pvtu; the parts share points."""
     low = mesh.cell_centers().points[:, 0] < 3.0
     for i, cells in enumerate((low, ~low)):
         mesh.extract_cells(cells).save(path.parent / f"piece{i}.vtu")

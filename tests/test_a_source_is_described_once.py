@@ -1,4 +1,4 @@
-"""A new source is a family of rays in a test, and all else follows: nothing elsewhere knows it.
+"""A new source is a family of rays in a test, and all else follows: no other code knows it.
 
 One is a sheet that converges to a focal line, behind the part or before it, and fans out along the
 line; another is a line of light from a pinhole, as a projector would draw it, whose coordinates are
@@ -234,7 +234,7 @@ def frame(scene):
 
 @pytest.mark.parametrize("air", ["hot", pytest.param("cold", marks=pytest.mark.slow)])
 def test_the_rendered_line_is_the_searched_one(known, scene, frame, air):
-    """Two ways to the same row: 0.0006 px rms, as for the laser that comes along."""
+    """Two methods for the same row: 0.0006 px rms, as for the shipped laser."""
     if air == "cold":
         scene = scene.cold()
         frame = render_frame(scene)
@@ -250,7 +250,7 @@ def test_the_rendered_line_is_the_searched_one(known, scene, frame, air):
 
 
 def test_maps_and_marches_give_the_same_frame(load):
-    """Rationale: each transport finds the family's rays in its own way."""
+    """Rationale: each transport finds the family's rays by its own method."""
     small = {"width": 512, "height": 512, "spp": 4}
     rows = []
     for transport in ("tabulated", "marched"):

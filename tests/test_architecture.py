@@ -265,7 +265,7 @@ def test_commands_that_are_shown_can_be_typed(line):
 
 
 def test_the_help_names_the_shipped_scenes():
-    """Rationale: 'the name of one that comes along' helps only who knows the names."""
+    """Rationale: 'the name of a shipped one' helps only who knows the names."""
     for command in cli.app.registered_commands:
         argument = inspect.signature(command.callback).parameters.get("scene")
         if argument:

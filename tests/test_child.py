@@ -1,4 +1,4 @@
-"""A function in a child process may die in any way; the caller gets a result or one clear error."""
+"""A function in a child process may die of anything; the caller gets a result or a clear error."""
 
 import os
 
@@ -32,7 +32,7 @@ def test_the_result_comes_back():
     ],
 )
 def test_the_ways_to_die_are_input_errors(name, match, options):
-    """Rationale: a library's crash on a damaged file is the file's fault, told in one line."""
+    """Rationale: a library's crash on a damaged file is the file's fault, reported in one line."""
     with pytest.raises(InputError, match=match) as caught:
         run(name, memory_bytes=500_000_000, **options)
     assert "\n" not in f"{caught.value}"

@@ -313,7 +313,7 @@ def test_a_line_that_no_column_resolves_is_told_with_the_reason(here):
 
 
 def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here, monkeypatch):
-    """Rationale: the frames are the largest files; OpenEXR reports the fault in its own way."""
+    """Rationale: the frames are the largest files; OpenEXR reports the fault in its own words."""
     Path("measured").mkdir()
     Path("measured/summary.json").write_text("old")
     write_exr, ended = results.write_exr, threading.Event()

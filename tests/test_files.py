@@ -63,7 +63,7 @@ def test_a_file_appears_only_when_it_is_complete(tmp_path):
 
 
 def test_a_file_that_fails_leaves_the_old_one(tmp_path):
-    """Rationale: a bug or Ctrl-C half way must not cost the last good result."""
+    """Rationale: a bug or Ctrl-C in the middle must not cost the last good result."""
     path = tmp_path / "line.csv"
     path.write_text("old")
 

@@ -31,7 +31,7 @@ SOURCES = Path(records.__file__).parent
 
 
 class Status(IntEnum):
-    """Some way in which something ends."""
+    """How something ends."""
 
     OK = 0
     NO_PEAK = 1
@@ -343,6 +343,6 @@ def test_units_are_at_the_end_of_names():
 
 
 def test_statuses_are_counted_by_name():
-    """Rationale: those that never occurred are told too: with 0."""
+    """Rationale: those that never occurred are listed too: with 0."""
     assert counts_of([0, 1, 1], Status) == {"ok": 1, "no_peak": 2}
     assert plain({Status.OK: Status.NO_PEAK}) == {"ok": "no_peak"}

@@ -86,7 +86,7 @@ class _LlvmFirst:
         if name == "drjit":
             from virtual_sensor import engine
 
-            with contextlib.suppress(engine.EngineError):  # told when the engine starts
+            with contextlib.suppress(engine.EngineError):  # reported when the engine starts
                 engine.choose_llvm()
 
 

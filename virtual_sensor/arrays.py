@@ -148,7 +148,7 @@ def to_vectors(points: NDArray[np.float64]) -> mi.Array3f64:
     from virtual_sensor.engine import dr, mi
 
     held = in_own_memory(points.T, mi.Float64)
-    # N is opaque, and the columns are evaluated: else kernels compile anew for every number N.
+    # N is opaque, and the columns are evaluated: else kernels compile again for every number N.
     row, count = dr.arange(mi.UInt32, len(points)), dr.opaque(mi.UInt32, len(points))
     vectors = mi.Array3f64(*(dr.gather(mi.Float64, held, row + k * count) for k in range(3)))
     dr.eval(vectors)

@@ -86,7 +86,7 @@ def run_in_child(
     try:
         if seconds is not None:
             timer.start()
-        kind, answer = server.ask((target, content), report or (lambda *told: None))
+        kind, answer = server.ask((target, content), report or (lambda *progress: None))
     finally:
         timer.cancel()
         if kind in ("result", "error") and not expired.is_set():
@@ -248,8 +248,8 @@ def _answer(server: int, target: str, content: bytes) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, most))
         module, _, name = target.partition(":")
         function = getattr(importlib.import_module(module), name)
-        told = {"report": lambda *content: send("report", content)} if reports else {}
-        send("result", function(*arguments, **told))
+        options = {"report": lambda *content: send("report", content)} if reports else {}
+        send("result", function(*arguments, **options))
     except Exception as error:
         if not isinstance(error, (InputError, MemoryError)):
             error.add_note(f"In the child process:\n{traceback.format_exc()}")

@@ -11,8 +11,8 @@ or mitsuba after virtual_sensor gets a proven library too.
 ====================== ===========================================================
 environment variable   meaning
 ====================== ===========================================================
-VIRTUAL_SENSOR_VARIANT Mitsuba variant, ``llvm_ad_mono`` unless told otherwise
-VIRTUAL_SENSOR_THREADS number of CPU threads, Dr.Jit's choice unless told otherwise
+VIRTUAL_SENSOR_VARIANT Mitsuba variant, by default ``llvm_ad_mono``
+VIRTUAL_SENSOR_THREADS number of CPU threads, by default Dr.Jit's choice
 DRJIT_LIBLLVM_PATH     the LLVM library to try first; set to the one that is used
 XDG_CACHE_HOME         where ``virtual_sensor/`` keeps the proofs, else ``~/.cache``
 ====================== ===========================================================

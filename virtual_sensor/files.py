@@ -326,6 +326,6 @@ def _told(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise InputError(
-            f"{path}: can't be written ({error.strerror or error}); nothing was kept. Make room, or"
-            " choose a place where you may write"
+            f"{path}: can't be written ({error.strerror or error}); nothing was written. Make room,"
+            " or choose a place where you may write"
         ) from error

@@ -125,12 +125,12 @@ def _end() -> None:
     status = 128 + _received[0]
     with suppress(BaseException):
         _kill_children()
-    told = []
+    words = []
     for action in _actions[::-1]:  # a copy: threads that end take theirs away meanwhile
         with suppress(BaseException):
-            told.append(action() or "")
+            words.append(action() or "")
     with suppress(OSError):
-        text = line(status, "; ".join(filter(None, told)))
+        text = line(status, "; ".join(filter(None, words)))
         os.write(2, f"{text}\n".encode(sys.getfilesystemencoding(), "replace"))
     os._exit(status)
 
@@ -151,4 +151,4 @@ def _kill_children() -> None:
                         if child != tracker and os.getsid(child) != child:
                             os.kill(child, signal.SIGKILL)
     if tracker is not None:
-        sys.modules["multiprocessing.util"]._run_finalizers(0)  # which the tracker is told
+        sys.modules["multiprocessing.util"]._run_finalizers(0)  # which tell the tracker

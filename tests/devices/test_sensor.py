@@ -1,4 +1,4 @@
-"""The paper's sensor: what its camera sees, where its laser rays go, and which way the axes run."""
+"""The paper's sensor: what its camera sees, where its laser rays go, and how the axes run."""
 
 import cv2
 import numpy as np
@@ -35,7 +35,7 @@ def test_u_runs_along_the_line():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_projection_is_opencvs(seed):
-    """cv2.projectPoints takes the same K, the inverse pose, and counts pixels the same way."""
+    """cv2.projectPoints takes the same K, the inverse pose, and counts pixels alike."""
     rng = np.random.default_rng(seed)
     camera = paper_sensor().camera
     points = rng.uniform(-20.0, 20.0, (30, 3))

@@ -8,7 +8,7 @@ something else. The **verdict** is a failure if the reader
   an `InputError` (*traceback*), among it a warning, or a library printed something (*printed*);
 - refused without naming the file, in several lines, with control characters or with a traceback in
   its message, as the commands print it (*message*);
-- gave different bits when it read the same files twice (*unsteady*). Between the two, glibc is told
+- gave different bits when it read the same files twice (*unsteady*). Between the two, glibc is set
   to fill fresh memory with other bytes, so that whatever a library leaves unset differs;
 - gave a **made-up number**.
 

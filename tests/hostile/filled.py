@@ -10,7 +10,7 @@ M_PERTURB, M_MMAP_THRESHOLD = -6, -3  # glibc's mallopt
 
 
 def fill_memory(byte: int) -> None:
-    """Let fresh memory hold this byte, and large pieces of it be fresh too."""
+    """Let fresh memory hold this byte, and large blocks of it be fresh too."""
     libc = ctypes.CDLL(None)
     libc.mallopt(M_PERTURB, byte)
     libc.mallopt(M_MMAP_THRESHOLD, 1 << 29)  # else pages of the kernel, which are all zero

@@ -60,7 +60,7 @@ def test_shifted_principal_point_is_where_mitsuba_has_it(tmp_path):
 @pytest.mark.parametrize("temperature", TEMPERATURES)
 @pytest.mark.parametrize("length", [6, pytest.param(22, marks=pytest.mark.slow)])
 def test_line_centres_agree_with_the_ray_search(temperature, length):
-    """A noise-free frame, up to both ends of the line: two ways to the same bent light."""
+    """A noise-free frame, up to both ends of the line: two methods for the same bent light."""
     scene = load(temperature, line_length=length, spp=4)
     found = vs.ray_search(scene, np.linspace(-0.5, 0.5, 401) * length, "newton")
     u, v = found.pixel[np.argsort(found.pixel[:, 0])].T
@@ -193,7 +193,7 @@ def test_the_lit_pixels_of_a_cold_part_are_those_in_the_beam(beam):
 @pytest.mark.parametrize("beam", BEAMS)
 @pytest.mark.parametrize("temperature", TEMPERATURES)
 def test_a_pixel_is_lit_where_its_centre_is_bright(temperature, beam):
-    """Rationale: both ways: one sample a pixel is its centre, and has light or has none."""
+    """Rationale: for both, one sample a pixel is its centre, and has light or has none."""
     frame = render_frame(load(temperature, width=512, height=512, spp=1, **BEAMS[beam]))
     bright = frame.radiance > 0.0
     assert np.count_nonzero(bright) > 100

@@ -43,7 +43,7 @@ def same(path, expected, *notes, largest=..., **options):
 @pytest.mark.parametrize("bits", [10, 12, 14])
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_packed_tiffs_have_the_grey_values_and_the_clipping_of_their_bits(tmp_path, bits, order):
-    """Not shifted up to 16 bits, as OpenCV does; what is clipped at 2^bits - 1 is told by that."""
+    """Not shifted up to 16 bits, as OpenCV does; what is clipped at 2^bits - 1 is known by that."""
     values = picture(2**bits - 1, "u2")
     same(packed_tiff(tmp_path / "a.tif", values, bits, order), values, largest=2**bits - 1)
     same(tmp_path / "a.tif", values, largest=2**bits - 1, bits=bits)

@@ -67,7 +67,7 @@ def test_the_search_finds_the_same_pixels(still, moved):
 
 
 def test_points_are_projected_and_triangulated_as_before(still, moved):
-    """Through the air that moved along, both ways."""
+    """Through the air that moved along, on both paths."""
     lit = vs.ray_search(still, Y, "newton")
     pixel = vs.project(still, lit.laser_point_mm)
     there = MOTION.to_world(lit.laser_point_mm)
@@ -130,7 +130,7 @@ def test_no_air_is_not_moved(write):
 
 
 def test_the_fields_solid_moves_along(write):
-    """Air of another place is told by its solid too, where the line is still in its box."""
+    """Air of another place is recognised by its solid too, where the line is still in its box."""
     solid = vs.load_scene("hot_cylinder", **FILM).air.path
     assert read_field_file(solid, 532.0).solid.any()
     aside = AIR.replace(MOVES, f'<translate y="20"/>{MOVES}')

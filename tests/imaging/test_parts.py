@@ -140,7 +140,7 @@ def test_a_square_is_two_triangles_in_any_writing(read, kind, data, expected, by
 
 @pytest.mark.parametrize("first", range(4))
 def test_a_quad_with_a_corner_inwards_is_not_filled(read, first):
-    """Rationale: cut the other way, triangles would lie beside the face; area by the formula."""
+    """Rationale: on the other diagonal, triangles lie beside the face; area by the formula."""
     dart = np.array([[0, 0, 0], [10, 0, 0], [2, 2, 0], [0, 10, 0]], float)
     part = read("ply", ply([np.roll(range(4), first).tolist()], dart))
     corner = triangles(part)
@@ -257,7 +257,7 @@ def test_what_is_left_out_of_a_part_is_noted(scene, kind, data, words):
 
 @pytest.mark.parametrize("kind", ["stl", "ply", "obj"])
 def test_a_part_stands_where_to_world_puts_it(scene, kind):
-    """Turned, scaled from inches and moved; its emitter and its BSDF are kept."""
+    """Turned, scaled from inches and moved; its emitter and its BSDF stay."""
     inches = trimesh.creation.box((2.0, 1.0, 0.5))
     data = inches.export(file_type=kind)
     if kind != "stl":

@@ -146,7 +146,7 @@ def test_files_that_include_one_another_are_refused(tmp_path):
 
 
 def test_parameters_of_an_included_file_are_the_scenes(tmp_path):
-    """They have defaults there, are given by name, and their faults are told of the right file."""
+    """They have defaults there, are given by name, and their faults name the right file."""
     material = tmp_path / "material.xml"
     text = f'<scene version="3.0.0">\n<default name="rho" value="0.5"/>\n{STEEL}</scene>'
     material.write_text(text.replace('value="0.5"/>\n    </', 'value="$rho"/>\n    </'), "utf-8")

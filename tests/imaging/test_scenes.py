@@ -76,7 +76,7 @@ def test_along_moves_the_sensor_along_the_parts_axis(name):
 
 
 def test_parameters_reach_the_scene():
-    """Each parameter moves what it names, and what is used is told, defaults included."""
+    """Each parameter moves what it names, and what is used is listed, defaults included."""
     scene = vs.load_scene(
         "hot_cylinder",
         **{"alpha": 45, "tilt": -20, "line_length": 8, "line_radius": 0.2, "dots": "0, -1.5"},
@@ -202,7 +202,7 @@ def test_a_time_that_the_field_has_not_is_refused(gusty, parameters, expected):
 
 
 def test_only_a_field_file_has_instants(gusty):
-    """In homogeneous air, or air from elsewhere, there is nothing to choose from."""
+    """In homogeneous air, or air of another file, there is nothing to choose from."""
     scene = vs.load_scene("hot_cylinder", field=gusty)
     with pytest.raises(
         vs.InputError, match=r"hot_cylinder\.xml: .*gusty\.nc: it has no instant at 9"
@@ -390,7 +390,7 @@ def test_unknown_scene_is_refused_with_those_that_exist():
 
 
 def test_only_a_closed_cylinder_along_x_is_the_analytic_one(tmp_path):
-    """A disk that is no end face must stay in the way of rays."""
+    """A disk that is no end face must still block rays."""
     text = shipped_text("cold_cylinder")
     assert isinstance(vs.load_scene("cold_cylinder").surface, Cylinder)
     path = tmp_path / "other.xml"

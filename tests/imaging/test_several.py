@@ -170,7 +170,7 @@ def test_each_cameras_sampler_is_asked(written, tmp_path):
 
 
 def test_bent_triangulation_of_each_pair_gives_the_incidence_points(written):
-    """Rationale: air bends every pair's light its own way; straight lines miss by far more."""
+    """Rationale: air bends every pair's light differently; straight lines miss by far more."""
     scene = written(
         [("near", 0, 1), ("far", 20, 1)],
         [("red", 0, 0), ("blue", 15, 4)],

@@ -109,7 +109,7 @@ def test_grains_are_correlated_as_a_round_aperture_makes_them(grain_px):
 
 
 def test_the_public_package_pyspeckle_agrees_on_the_grains(monkeypatch):
-    """Its patterns, made another way, by its own estimators: contrast and correlation."""
+    """Its patterns, made by another method, by its own estimators: contrast and correlation."""
     pyspeckle = pytest.importorskip("pyspeckle", reason="pip install '.[test]'")
     size, resolution = 300, 6  # pixels, pixels per lambda N
     drawn = np.random.RandomState(5).rand
@@ -298,7 +298,7 @@ def test_seeds_repeat_to_the_bit_and_dark_stays_dark():
 
 
 def test_the_unit_of_the_image_does_not_matter():
-    """Radiance as in W/(mm^2 sr) or in electrons: single precision's range is not in the way."""
+    """Radiance as in W/(mm^2 sr) or in electrons: single precision's range suffices."""
     image = line_image(np.full(50, 30.0), 2.0, height=60)
     faint, strong = (speckled(image * unit, Aperture(8.0), 1) / unit for unit in (1e-60, 1e60))
     np.testing.assert_allclose(faint, strong, rtol=1e-4, atol=1e-4)

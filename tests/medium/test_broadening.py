@@ -70,7 +70,7 @@ def test_a_mirrored_field_is_blurred_like_the_unfolded_one(mirror):
 def test_heat_is_kept_and_nothing_is_left_at_the_border(mirror):
     """Rationale: a blur spreads hot air and makes none.
 
-    Even where a plume leaves through the top, as in the fields that come along: outside is the air
+    Even where a plume leaves through the top, as in the shipped fields: outside is the air
     of the surroundings, and the jump is gone.  Along x nothing is spread, and its border stays.
     """
     before = hill(mirror, centre_mm=(0.0, 55.0))

@@ -1,4 +1,4 @@
-"""Field files: the shipped one, what can be in one, and every way in which it can be wrong."""
+"""Field files: the shipped one, what can be in one, and everything that can be wrong in it."""
 
 import gc
 from pathlib import Path

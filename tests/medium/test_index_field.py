@@ -30,7 +30,7 @@ def scipy_spline(values, origin, spacing):
 
 @pytest.fixture(scope="module")
 def rough():
-    """Random values on a small grid of unequal sides, some way from ambient."""
+    """Random values on a small grid of unequal sides, at some distance from ambient."""
     rng = np.random.default_rng(1)
     return AMBIENT - 2e-4 * rng.random((9, 4, 7))
 

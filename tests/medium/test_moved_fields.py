@@ -44,7 +44,7 @@ def points(field):
 
 
 def test_index_and_gradient_move_along(field, points):
-    """At a moved point they are what they were, the gradient turned; surroundings elsewhere."""
+    """At a moved point they are what they were, the gradient turned; the surroundings outside."""
     moved = field.moved(MOTION)
     n = field.refractivity(points)
     np.testing.assert_allclose(moved.refractivity(there(points)), n, rtol=0, atol=1e-16)

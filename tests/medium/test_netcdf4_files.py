@@ -150,7 +150,7 @@ def test_more_than_fits_into_memory_is_refused(tmp_path):
 
 
 def test_without_the_package_the_extra_is_named(written, monkeypatch):
-    """And the way without it."""
+    """And the remedy without it."""
     path, _ = written()
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"field\.nc: .*virtual-sensor\[netcdf4\].*nccopy -3"):

@@ -61,7 +61,7 @@ def test_linears_gradient_is_its_own(dimensions):
 
 
 def test_linears_gradient_jumps_and_the_cubics_does_not():
-    """Across a face: the rung of the ladder that has to fail."""
+    """Across a face: the simplification that has to fail."""
     field = random_air()
     face = ORIGIN + SPACING * [3.0, 2.4, 1.6]
     sides = face + np.array([[-1e-9, 0.0, 0.0], [1e-9, 0.0, 0.0]])
@@ -122,7 +122,7 @@ def test_single_precision_is_the_same_field(interpolation, dimensions):
 
 
 def test_the_simplest_comes_back_as_it_was():
-    """The choices are of how to look: the nodes, the border and the file stay."""
+    """The choices are of interpolation: the nodes, the border and the file stay."""
     field = random_air()
     points = within(field)
     back = field.simplified("linear").simplified()

@@ -102,7 +102,7 @@ def test_a_written_quantity_comes_back_at_every_instant(path, kind, packed):
 
 
 def test_between_two_instants_the_stored_quantity_is_interpolated(path):
-    """Temperature, not its reciprocal n - 1: a quarter of the way from 1.0 s to 3.0 s."""
+    """Temperature, not its reciprocal n - 1: a quarter of the time from 1.0 s to 3.0 s."""
     quantity = gridded()
     write_quantity(path, quantity, packed=False)
     between = 0.75 * quantity.values[1] + 0.25 * quantity.values[2]

@@ -90,7 +90,7 @@ def test_no_cylinder_is_nearer_to_noisy_points():
 
 
 def test_residuals_are_positive_outside():
-    """Rationale: a sign that nobody fixed is a sign that somebody will read the wrong way."""
+    """Rationale: a sign that nobody fixed is a sign that somebody will read wrongly."""
     points = scan(11.0, 60.0)
     points[700] *= [1.0, 1.001, 1.001]
     fit = fit_cylinder(points)

@@ -101,7 +101,7 @@ def test_rounding_errs_by_the_papers_few_micrometres():
 
 
 def test_paths_are_told_apart():
-    """A spot that moves by 88 um in -y, seen straight, is -4 px; the rest is the camera's way."""
+    """A spot that moves by 88 um in -y, seen straight, is -4 px; the rest is the camera's path."""
     camera = paper_sensor().camera
     A_mm = np.array([[0.0, 0.0, 0.0]])
     B_mm = np.array([[0.0, -0.088, 0.0]])

@@ -389,9 +389,9 @@ def test_points_between_columns_are_compared_with_the_line_between():
             LineCentres(u, v, blank, blank, blank, blank, blank, status), TrueLine.of_rows(truth)
         )
         expected = []
-        for each, row, told in zip(u, v, status, strict=True):
+        for each, row, given in zip(u, v, status, strict=True):
             column = round(each)
-            if told != Status.OK or not 0 <= column < WIDTH or np.isnan(truth[column]):
+            if given != Status.OK or not 0 <= column < WIDTH or np.isnan(truth[column]):
                 continue
             beside = column + (1 if each > column else -1)
             joined = 0 <= beside < WIDTH and np.isfinite(truth[beside])

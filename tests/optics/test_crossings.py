@@ -104,7 +104,7 @@ SOURCES = {
 
 
 def lit_points(family, medium, index, s, t):
-    """Points on a source's rays (s, t) by SciPy, some way along each."""
+    """Points on a source's rays (s, t) by SciPy, at some distance along each."""
     starts, directions = family.rays(s, t)
     along = np.random.default_rng(2).uniform(120.0, 150.0, len(starts))
     if medium is None:

@@ -288,7 +288,7 @@ def test_a_ray_that_only_just_reaches_the_border_does_not_hang_there(precision):
 
 
 def test_a_ray_that_runs_out_of_steps_says_so():
-    """It stops in the field, after as much of its way as it was allowed."""
+    """It stops in the field, after the length that it was allowed."""
     field = luneburg(20.0, box=np.array([[-27.0] * 3, [27.0] * 3]))
     _, _, status, ray = bent(field, STARTS, DIRECTIONS, March(0.5, max_steps=7))
     assert np.all(status == RayStatus.OUT_OF_STEPS)

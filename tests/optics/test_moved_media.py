@@ -60,7 +60,7 @@ class Moved:
 
 
 def plume(dimensions=3, interpolation="cubic"):
-    """Hot air over a cylinder of 13.5 mm along x, rough enough to bend rays any way."""
+    """Hot air over a cylinder of 13.5 mm along x, rough enough to bend rays in any direction."""
     x, y, z = np.linspace(-40, 40, 9), np.linspace(-30, 30, 25), np.linspace(-20, 60, 33)
     shape = np.exp(-((y[:, None] / 9.0) ** 2) - ((z - 10.0) / 25.0) ** 2)
     nodes = -2e-3 * shape * (1.0 + 0.3 * np.cos(x / 20.0))[:, None, None]

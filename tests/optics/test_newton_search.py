@@ -59,7 +59,7 @@ def test_rays_beside_the_part_and_at_its_limb_are_marched(scene):
 
 
 def test_what_hides_a_point_or_lies_on_the_line_is_seen(scene):
-    """Every ray looks for itself: what hides one point, or lies on the line, is no one else's."""
+    """Every ray is its own search: what hides one point, or lies on the line, is no one else's."""
     rng = np.random.default_rng(3)
     y = np.sort(rng.uniform(-10.0, 10.0, newton_search.MANY))
     free = ray_search(scene, y, "newton", march=replace(REFERENCE, step_mm=2.0))

@@ -280,7 +280,7 @@ def sent(laser, a, b, depth):
 
 
 def test_the_ray_that_the_map_tells_passes_through_the_point(laser, mapped):
-    """Rationale: to the tolerance, and with the slope told; sent off from the exit by SciPy."""
+    """Rationale: to the tolerance, and with the slope; sent off from the exit by SciPy."""
     error_mm, places = mapped.linear_error_mm, around(mapped.table.grid, 150)
     a0, b0, depth = places.T
     told = read(mapped.linear, places)
@@ -352,7 +352,7 @@ def points_of(laser, places):
 
 
 class Open(NoSurface):
-    """Nothing in the way, but shapes somewhere."""
+    """Nothing between, but shapes somewhere."""
 
     corners = mi.ScalarPoint3f(-30.0), mi.ScalarPoint3f(30.0)
 
@@ -450,7 +450,7 @@ def test_rays_that_are_turned_away_leave_no_map(laser):
 
 
 def test_a_tolerance_that_cannot_be_met_is_refused_with_the_error_reached():
-    """Rationale: single precision is good for a nanometre; the user must be told how far it got."""
+    """Rationale: single precision is good for a nanometre; the user must know how far it got."""
     march = March(step_mm=10.0, method="leapfrog", precision="single")
     field = ExactField(SPOT.field.n_squared, box=SPOT.field.box)
     reached = r"the table's error is \d\.\de-\d\d mm with \d+ x \d+ x \d+ nodes, above"

@@ -1,4 +1,4 @@
-"""The ray search: against SciPy end to end, the paper's way against Newton's, and each status."""
+"""The ray search: against SciPy end to end, the paper's method against Newton's, each status."""
 
 from dataclasses import replace
 from itertools import product

@@ -33,7 +33,7 @@ from virtual_sensor.poses import Pose
 AGREEMENT = 1e-4  # of the largest derivative along the line
 Y = np.linspace(-9.83, 9.64, 8)  # on no knot of the spline: its third derivative jumps there
 FINE = March(0.025, "leapfrog")
-"""Where a difference shows the steps: they begin elsewhere in the field when the sensor moves."""
+"""Where a difference shows the steps: they begin at other places in it when the sensor moves."""
 AXIS = np.array([0.0, 0.0, -13.5])  # a point on the cylinder's
 BOTH = ("camera", "laser")
 
@@ -45,7 +45,7 @@ def turned(pose, turn_deg, pivot_mm, shift_mm):
 
 
 def moved(scene, parts, turn_deg=(0, 0, 0), pivot_mm=(0, 0, 0), shift_mm=(0, 0, 0)):
-    """The scene with parts of its sensor elsewhere."""
+    """The scene with parts of its sensor moved."""
     motion = (np.array(x, float) for x in (turn_deg, pivot_mm, shift_mm))
     motion = tuple(motion)
     places = {
@@ -57,7 +57,7 @@ def moved(scene, parts, turn_deg=(0, 0, 0), pivot_mm=(0, 0, 0), shift_mm=(0, 0, 
 
 @cache
 def fields():
-    """The fields that come along, by wall temperature."""
+    """The shipped fields, by wall temperature."""
     folder = shipped_scenes() / "fields"
     return {
         float(t): IndexField.read(folder / f"hot_cylinder_{t}C_quarter.nc")
@@ -138,7 +138,7 @@ def test_a_step_along_the_line(scene, exact):
 
 @pytest.mark.parametrize("name", ["camera_z", "laser_z", "sensor_y"])
 def test_air_that_ends_before_it_has_faded(scene, name):
-    """Rays that start elsewhere enter it sooner or later: without that, 1e-3 of it is wrong."""
+    """Rays of other starts enter it sooner or later: without that, 1e-3 of it is wrong."""
     field, low = scene.field, 41  # nodes: up to z = 14 mm, where it is hot
     assert field.origin[2] + low * field.spacing[2] < 16.0
     where = {"ambient": field.ambient, "mirror": field.mirror}

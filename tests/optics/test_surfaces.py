@@ -117,7 +117,7 @@ def scene():
 
 @pytest.mark.parametrize("bent", [False, True], ids=["cold", "hot"])
 def test_mitsubas_shapes_stop_rays_where_the_analytic_cylinder_does(scene, bent):
-    """Although Mitsuba intersects in float32: only pieces of a tenth of a millimetre are asked."""
+    """Although Mitsuba intersects in float32: only parts of a tenth of a millimetre are asked."""
     march = March(step_mm=1.0, method="leapfrog")
     u, v = np.meshgrid(np.linspace(500.0, 1550.0, 40), np.linspace(300.0, 1750.0, 10))
     directions = scene.sensor.camera.lines_of_sight(np.stack([u.ravel(), v.ravel()], axis=-1))

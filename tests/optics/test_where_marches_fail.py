@@ -83,7 +83,7 @@ def hot_layer(dip):
 
 
 def silhouette(march, field, count=1001, rounds=3):
-    """How far from Bouguer's n(R) R the last HIT is, px; each round looks closer.
+    """How far from Bouguer's n(R) R the last HIT is, px; each round samples closer.
 
     All are HIT or LEFT, and none is HIT beyond one that missed by more than rounding.
     """

@@ -1,4 +1,4 @@
-"""Where searches fail, each is told: no pixel that is called FOUND is another point's."""
+"""Where searches fail, each is reported: no pixel that is called FOUND is another point's."""
 
 import numpy as np
 import pytest

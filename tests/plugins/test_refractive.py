@@ -164,7 +164,7 @@ def test_nothing_is_lit_behind_a_screen(screened_frame):
 
 
 def test_where_no_map_holds_the_whole_film_its_pixels_are_marched(tmp_path, monkeypatch):
-    """Rationale: light that is not the laser's must not be lost with the map, and why is told."""
+    """Rationale: light that is not the laser's must not be lost with the map, a note says why."""
     scene = screened(tmp_path, POINT, size=64)
     expected = render_frame(scene)
     assert not expected.report.reason

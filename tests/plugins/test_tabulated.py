@@ -219,7 +219,7 @@ def halved(lit):
 
 
 def test_samples_off_the_tables_are_marched_and_counted(small):
-    """Rationale: half of the line is off one table; what is on it is given as nought there."""
+    """Rationale: half of the line is off one table; what is on it is given as zero there."""
     scene = vs.load_scene("hot_cylinder", **SMALL)
     whole = vs.render(scene)
     prepared = Prepared.of(arrangement(scene))
@@ -311,7 +311,7 @@ def test_tables_give_the_same_bits_with_any_number_of_threads():
     ids=["tolerance", "pose", "samples"],
 )
 def test_another_choice_runs_the_same_kernels(other):
-    """Rationale: one compiled anew for each frame of a sweep would cost more than the frame.
+    """Rationale: one compiled again for each frame of a sweep would cost more than the frame.
 
     The second may still compile one, for arrays that NumPy aligned otherwise; the third must not.
     """

@@ -133,7 +133,7 @@ def test_what_is_enough_has_a_number_and_nearly_equals_share_one():
 
 
 def test_the_picture_has_a_panel_for_each_job_and_rings_what_is_enough(picture):
-    """Rationale: each can be read alone, on a phone; the ring is what one looks for first."""
+    """Rationale: each can be read alone, on a phone; the ring is what one wants first."""
     assert [panel.title for panel in picture.panels] == list(TITLES.values())
     assert pixels(picture.png).shape[1] == 1280
     for panel in picture.panels:

@@ -22,7 +22,7 @@ def written(tmp_path_factory):
 
 
 def test_results_are_written_with_table_picture_page_and_summary(written):
-    """Rationale: people look at the page, the documentation takes the table, programs the rest."""
+    """Rationale: people open the page, the documentation takes the table, programs the rest."""
     assert sorted(p.name for p in written.iterdir()) == [
         *("convergence.csv", "convergence.md", "convergence.png", "report.html", "summary.json")
     ]

@@ -17,7 +17,7 @@ def maker():
 
 
 def test_the_page_is_as_the_program_makes_it():
-    """Rationale: a dictionary that is kept by hand lists what there once was."""
+    """Rationale: a dictionary that is written by hand lists what there once was."""
     made = maker()
     assert made.PAGE.read_text(encoding="utf-8") == made.dictionary(made.files()), (
         "python docs/make_data_dictionary.py"

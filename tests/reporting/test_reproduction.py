@@ -317,7 +317,7 @@ def fit(residual, air=BLURRED):
 
 
 def test_fits_are_shown_with_what_they_miss():
-    """Rationale: within 15 % is met; a bound is kept, without a percentage, or it is not."""
+    """Rationale: within 15 % is met; a bound holds, without a percentage, or does not."""
     wide = fit([3.0, 0.0, -0.4, np.nan, 0.0, 0.1], WIDENED)
     shown = fit_table({BLURRED: fit([0.1, -0.1, 0.0, 0.15, 0.0, 0.0]), WIDENED: wide})
     columns = list(zip(*shown.rows, strict=True))

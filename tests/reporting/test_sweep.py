@@ -170,7 +170,7 @@ def test_further_parameters_make_panels_on_one_scale(axes_of):
 
 
 def test_failed_cases_are_seen(axes_of):
-    """Rationale: a gap looks like a case that nobody asked for."""
+    """Rationale: a gap resembles a case that nobody asked for."""
     axes = axes_of(swept({"beta": ["0", "15", "30"]}, failed=(1,)))[ERROR]
     crosses = [line for line in axes.lines if line.get_marker() == "x"]
     assert [line.get_xdata().tolist() for line in crosses] == [[15.0]]

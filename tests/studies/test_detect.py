@@ -100,7 +100,7 @@ def test_files_that_are_no_images_are_refused(tmp_path):
 
 
 def test_a_line_that_stands_is_told_from_one_that_is_not_there(tmp_path):
-    """Few columns show it, but the rows do: a hint, both ways; none where all is well or dark."""
+    """Few columns show it, but the rows do: a hint; none where all is well or dark."""
     lying = picture(255, np.uint8)
     cases = {
         ("lying", "columns"): None,

@@ -110,7 +110,7 @@ def test_what_a_grid_loses_is_what_a_finer_one_shows(stored):
 
 
 def test_kinks_as_narrow_as_the_grid_are_found_out(stored):
-    """Rationale: linear interpolation from a coarser mesh looks fine, and bends light in steps."""
+    """Rationale: linear interpolation from a coarser mesh seems fine, and bends light in steps."""
     mesh = np.linspace(-48.0, 48.0, 29)
 
     def kinked(x, y, z):

@@ -1,4 +1,4 @@
-"""Finished work is found again, other work is not taken for it, and nothing is kept by half."""
+"""Finished work is found again, other work is not taken for it, and no half results stay."""
 
 import importlib
 import os
@@ -45,7 +45,7 @@ def never(folder):
 
 
 def test_work_is_made_once(tmp_path):
-    """Rationale: that is what it is kept for."""
+    """Rationale: that is what it is stored for."""
     first = find_or_make(tmp_path, "nine", INPUTS, write("done"))
     assert first.name == f"nine-{key_of(INPUTS)}"
     assert find_or_make(tmp_path, "nine", INPUTS, never) == first == find(tmp_path, key_of(INPUTS))
@@ -53,7 +53,7 @@ def test_work_is_made_once(tmp_path):
 
 
 def test_the_same_work_under_another_name_is_the_same_work(tmp_path):
-    """Rationale: a sweep that is extended by a parameter names its cases anew."""
+    """Rationale: a sweep that is extended by a parameter names its cases differently."""
     first = find_or_make(tmp_path, "beta=15", INPUTS, write("done"))
     assert find_or_make(tmp_path, "beta=15_temperature=1250", INPUTS, never) == first
 
@@ -239,7 +239,7 @@ def test_work_of_another_program_is_replaced_by_the_same_inputs_work(tmp_path, m
 
 
 def test_a_file_that_changes_has_another_hash(tmp_path):
-    """Rationale: a field that is written anew under its old name is another field."""
+    """Rationale: a field that is written again under its old name is another field."""
     file = tmp_path / "air.nc"
     file.write_text("cold")
     first = file_hash(file)

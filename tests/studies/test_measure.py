@@ -243,7 +243,7 @@ def test_a_line_that_stands_upright_is_noted(tmp_path):
 
 
 def test_the_summary_says_what_was_really_used():
-    """Rationale: of 7 samples asked for 9 were taken, and the summary kept the 7."""
+    """Rationale: of 7 samples asked for 9 were taken, and the summary still said 7."""
     film = {"width": 128, "height": 128, "line_radius": 1, "spp": 9, "step": 4}
     made = summary(measure(load_scene("hot_cylinder", **film))).made_with
     assert (made.samples_per_pixel, made.step_mm) == (9, 4.0)

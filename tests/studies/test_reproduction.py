@@ -79,7 +79,7 @@ def made_curve(sensor, temperature_c, beta_deg, moved_mm, bent_px):
 
 
 def made_curves(sensors, scale=1.0):
-    """Curves that go the paper's ways: what its text says, put into numbers."""
+    """Curves that run as the paper's: what its text says, put into numbers."""
     s = -NINE_RAYS_MM / 10.0
     nine = {}
     for temperature, hot in ((900.0, 0.8), (1100.0, 0.9), (1250.0, 1.0)):

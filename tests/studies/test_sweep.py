@@ -1,4 +1,4 @@
-"""A sweep makes each case once, whatever is killed on its way, and to the same bits everywhere."""
+"""A sweep makes each case once, whatever is killed meanwhile, and to the same bits everywhere."""
 
 import csv
 import json
@@ -75,7 +75,7 @@ def test_a_list_of_cases_is_named_by_what_differs():
 
 
 def test_a_value_given_and_the_same_by_default_are_the_same_case():
-    """Rationale: extended by a parameter at its default, a sweep must not start anew."""
+    """Rationale: extended by a parameter at its default, a sweep must not start again."""
     [plain] = plan("hot_cylinder", {"beta": ["15"]})
     [given] = plan("hot_cylinder", {"beta": ["15"], "temperature": ["1250"]})
     assert plain.key == given.key

@@ -71,7 +71,7 @@ app.command(epilog=doctor.EPILOG)(doctor.doctor)
 
 
 def run() -> int:
-    """Run the command and give its exit status; errors and a stop are told in a line each."""
+    """Run the command and give its exit status; an error or a stop is printed in one line."""
     with streams() as faults:
         status = _run()
     if faults:

@@ -86,7 +86,7 @@ def _as_list(table: Table) -> Iterator[str]:
 
 
 class _Stream:
-    """A text stream that never fails: what it can't write is dropped, and the reason kept."""
+    """A text stream that never fails: what it can't write is dropped, and the reason recorded."""
 
     def __init__(self, stream: TextIO) -> None:
         if isinstance(stream, io.TextIOWrapper):

@@ -73,7 +73,7 @@ Source = Annotated[
     ),
 ]
 NOTHING_FOUND = 3
-"""Exit status of a command that has results, but found nothing in them."""
+"""Exit status of a command that has results, but no line, dot or ray in them."""
 NOTHING_STAYS = "no results are written"
 FINISHED_STAYS = "finished cases stay, and the same command goes on"
 Folder = Annotated[Path, typer.Option("-o", "--output", help="Folder for the results.")]

@@ -466,9 +466,9 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
         extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
         axes.imshow(image[top:bottom, left:right], cmap="gray", aspect="auto", extent=extent)
         for number, (label, drawn) in enumerate(result.states.items()):
-            look = ("+", "x")[number] if drawn.dots else LINES[number]
+            line = ("+", "x")[number] if drawn.dots else LINES[number]
             label = f"{label}: {drawn.centres} {'dots' if drawn.dots else 'line centres'}"
-            axes.plot(*drawn.centres_px.T, look, color=_on_black(number), lw=1.2, ms=8, label=label)
+            axes.plot(*drawn.centres_px.T, line, color=_on_black(number), lw=1.2, ms=8, label=label)
         axes.grid(False)
         axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u along the line in px")
         axes.set(ylabel="v in px")
@@ -644,8 +644,8 @@ def _bent(start: Array, end: Array, by: float) -> Array:
     return start + share * (end - start) + by * 4.0 * share**2 * (1.0 - share) * aside
 
 
-def _arrow(axes: Axes, path: Any, look: str, paint: str) -> None:
-    axes.plot(*np.asarray(path).T, look, color=paint)
+def _arrow(axes: Axes, path: Any, line: str, paint: str) -> None:
+    axes.plot(*np.asarray(path).T, line, color=paint)
 
 
 def _check_panel(result: Measurement) -> Panel:
@@ -679,12 +679,12 @@ def _curve(
     y: Array,
     name: str,
     label: str,
-    look: str = "-",
+    line: str = "-",
     marker: str = "o",
     dots: bool = False,
 ) -> None:
     """A curve that is broken where there is no value, of dots points only."""
-    style = {"ls": "", "marker": marker, "ms": 6} if dots else {"ls": look}
+    style = {"ls": "", "marker": marker, "ms": 6} if dots else {"ls": line}
     axes.plot(x, _floored(y), color=colour(name), label=label, **style)
 
 

@@ -45,7 +45,7 @@ from virtual_sensor.studies.sweep_table import SweepTable
 
 COMMAND = "reproduce"
 FILES = (
-    FileOf(PAGE, "The page to look at first."),
+    FileOf(PAGE, "The page to open first."),
     FileOf("figure_*.png", "A figure of the paper's: a column for each air."),
     FileOf("airs.png", "Norms of figure 7 in the three airs."),
     FileOf("whole_line.png", "Both sides of the line."),
@@ -187,7 +187,7 @@ def markdown(result: Reproduction) -> str:
             "",
             f"Of {len(result.verdicts)} statements our air bears out: {met}. Made by"
             f" `virtual-sensor reproduce`; numbers are met within {100 * TOLERANCE:g} %, bounds if"
-            " kept.\n",
+            " they hold.\n",
         ]
     )
 
@@ -233,7 +233,7 @@ def page(
             ),
             Section(
                 "What the paper states, and what we find",
-                f"Numbers are met within {100 * TOLERANCE:g} %, bounds if kept.",
+                f"Numbers are met within {100 * TOLERANCE:g} %, bounds if they hold.",
                 statements,
                 Listing(tuple(reasons)),
             ),

@@ -153,8 +153,8 @@ FIGURES = (
     DiagramFigure(
         "figure_9",
         "Figure 9: the pixel's displacement, separated by light path",
-        "Figure 7(d) split by path: what bends the laser's light on its way to the part moves the"
-        " spot one way, what bends the light on its way to the camera moves it back. (d) to (f)"
+        "Figure 7(d) split by path: what bends the laser's light before the part moves the"
+        " spot, what bends the light between part and camera moves it back. (d) to (f)"
         " show one ray, y = -7.5 mm, on the sensor.",
         (
             Diagram("9a", "9(a): laser → object", "laser_to_object_px"),

@@ -88,7 +88,7 @@ _RC = {
     "axes.titlesize": 11.0,
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
-    "axes.titley": 1.0,  # else each title is placed anew, beside all that was drawn above the axes
+    "axes.titley": 1.0,  # else each title is placed again, beside all that was drawn above the axes
     "axes.labelsize": 10.0,
     "xtick.labelsize": 9.5,
     "ytick.labelsize": 9.5,
@@ -103,7 +103,7 @@ _RC = {
     "lines.linewidth": 1.3,
     "lines.markersize": 4.0,
     "image.cmap": "cividis",
-    "text.hinting": "none",  # hinted letters take a fifth of a picture's time, and look no better
+    "text.hinting": "none",  # hinted letters take a fifth of a picture's time, and are no clearer
     "axes.unicode_minus": True,
 }
 

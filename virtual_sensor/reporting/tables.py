@@ -48,7 +48,7 @@ class TextTable:
     ----------
     head : tuple of str
     rows : tuple of tuple of str
-        A cell that is a `Link` is one on a page, and its text elsewhere.
+        A cell that is a `Link` is one on a page, and its text in Markdown and on the console.
     caption : str
     emphasised : tuple of bool
         Rows that are to be seen first; () for none.
@@ -150,7 +150,7 @@ def _rows(rows: Any) -> Iterable[Any]:
 
 
 def _value(row: Any, name: str) -> Any:
-    """Value of a row under a name with dots; None where there is none on the way."""
+    """Value of a row under a name with dots; None where one of its parts is None."""
     for part in name.split("."):
         if row is None:
             return None

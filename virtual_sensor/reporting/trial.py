@@ -43,8 +43,8 @@ _HOW = (
     f"Outliers are off by more than {OUTLIER_PX:g} px and {OUTLIER_BOUNDS:g} bounds. They are"
     " counted, and are not in the errors.",
     "The Cramer-Rao bound is the smallest error that an unbiased estimate from one column can have:"
-    " var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)). A detector that also looks along the"
-    " line, as steger does, may go below it, and rounds off what is sharp.",
+    " var >= 1/sum((d mu/d row)^2/(mu + sigma_d^2 + 1/12)). A detector that also uses neighbouring"
+    " columns, as steger does, may go below it, and rounds off what is sharp.",
     "Times are the processor's for one column, the best of three runs or more, while all cores do"
     " the same.",
     "Saturated lines are clipped at half their height. Speckle is of an aperture of f/5.6 at"
@@ -196,7 +196,7 @@ def lead(trial: Trial) -> str:
     least = min(front(task), key=lambda each: each.rms_px)
     others = [each for each in task if each.detector not in NAMES or each is least]
     for other in others:
-        along = "; it also looks along the line" if other.detector == STEGER else ""
+        along = "; it also uses neighbouring columns" if other.detector == STEGER else ""
         if not np.isfinite(other.rms_px):
             words.append(f"{other.detector} finds no centre.")
         elif other is not best:
@@ -217,7 +217,7 @@ def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
         " predicts, and the time of a column. Emphasised: no other detector is both faster and more"
         " accurate. A clean line is not all: the harder images below show what each makes of"
         " speckle and ambient light.",
-        "signal": "1 is the Cramér-Rao bound of one column: nothing unbiased that looks at one"
+        "signal": "1 is the Cramér-Rao bound of one column: nothing unbiased that uses one"
         " column errs less. Where a curve ends, the detector finds no centre.",
         "phase": "Without noise. Linear between -0.0001 and 0.0001 px, logarithmic beyond.",
         "troubles": "Shares of the columns with a line; in words, the rms error of those that are"

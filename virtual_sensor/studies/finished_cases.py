@@ -171,7 +171,7 @@ def find_or_make(
     folder : Path
         Where finished cases lie.
     name : str
-        For people who look there: it becomes ``folder/name-key``.  A case that is there under
+        For people who open the folder: it becomes ``folder/name-key``.  A case that is there under
         another name is the same case.
     inputs : Mapping
         All that the case depends on but the program (see `key_of`).

@@ -1,4 +1,4 @@
-"""The lines of a scene's sources in one image of one camera, told apart."""
+"""The lines of a scene's sources in one image of one camera, separated."""
 
 from typing import Any
 

@@ -283,7 +283,7 @@ def run(
     InputError
         If the folder holds something else or can't be written; if the scene has several cameras or
         sources and none is named; if there is no such scheduler, it has no workers or is lost, or
-        the workers write elsewhere.
+        the workers write to another disk.
     """
     place = folder.absolute() / CASES
     there = {case.key: find(place, case.key) for case in cases}
@@ -385,7 +385,7 @@ def _on_cluster(
     for number, (key, ending) in enumerate(completed(scheduler, tasks)):
         case = keys[key]
         if ending is None:
-            message = "each worker that tried it was lost; look at the workers' own messages"
+            message = "each worker that tried it was lost; see the workers' own messages"
             ending = (CaseStatus.FAILED.value, message)
         elif ending[0] == CaseStatus.OK and not find(place, case.key):
             raise InputError(

@@ -238,8 +238,8 @@ def line_of(scene: Scene, column: Index, spp: int) -> LineCentres:
 def largest_error(line: LineCentres, truth: TrueLine) -> float:
     """Largest error of the centres, px; infinite if too many columns are lost."""
     errors = compare_line(line, truth)
-    kept = errors.count and errors.count >= (1.0 - _LOST) * errors.expected
-    return errors.largest_px if kept else float("inf")
+    enough = errors.count and errors.count >= (1.0 - _LOST) * errors.expected
+    return errors.largest_px if enough else float("inf")
 
 
 def _moved(one: FoundPixels, other: FoundPixels, width: int) -> float:

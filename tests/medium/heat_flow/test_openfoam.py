@@ -92,7 +92,7 @@ def test_tools_without_settings_are_told_what_was_looked_for(machine, monkeypatc
 
 
 def test_several_processes_need_mpirun(machine):
-    """Rationale: to be told before anything is decomposed."""
+    """Rationale: to be reported before anything is decomposed."""
     install(machine, UPSTREAM.format(2312))
     with pytest.raises(InputError, match=r"mpirun.*apt-get install openmpi-bin"):
         find_openfoam(parallel=True)
@@ -157,7 +157,7 @@ def test_a_tied_program_is_told_once():
 
 
 def test_how_a_tied_program_was_killed_is_passed_on():
-    """Rationale: want of memory is told from the status."""
+    """Rationale: want of memory is known from the status."""
     words = tied([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"], signal.SIGKILL)
     assert subprocess.run(words).returncode == 137
 

@@ -27,11 +27,11 @@ from virtual_sensor.medium.heat_flow.solver import Step, Watch
 
 FLOW = HeatFlow(section=True, cell_mm=4.0)
 END, INTERVAL = 0.3, 0.1
-# Of 1230 K. What is left: at the first step anew, the solver's change of kinetic energy is nought.
+# Of 1230 K. What is left: at the first step again, the solver's change of kinetic energy is 0.
 SAME_K = 1e-4
 
 
-PERIOD_S = 0.01  # these coarse sections take milliseconds a step: look at them often
+PERIOD_S = 0.01  # these coarse sections take milliseconds a step: check them often
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +50,7 @@ def meshed(openfoam, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def uninterrupted(meshed, tmp_path_factory):
-    """A case that was run in one go, and the progress told on the way."""
+    """A case that was run in one go, and the progress reported meanwhile."""
     folder = copied(meshed, tmp_path_factory.mktemp("uninterrupted"))
     told = []
     end = run_case(folder, END, report=told.append)

@@ -111,7 +111,7 @@ def test_a_mesh_beyond_every_machine_is_refused(tmp_path):
 
 
 def test_the_parts_file_is_what_the_case_is_of(tmp_path):
-    """Rationale: a part changed under its name is another part, and one moved elsewhere is not."""
+    """Rationale: a part changed under its name is another part, and one that was moved is not."""
     one, other = tmp_path / "one", tmp_path / "other"
     one.mkdir()
     other.mkdir()
@@ -208,5 +208,5 @@ def test_where_cells_of_two_sizes_meet_nothing_is_made_up(run):
 
 @pytest.mark.slow
 def test_the_case_holds_the_part_that_was_simulated(run):
-    """Rationale: the field can be sampled anew when the STL file is gone."""
+    """Rationale: the field can be sampled again when the STL file is gone."""
     assert read_part(run.case / SURFACE).surface.area == pytest.approx(cylinder().area, rel=1e-6)

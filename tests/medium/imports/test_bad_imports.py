@@ -210,7 +210,7 @@ def test_truncated_vtk_files_are_refused(pv, suffix, fraction, tmp_path, capfd):
 
 
 def test_a_missing_piece_is_refused(pv, tmp_path):
-    """Rationale: the parallel file is copied and one of its pieces forgotten."""
+    """Rationale: the parallel file is copied and one of its parts forgotten."""
     mesh = plume.hexahedra(pv, lattice(X[:9], Y[:9], Z[:9]))
     mesh.cell_data["T"] = temperature(mesh.cell_centers().points)
     path = plume.write_parallel_mesh(tmp_path / "a.pvtu", mesh)
@@ -259,7 +259,7 @@ def test_an_openfoam_case_must_be_whole(pv, tmp_path):
     ],
 )
 def test_what_is_no_such_file_is_refused(name, content, match, tmp_path):
-    """Rationale: the line and what is wanted there are told."""
+    """Rationale: the line and what is wanted there are named."""
     (tmp_path / name).write_text(content)
     refused(tmp_path / name, match)
 
@@ -275,7 +275,7 @@ def test_points_in_a_plane_or_on_a_line_are_refused(pv, tmp_path):
 
 
 def test_without_the_extra_the_remedy_is_told(tmp_path, monkeypatch):
-    """Rationale: VTK is large, so it does not come along."""
+    """Rationale: VTK is large, so it is not installed with us."""
     (tmp_path / "a.vtu").touch()
     monkeypatch.setitem(sys.modules, "pyvista", None)
     refused(tmp_path / "a.vtu", r"pip install 'virtual-sensor\[fields\]'")

@@ -96,7 +96,7 @@ VTK = {
 
 @pytest.mark.parametrize("kind", VTK)
 def test_vtk_comes_back(pv, kind, tmp_path):
-    """Rationale: n - 1 within 1e-4 is what the optics need; in pieces or not."""
+    """Rationale: n - 1 within 1e-4 is what the optics need; in parts or not."""
     field, made = through_a_file(VTK[kind](pv, tmp_path), tmp_path, **K)
     at_cells = kind in ("values at cells, .vtu", "pieces of a mesh, .pvtu")
     assert deviation(field, CELLS_MM if at_cells else MARGIN_MM) < 1e-4
@@ -105,7 +105,7 @@ def test_vtk_comes_back(pv, kind, tmp_path):
 
 @pytest.mark.parametrize("processors", [1, 2])
 def test_an_openfoam_case_comes_back(pv, processors, tmp_path):
-    """Rationale: finite volumes have values at cells only; decomposed, the cells lie in pieces."""
+    """Rationale: finite volumes have values at cells only; decomposed, the cells lie in parts."""
     nodes = warped(lattice(*SMALL) if processors > 1 else None)
     case = plume.write_openfoam(tmp_path / "case", nodes, processors=processors)
     field, made = through_a_file(case, tmp_path)
@@ -178,7 +178,7 @@ def test_scattered_points_come_back(pv, kind, tmp_path):
 
 @pytest.mark.parametrize("kind", ["npz", "npy with fields", "npy"])
 def test_numpy_comes_back(kind, tmp_path):
-    """Rationale: the shortest way from a program of one's own."""
+    """Rationale: the shortest route from a program of one's own."""
     values, choices = temperature(lattice()), dict(K)
     path = tmp_path / ("a.npz" if kind == "npz" else "a.npy")
     if kind == "npz":

@@ -99,7 +99,7 @@ def drawn_line(
 ) -> TrialImage:
     """A Gaussian line, integrated over each pixel, that wanders over all sub-pixel places.
 
-    It does so slowly: detectors that look along the line too find it straight.
+    It does so slowly: detectors that use neighbouring columns too find it straight.
 
     Parameters
     ----------

@@ -151,7 +151,7 @@ class Phases(Table):
 
 def phase_bias(detector: str, width_px: float) -> Array:
     """Bias (41,) in px at the sub-pixel phases `PHASES`, without any noise; NaN where it fails."""
-    repeats = 41  # a detector that looks along the line too needs one that is straight
+    repeats = 41  # one that uses neighbouring columns needs one that is straight
     bias = np.full(PHASES.size, np.nan)
     for number, phase in enumerate(PHASES):
         truth = np.full(repeats, 40.0 + phase)
