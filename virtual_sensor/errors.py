@@ -37,6 +37,10 @@ class InputError(ValueError):
         return printable(super().__str__())
 
 
+class NothingFoundError(InputError):
+    """An image without a line, where there are no results without one."""
+
+
 @contextmanager
 def naming(place: object) -> Iterator[None]:
     """Put a place, such as a file or an element of it, before the words of an InputError, once.
@@ -51,7 +55,7 @@ def naming(place: object) -> Iterator[None]:
             raise
         if len(said) > LONGEST_MESSAGE:
             said = f"{said[: LONGEST_MESSAGE - 100]}...{said[-100:]}"
-        raise InputError(f"{place}: {said}") from None
+        raise type(error)(f"{place}: {said}") from None
 
 
 class EngineError(RuntimeError):

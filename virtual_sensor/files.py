@@ -147,7 +147,7 @@ def folder_written_whole(path: Path, overwrite: bool = False) -> Iterator[Path]:
         try:
             yield new
         except InputError as error:
-            raise InputError(f"{error}".replace(f"{new}", f"{path}")) from error
+            raise type(error)(f"{error}".replace(f"{new}", f"{path}")) from error
         try:
             new.replace(final)  # where there is none, or an empty one
         except OSError as error:

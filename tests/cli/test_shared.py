@@ -1,11 +1,13 @@
 """What all commands share: progress, times, and files named for what they are."""
 
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
+from command_line import command
 
 from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
@@ -69,3 +71,20 @@ def test_results_are_a_folder_and_a_file_is_refused(tmp_path):
     shared.check_folder(tmp_path / "results.v2", overwrite=False)
     with pytest.raises(InputError, match=r"name a folder, such as -o .*/report$"):
         shared.check_folder(tmp_path / "report.png", overwrite=False)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "sweep hot_cylinder -D beta=0,5 -o table.csv",
+        "reproduce -o report.pdf",
+        "field info air.nc --json figures.xlsx",
+    ],
+)
+def test_a_name_that_promises_another_format_is_refused(words, tmp_path, monkeypatch):
+    """Rationale: also of folders in which a command goes on, and of files for programs."""
+    monkeypatch.chdir(tmp_path)
+    *_, option, name = words.split()
+    status, _, error = command(*words.split())
+    assert status == 2
+    assert re.search(rf"{option} {name}: .*name (a folder|it so)", error)

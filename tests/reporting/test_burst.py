@@ -11,6 +11,7 @@ from command_line import command
 from matplotlib.figure import Figure
 from swaying_plume import FILM, swaying_scene
 
+from virtual_sensor.errors import NothingFoundError
 from virtual_sensor.reporting import burst as module
 from virtual_sensor.reporting.burst import (
     FILES,
@@ -175,6 +176,18 @@ def test_the_command_passes_on_what_is_asked_for(result, drawn, tmp_path, monkey
     status, _, err = command(*words)
     assert (status, len(asked)) == (2, 1)
     assert "--overwrite" in err
+
+
+def test_a_frame_without_a_line_ends_the_command_with_status_3(monkeypatch, tmp_path):
+    """Rationale: a script tells what was not found from what was given wrongly."""
+
+    def nothing(*_, **__):
+        raise NothingFoundError("scene.xml: no line in the frame")
+
+    monkeypatch.setattr("virtual_sensor.studies.burst.burst", nothing)
+    status, _, err = command("burst", "hot_cylinder", "-o", tmp_path / "sway")
+    assert (status, err) == (3, "Error: scene.xml: no line in the frame\n")
+    assert not (tmp_path / "sway").exists()
 
 
 def test_the_command_writes_the_frames_that_are_asked_for(result, drawn, tmp_path):

@@ -17,7 +17,7 @@ from swaying_plume import (
 )
 
 from virtual_sensor import cli
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, NothingFoundError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.air import air_refractivity
 from virtual_sensor.medium.index_field import IndexField
@@ -294,5 +294,5 @@ def test_a_frame_without_a_line_is_refused(swaying):
         field=swaying.air.path,
         **(FILM | {"spp": 1, "line_radius": 1e-4}),
     )
-    with pytest.raises(InputError, match=r"no line in the frame at 5\.5 s; give a wider"):
+    with pytest.raises(NothingFoundError, match=r"no line in the frame at 5\.5 s; give a wider"):
         burst(scene, None, 0.5, 3)

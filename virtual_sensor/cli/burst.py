@@ -39,6 +39,7 @@ def burst(
     """Measure a burst of frames in moving air: how much the line and the measured points sway.
 
     The scene's field must have a time axis. `sway.csv` has the standard deviation in each column.
+    Exit status 3: a frame has no line centre; no results are written.
     """
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.reporting.burst import FrameFiles, fill, lead, table

@@ -19,8 +19,8 @@ from virtual_sensor.cli import (
     trial,
 )
 from virtual_sensor.cli.console import errors, one_line, streams
-from virtual_sensor.cli.shared import console
-from virtual_sensor.errors import EngineError, InputError, Interrupted
+from virtual_sensor.cli.shared import NOTHING_FOUND, console
+from virtual_sensor.errors import EngineError, InputError, Interrupted, NothingFoundError
 
 app = typer.Typer(
     help="A virtual laser-triangulation sensor that sees through hot air.",
@@ -98,7 +98,7 @@ def _run() -> int:
             # One line for a user's slip, whatever the names in it.
             text = str(error) if isinstance(error, EngineError) else one_line(str(error))
             errors.print(f"Error: {text}", style="red")
-            return 2
+            return NOTHING_FOUND if isinstance(error, NothingFoundError) else 2
         text = f"{error}" if isinstance(error, Interrupted) else interrupts.line(status)
         errors.print(text, style="yellow")
         return status

@@ -68,6 +68,7 @@ def info(
         check_output(words.page_beside(output), overwrite)
         check_output(output, overwrite)
     if figures:
+        shared.check_suffix(figures, (".json",), "what a program reads", "--json")
         check_output(figures, overwrite)
     with shared.reporting("reading the field") as report:
         found = field_info(
@@ -77,8 +78,10 @@ def info(
             report("writing the results", 0.8)
             words.save(found, shared.command_line(), output, figures)
     shared.print_results([*words.tables(found), *words.verdicts(found)], found.notes)
+    files = [f"figures in {figures}"] if figures else []
     if output:
-        shared.console.print(f"picture in {output}; open {words.page_beside(output)} first")
+        files += [f"picture in {output}", f"open {words.page_beside(output)} first"]
+    shared.print_time(", ".join(files) or "-o draws a picture and writes a page")
 
 
 @app.command(
@@ -205,4 +208,4 @@ def import_(
         # Of n - 1 nobody knows how many digits count; those of a temperature in 16 bits do.
         write_quantity(output, made.quantity, packed=made.quantity.kind != "refractivity")
     shared.print_results([f"  {line}" for line in imported(made)], made.notes)
-    shared.console.print(written(output))
+    shared.print_time(written(output))

@@ -30,6 +30,7 @@ def reproduce(
     from virtual_sensor.reporting.words import heading, in_words
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
 
+    shared.check_folder_name(output)
     with shared.reporting("reading what is finished", shared.FINISHED_STAYS) as report:
         result = run(
             output,

@@ -41,6 +41,7 @@ def search(
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.records import write_csv
     from virtual_sensor.reporting.search import on_console
+    from virtual_sensor.reporting.words import counted
     from virtual_sensor.studies.search import METHODS
     from virtual_sensor.studies.search import search as run
 
@@ -56,11 +57,13 @@ def search(
     number = len(result.rays)
     if output:
         write_csv(output, result.rays)
-        shared.console.print(f"{number} rays in {output}, {result.found} found")
     else:
         shared.console.print(on_console(result).rich())
     shared.print_notes(result.notes)
     if number and not result.found:
         statuses = ", ".join(sorted(set(result.rays.status)))
         shared.print_notes([f"no ray was found: {statuses}"])
+    found = f"{result.found} of {counted(number, 'ray')} found"
+    shared.print_time(f"{found}, table in {output}" if output else found)
+    if number and not result.found:
         raise typer.Exit(shared.NOTHING_FOUND)

@@ -158,12 +158,16 @@ def wall_clock_s() -> float:
         return time.perf_counter() - _IMPORTED
 
 
-def print_end(folder: Path, first: str = "report.html") -> None:
-    """Print how long the command took, and where its results are."""
+def print_time(end: str) -> None:
+    """Print a command's last line: how long it took, and what came of it."""
     from virtual_sensor.reporting.words import time_in_words
 
-    took = time_in_words(wall_clock_s())
-    console.print(f"{took} in all; results in {folder}, open {folder / first} first")
+    console.print(f"{time_in_words(wall_clock_s())} in all; {end}")
+
+
+def print_end(folder: Path, first: str = "report.html") -> None:
+    """Print how long the command took, and where its results are."""
+    print_time(f"results in {folder}, open {folder / first} first")
 
 
 def print_results(said: "Iterable[TextTable | str]", notes: Iterable[str] = ()) -> None:
@@ -173,7 +177,7 @@ def print_results(said: "Iterable[TextTable | str]", notes: Iterable[str] = ()) 
     print_notes(notes)
 
 
-def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
+def check_suffix(path: Path, suffixes: Sequence[str], what: str, option: str = "-o") -> None:
     """Refuse a file whose name asks for a format that is not written.
 
     Raises
@@ -184,11 +188,23 @@ def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
     if path.suffix.lower() not in suffixes:
         *others, last = suffixes
         wanted = f"{', '.join(others)} or {last}" if others else last
-        raise InputError(f"-o {path}: {what} is written as {wanted}; name it so")
+        raise InputError(f"{option} {path}: {what} is written as {wanted}; name it so")
 
 
 def check_folder(path: Path, overwrite: bool) -> None:
     """Refuse a folder of results that can't be written, or whose name is a file's.
+
+    Raises
+    ------
+    InputError
+        Which names the remedy.
+    """
+    check_folder_name(path)
+    check_output(path, overwrite, folder=True)
+
+
+def check_folder_name(path: Path) -> None:
+    """Refuse a folder of results whose name is a file's.
 
     Raises
     ------
@@ -200,7 +216,6 @@ def check_folder(path: Path, overwrite: bool) -> None:
             f"-o {path}: the results are a folder of tables, pictures and a page; name a folder,"
             f" such as -o {path.with_suffix('')}"
         )
-    check_output(path, overwrite, folder=True)
 
 
 def print_notes(notes: Iterable[str]) -> None:

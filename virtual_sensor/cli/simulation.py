@@ -118,7 +118,7 @@ def simulate(
             report=report,
         )
     shared.print_results([f"  {line}" for line in simulated(result)], result.notes)
-    shared.console.print(written(output))
+    shared.print_time(written(output))
 
 
 @app.command(

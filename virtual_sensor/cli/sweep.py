@@ -59,6 +59,7 @@ def sweep(
     from virtual_sensor.studies.sweep import CaseStatus, plan, run
     from virtual_sensor.studies.sweep_table import results
 
+    shared.check_folder_name(output)
     with shared.reporting("planning the cases", shared.FINISHED_STAYS) as report:
         cases = plan(scene, choices, y or None, camera, source)
         finished = run(
@@ -84,9 +85,10 @@ def sweep(
         f"{counted(len(finished), 'case')}: {measured} measured, {there} already there,"
         f" {failed} failed"
     )
-    shared.print_end(output)
-    if len(summary.nothing_found) == len(finished):
+    if nothing := len(summary.nothing_found) == len(finished):
         shared.print_notes(["no case has a line centre or a dot"])
+    shared.print_end(output)
+    if nothing:
         raise typer.Exit(shared.NOTHING_FOUND)
     if any(status != CaseStatus.OK for status in result.table.status):
         raise typer.Exit(1)

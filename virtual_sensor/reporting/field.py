@@ -177,7 +177,7 @@ def facts(info: FieldInfo) -> TextTable:
         times = f"{counted(len(info.times_s), 'instant')} from {first:g} to {last:g} s"
         times += f"; all figures are of {info.time_s:g} s"
     rows = [
-        ("file", f"{info.file}, {info.size_mb:.2f} MB, holds {info.quantity}"),
+        ("file", f"{info.file}, {info.size_mb:.3g} MB, holds {info.quantity}"),
         ("times", times),
         (
             "grid",

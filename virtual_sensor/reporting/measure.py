@@ -175,8 +175,8 @@ def _table_page(result: Measurement, figures: Summary) -> str:
     made = figures.made_with
     return (
         f"{table(result, figures).markdown()}\nMade by `virtual-sensor measure"
-        f" {result.scene.path.stem}` in {figures.time_s:.0f} s, with {made.threads} threads"
-        f" ({made.variant}); the frames' march: {made.march}.\n"
+        f" {result.scene.path.stem}` in {figures.time_s:.0f} s, with"
+        f" {counted(made.threads, 'thread')} ({made.variant}); the frames' march: {made.march}.\n"
     )
 
 

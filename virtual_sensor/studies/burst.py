@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, NothingFoundError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene
@@ -511,7 +511,7 @@ def _one_frame(
     with _timed(stage_s, "centres"):
         line = line_centres(frame.radiance)
     if not np.any(line.status == Status.OK):
-        raise InputError(
+        raise NothingFoundError(
             f"{scene.path}: no line in the frame at {instant:g} s; give a wider or longer line"
             " (line_radius, line_length), or more samples (spp)"
         )
