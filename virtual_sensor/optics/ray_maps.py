@@ -226,8 +226,7 @@ class ForwardMap(RayMap):
     def _bent(self, places: Array) -> tuple[Array, Array]:
         """The table (N, 4) and `jacobian` (N, 2, 2) at places (N, 3)."""
         moved, by_s, by_t = self.table.with_slopes(places)
-        by = np.stack([by_s[:, :2], by_t[:, :2]], axis=2)
-        return moved, by + _matrices(self.family.by_coordinates(*places.T), len(places))
+        return moved, _jacobian(self.family, places, by_s, by_t)
 
     def missed_mm(self, places: Array, marched: Callable[[Array], Array]) -> Array:
         """How far (N,) the map is beside marched rays (`displaced`) at places (N, 3)."""
@@ -545,9 +544,7 @@ def _inverted(ahead: ForwardMap, grid: Grid) -> tuple[Array, Array]:
     moved, by_s, by_t = (
         ahead.table.on_grid(grid, order) for order in ((0, 0, 0), (1, 0, 0), (0, 1, 0))
     )
-    jacobian = np.stack([by_s[:, :2], by_t[:, :2]], axis=2)
-    jacobian += _matrices(family.by_coordinates(*places.T), len(places))
-    found = ahead._through(places, moved, jacobian)
+    found = ahead._through(places, moved, _jacobian(family, places, by_s, by_t))
     if found.folded.any():
         raise CausticError("the map folds: a caustic")
     if found.missed.any():
@@ -762,9 +759,11 @@ def _zero(asked: MapRequest, functions: int) -> SplineTable:
     return SplineTable(grid, np.zeros((_FEWEST**3, functions)))
 
 
-def _matrices(entries: tuple[Array, ...], count: int) -> Array:
-    """Matrices (N, 2, 2) of four entries by rows, of shape (N,) or numbers."""
-    return np.stack([np.broadcast_to(e, count) for e in entries], axis=1).reshape(count, 2, 2)
+def _jacobian(family: RayFamily, places: Array, by_s: Array, by_t: Array) -> Array:
+    """d(x, y)/d(s, t) (N, 2, 2) of bent rays, of a map's derivatives by s and by t."""
+    x_s, x_t, y_s, y_t = family.by_coordinates(*places.T)
+    entries = x_s + by_s[:, 0], x_t + by_t[:, 0], y_s + by_s[:, 1], y_t + by_t[:, 1]
+    return np.stack(entries, axis=1).reshape(-1, 2, 2)
 
 
 def _unit(vectors: Array) -> Array:
