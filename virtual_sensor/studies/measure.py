@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.checks import FACES, check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
 from virtual_sensor.imaging.render import Frame, RenderReport, render_frame
 from virtual_sensor.imaging.scene import Scene
@@ -611,7 +611,7 @@ def _probe_rays(result: Measurement) -> ProbeRays:
 
 
 def _field_facts(field: IndexField) -> FieldFacts:
-    jumps = zip(("x-", "x+", "y-", "y+", "z-", "z+"), field.border_jump(), strict=True)
+    jumps = zip(FACES, field.border_jump(), strict=True)
     return FieldFacts(
         source=field.source,
         ambient_refractivity=field.ambient,
