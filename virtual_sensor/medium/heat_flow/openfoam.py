@@ -107,17 +107,15 @@ def _version(environment: Mapping[str, str]) -> str:
         timeout=60,
     )
     output = asked.stdout + asked.stderr
-    numbered = re.search(r"OpenFOAM-\S*\s+\(v?(\d{4})\)", output)
-    if numbered and int(numbered[1]) >= OLDEST:
-        return numbered[1]
-    name = re.search(r"OpenFOAM-(\S+)", output)
-    found = numbered or name
-    which = found[1] if found else environment.get("WM_PROJECT_VERSION", "")
+    if numbered := re.search(r"OpenFOAM-\S*\s+\(v?(\d{4})\)", output):
+        if int(numbered[1]) >= OLDEST:
+            return numbered[1]
+        raise InputError(f"OpenFOAM v{numbered[1]} is too old; {WANTED}")
+    named = re.search(r"OpenFOAM-(\S+)", output)
+    which = named[1] if named else environment.get("WM_PROJECT_VERSION", "")
     if not which:
         last = (output.strip().splitlines() or ["it says nothing"])[-1]
         raise InputError(f"{SOLVER} -help does not show OpenFOAM's version ({last}); {WANTED}")
-    if numbered:
-        raise InputError(f"OpenFOAM v{which} is too old; {WANTED}")
     raise InputError(
         f"OpenFOAM {which} is the OpenFOAM Foundation's (openfoam.org), whose cases are written"
         f" otherwise; {WANTED}"
