@@ -79,14 +79,11 @@ class LaserLine:
             ends += [-self.reach_mm, self.reach_mm]
         return np.array([-self.reach_mm, ends[0]]), np.array([self.reach_mm, ends[1]])
 
-    def along(self, count: int, share: float = 1.0) -> Array:
-        """The t of rays in the middle of the sheet: of the dots, or of `count` over the line.
-
-        Over that share of its length.
-        """
+    def along(self, count: int) -> Array:
+        """The t of rays in the middle of the sheet: of the dots, or of `count` over the line."""
         if self.dots_mm.size:
             return self.dots_mm
-        return np.linspace(-0.5, 0.5, count) * share * self.length_mm
+        return np.linspace(-0.5, 0.5, count) * self.length_mm
 
     def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
         """Mask of the coordinates with light that counts, or near it; NaN has none.
