@@ -549,3 +549,16 @@ def test_a_page_that_can_not_be_written_leaves_the_earlier_results(saved, monkey
     with pytest.raises(InputError, match="disk full"):
         save(result, folder.parent, "virtual-sensor reproduce")
     assert (folder / "summary.json").read_bytes() == before
+
+
+def test_the_console_says_what_is_borne_out_and_whether_both_methods_agree(saved):
+    """Rationale: who ran it for hours wants the outcome before any file."""
+    result, _ = saved
+    met, *said, cylinders, made = reporting.on_console(result)
+    assert met.rows == tuple(
+        (air, result.summary.airs[air], f"{number}") for air, number in result.summary.met.items()
+    )
+    agreement = [words for words in said if words.startswith("rendered minus searched, ")]
+    assert len(agreement) == len(vars(result.summary.rendered_minus_searched))
+    assert len(cylinders.rows) == len(result.reconstructions)
+    assert made == f"{result.summary.made_now} of {result.summary.cases} cases measured now"

@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from rich.table import Table
-
 from virtual_sensor.cli import shared
 
 EPILOG = (
@@ -26,8 +24,7 @@ def reproduce(
     poses, a dense reconstruction. Finished work stays: stopped or killed, the same command goes on.
     """
     from virtual_sensor.reporting.measure import save as save_case
-    from virtual_sensor.reporting.reproduction import cylinder_answer, cylinder_table, save
-    from virtual_sensor.reporting.words import heading, in_words
+    from virtual_sensor.reporting.reproduction import on_console, save
     from virtual_sensor.studies.reproduction.reproduce import reproduce as run
 
     shared.check_folder_name(output)
@@ -41,14 +38,5 @@ def reproduce(
         )
         report("drawing and writing", 0.93)
         save(result, output, shared.command_line())
-    summary = result.summary
-    table = Table("air", "", f"of {summary.statements} statements borne out")
-    for air, number in summary.met.items():
-        table.add_row(air, summary.airs[air], str(number))
-    shared.console.print(table)
-    for name, value in vars(summary.rendered_minus_searched).items():
-        shared.console.print(f"  rendered minus searched, {heading(name)}: {in_words(value)}")
-    cylinders = cylinder_table(result.reconstructions, narrow=True)
-    shared.print_results([cylinder_answer(result.reconstructions), cylinders], summary.notes)
-    shared.console.print(f"{summary.made_now} of {summary.cases} cases measured now")
+    shared.print_results(on_console(result), result.summary.notes)
     shared.print_end(output, "report/report.html")

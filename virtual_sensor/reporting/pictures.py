@@ -129,9 +129,7 @@ def draw_picture(
     cell_in : pair of float
         Width and height of a cell, inches.
     """
-    columns = _columns(panels, columns)
-    places = _places(panels, columns)
-    rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
+    rows, columns, places = _arranged(panels, columns)
     wide, high = (round(inches * DPI) for inches in cell_in)
     parts, coded = [], []
     with style(), ThreadPoolExecutor() as aside:
@@ -165,9 +163,7 @@ def write_vector(
     InputError
         If it can't be written.
     """
-    columns = _columns(panels, columns)
-    places = _places(panels, columns)
-    rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
+    rows, columns, places = _arranged(panels, columns)
     with style(), written_whole(path) as temporary:
         lines = _lines(title, round(columns * cell_in[0] * DPI))
         figure = Figure(figsize=(columns * cell_in[0], rows * cell_in[1]), layout="constrained")
@@ -184,8 +180,12 @@ def write_vector(
             figure.savefig(temporary, format=path.suffix.lower().lstrip("."))
 
 
-def _columns(panels: Sequence[Panel], most: int) -> int:
-    return max(min(most, sum(p.width for p in panels)), *(p.width for p in panels))
+def _arranged(panels: Sequence[Panel], most: int) -> tuple[int, int, list[tuple[int, int]]]:
+    """Rows and columns of a picture of at most so many columns, and the place of each panel."""
+    columns = max(min(most, sum(p.width for p in panels)), *(p.width for p in panels))
+    places = _places(panels, columns)
+    rows = max(row + panel.height for (row, _), panel in zip(places, panels, strict=True))
+    return rows, columns, places
 
 
 def _drawn(panel: Panel, size_px: tuple[int, int]) -> Image8:

@@ -275,6 +275,20 @@ def page(
     )
 
 
+def on_console(result: Reproduction) -> list[TextTable | str]:
+    """What the command prints: how many statements are borne out, whether both methods agree."""
+    summary = result.summary
+    met = ((air, summary.airs[air], f"{number}") for air, number in summary.met.items())
+    apart = vars(summary.rendered_minus_searched)
+    return [
+        TextTable(("air", "", f"of {summary.statements} statements borne out"), tuple(met)),
+        *(f"rendered minus searched, {heading(n)}: {in_words(v)}" for n, v in apart.items()),
+        cylinder_answer(result.reconstructions),
+        cylinder_table(result.reconstructions, narrow=True),
+        f"{summary.made_now} of {summary.cases} cases measured now",
+    ]
+
+
 def fit_table(fits: Mapping[str, Fit]) -> TextTable:
     """The numbers that the broadening is fitted to: the paper's and ours in each air."""
     head = ("number", "the paper", RESOLVED, *fits)
