@@ -27,13 +27,7 @@ COMPONENTS = {"VECTORS": 3, "NORMALS": 3, "TENSORS": 9, "TENSORS6": 6}
 CELLS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
 MOST_PACKED = 2000  # a value takes this part of a byte at least, compressed
 HEADER = 100_000  # bytes of an XML file's beginning, where its claims are searched
-# Corners of cells: vertex, line, triangle, pixel, quad, tetrahedron, voxel, hexahedron, wedge,
-# pyramid, pentagonal and hexagonal prism, then the quadratic ones.
-CORNERS = {
-    **{1: 1, 3: 2, 5: 3, 8: 4, 9: 4, 10: 4, 11: 8, 12: 8, 13: 6, 14: 5, 15: 10, 16: 12},
-    **{21: 3, 22: 6, 23: 8, 24: 10, 25: 20, 26: 15, 27: 13, 28: 9, 29: 27, 30: 6, 31: 12},
-    **{32: 18, 33: 24, 34: 7, 35: 4},
-}
+ANY_ORDER = 40  # types of cells below it have a fixed number of corners, or any
 NUMBER = rb"[-+]?(?:(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?\d++)?+|(?i:nan|inf(?:inity)?+))(?=\s|\Z)"
 TYPE = re.compile(r"vtktype(?:u?int|float)(8|16|32|64)")
 
@@ -316,8 +310,12 @@ def check_mesh(cells: object) -> None:
 
 def _check_corners(kinds: np.ndarray, counts: np.ndarray) -> None:
     """Refuse cells that have another number of corners than their type, or no type."""
-    wanted = np.zeros(256, dtype=np.int64)
-    wanted[list(CORNERS)] = list(CORNERS.values())
+    from vtkmodules.vtkCommonDataModel import vtkGenericCell
+
+    wanted = np.zeros(256, dtype=np.int64)  # 0: any
+    for kind in np.unique(kinds[kinds < ANY_ORDER]).tolist():
+        cell = vtkGenericCell.InstantiateCell(kind)
+        wanted[kind] = cell.GetNumberOfPoints() if cell else 0
     fixed = wanted[kinds]
     wrong = (fixed > 0) & (fixed != counts) | (kinds == 0) | (counts == 0)
     if wrong.any():
