@@ -101,12 +101,13 @@ def test_a_command_line_that_makes_no_sense_is_told_in_one_line(words, told):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_help_shows_its_examples_and_options_whole_on_a_narrow_screen(monkeypatch, name):
     """Rationale: a phone, a split window, a terminal that knows ASCII alone."""
-    monkeypatch.setenv("COLUMNS", "40")
-    status, out, err = command(*name.split(), "--help")
-    assert (status, err) == (0, "")
-    assert f"virtual-sensor {name}" in out.partition("Examples:")[2]
-    assert "…" not in out
-    assert "--help" in out
+    for columns in ("40", "80"):
+        monkeypatch.setenv("COLUMNS", columns)
+        status, out, err = command(*name.split(), "--help")
+        assert (status, err) == (0, "")
+        assert f"virtual-sensor {name}" in out.partition("Examples:")[2]
+        assert "…" not in out
+        assert "--help" in out
 
 
 def test_without_a_command_the_help_is_shown_on_a_narrow_screen_too(monkeypatch):

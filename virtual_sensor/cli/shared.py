@@ -46,8 +46,8 @@ Scheduler = Annotated[
     typer.Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Of a Dask cluster that is there, such as tcp://10.0.0.1:8786: `dask scheduler` "
-        "tells it. Its workers (`dask worker ADDRESS --nthreads 1`) must have virtual-sensor "
+        help="Of a running Dask cluster, such as tcp://10.0.0.1:8786, as `dask scheduler` "
+        "prints it. Its workers (`dask worker ADDRESS --nthreads 1`) must have virtual-sensor "
         "installed and share the disk of the results. By default this process does the work.",
     ),
 ]

@@ -20,8 +20,9 @@ def trial(
     detector: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="NAME",
             help="One of ours, an entry point's name, or package.module:function; repeatable."
-            " All of ours without it."
+            " All of ours without it.",
         ),
     ] = None,
     width: Annotated[
@@ -30,14 +31,17 @@ def trial(
     ] = 1.5,
     peak: Annotated[float, typer.Option(help="Electrons of a pixel at your line's peak.")] = 5000.0,
     read_noise: Annotated[float, typer.Option(help="Of your camera, electrons.")] = 2.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of all images: the same, the same images.")] = 0,
-    columns: Annotated[int, typer.Option(min=100, help="Of each drawn image.")] = 2000,
+    seed: Annotated[
+        int, typer.Option(metavar="N", min=0, help="Of all images: the same, the same images.")
+    ] = 0,
+    columns: Annotated[int, typer.Option(metavar="N", min=100, help="Of each drawn image.")] = 2000,
     quick: Annotated[bool, typer.Option("--quick", help="Few images, in seconds.")] = False,
     frames: Annotated[
         bool, typer.Option("--frames/--no-frames", help="Render the part cold and hot too.")
     ] = True,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes; by default one for each core.")
+        int | None,
+        typer.Option(metavar="N", min=1, help="Processes; by default one for each core."),
     ] = None,
     output: shared.Folder = Path("trial"),
     overwrite: shared.Overwrite = False,
