@@ -652,8 +652,8 @@ def _check_panel(result: Measurement) -> Panel:
     def draw(axes: Axes) -> None:
         for number, (name, state) in enumerate(result.states.items()):
             compared = state.compared
-            label = f"{name}: {in_words(compared.rms_px)} px rms"
-            label += f" ({compared.count} of {state.centres})"
+            rms = f"{in_words(compared.rms_px)} px rms " if compared.count else ""
+            label = f"{name}: {rms}({compared.count} of {state.centres})"
             if isinstance(compared, DotErrors):
                 u, dv = compared.true_pixel[:, 0], compared.error_px[:, 1]
                 axes.plot(u, 1e3 * dv, MARKERS[number], color=colour(name), label=label)
