@@ -204,7 +204,7 @@ def main(parent: int) -> None:
             target, content = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        with contextlib.suppress(Exception):  # the child tells of it
+        with contextlib.suppress(Exception):  # the child reports it
             importlib.import_module(target.partition(":")[0])
         gc.freeze()  # the child's collections then copy none of the memory that it shares
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])

@@ -321,7 +321,7 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Tell what the system refuses in a user's terms."""
+    """Say what the system refuses in a user's terms."""
     try:
         yield
     except OSError as error:

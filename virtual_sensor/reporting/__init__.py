@@ -1,1 +1,1 @@
-"""How results look: one style for pictures, one set of templates for pages, one kind of table."""
+"""How results are shown: one style for pictures, one set of templates for pages, one table."""

@@ -61,7 +61,7 @@ _STATUS_WORDS = {
 }
 _SIGNS = {CaseStatus.FAILED.value: ("x", "×"), CaseStatus.NOTHING_FOUND.value: ("o", "○")}
 _HEAT_MAP = 4  # values of both parameters, from which on two of them make a heat map
-_MOST_CURVES, _MOST_FACETS = 8, 6  # that are told apart in one panel; panels of one kind
+_MOST_CURVES, _MOST_FACETS = 8, 6  # that a reader can distinguish in one panel; panels of one kind
 _WRITTEN_CELLS = 100  # of a heat map with numbers in them
 _SAME = 0.015  # of the axis: curves that are no farther apart coincide
 _BESIDE = 0.06  # of a word's place: marks of several curves

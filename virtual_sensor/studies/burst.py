@@ -528,7 +528,7 @@ class _Seen:
         self._radiance: dict[float, Image] = {}
 
     def add(self, number: int, instant_s: float, radiance: Image) -> None:
-        """Look at a frame; the first one is number 0."""
+        """See a frame; the first one is number 0."""
         if number == 0:
             rows, columns = (
                 slice(max(int(lit.min()) - _MARGIN_PX, 0), int(lit.max()) + _MARGIN_PX + 1)

@@ -562,7 +562,7 @@ class FieldFacts(Record):
 
 @dataclass(frozen=True)
 class Summary(SceneFacts):
-    """What tells whether a measurement is sound, and how good it is.
+    """What shows whether a measurement is sound, and how good it is.
 
     Attributes
     ----------
@@ -583,7 +583,7 @@ class Summary(SceneFacts):
 
 
 def summary(result: Measurement) -> Summary:
-    """The figures that tell whether the measurement is sound, for ``summary.json``."""
+    """The figures that show whether the measurement is sound, for ``summary.json``."""
     scene = result.scene
     return Summary(
         **vars(scene_facts(scene, result.notes)),
