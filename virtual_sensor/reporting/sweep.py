@@ -11,7 +11,6 @@ from urllib.parse import quote
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
@@ -353,8 +352,7 @@ def _scale(axes: Axes, quantity: _Quantity) -> None:
     known = quantity.known
     if _wide(known):
         axes.set(yscale="log", ylim=(known.min() / 1.3, known.max() * 1.3))
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        decimal_ticks(axes.yaxis)
+        decimal_ticks(axes.yaxis, fine=True)
     else:
         axes.set_ylim(0.0, 1.12 * (known.max() if known.size and known.max() > 0.0 else 1.0))
 
@@ -486,8 +484,7 @@ def _heat_map(
             drawn.set_clim(quantity.known.min(), quantity.known.max())
         bar = axes.figure.colorbar(drawn, ax=axes, label=quantity.label, pad=0.02)
         if wide:
-            bar.locator = LogLocator(subs=(1.0, 2.0, 5.0))
-            decimal_ticks(bar.ax.yaxis)
+            decimal_ticks(bar.ax.yaxis, fine=True)
         axes.grid(False)
         for (row, column), words in failed.items():
             axes.text(column, row, words, ha="center", va="center", color=colour("failed"))
