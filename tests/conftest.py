@@ -9,6 +9,8 @@ import signal
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 # Started in the background of a shell, Ctrl-C is ignored, and by the commands that tests start too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -34,3 +36,16 @@ def pytest_xdist_auto_num_workers(config):
     """How many `-n auto` starts."""
     folders = [given for given in config.args if Path(given.partition("::")[0]).is_dir()]
     return min(CORES, MOST_WORKERS) if folders else 0
+
+
+@pytest.fixture(scope="module")
+def unpainted():
+    """Pictures whose panels are drawn but not painted: half the time of a command's files.
+
+    For tests of what is computed, saved and said; what pictures show, others look at.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        patch.setattr(FigureCanvasAgg, "draw", FigureCanvasAgg.get_renderer)
+        yield

@@ -135,7 +135,7 @@ def test_a_quick_trial_is_the_same_for_any_number_of_processes(tmp_path, monkeyp
     own = "def brightest(image): return image.argmax(axis=0)\n"
     Path("test_trial_mine.py").write_text(own, encoding="utf-8")
     monkeypatch.setattr(reporting, "draw", lambda trial: {})
-    options = ["--quick", "--no-frames", "--columns", "200", "--seed", "3"]
+    options = ["--quick", "--no-frames", "--columns", "100", "--seed", "3"]
     options += ["--detector", "centre_of_gravity", "--detector", "test_trial_mine:brightest"]
     tables = []
     for workers in (1, 2):
