@@ -177,7 +177,7 @@ def test_bent_triangulation_of_each_pair_gives_the_incidence_points(written):
         name="hot_cylinder",
         **{"width": 2048, "height": 2048, "line_radius": 0.15},
     )
-    y = np.linspace(-10.0, 10.0, 401)
+    y = np.linspace(-10.0, 10.0, 101)
     for camera in scene.cameras:
         for source in scene.sources:
             names = {"camera": camera, "source": source}

@@ -5,7 +5,6 @@ import pytest
 from artificial import dot_image, line_image
 from scipy.integrate import dblquad
 from scipy.special import j1, jv
-from scipy.stats import kstest
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging import speckle
@@ -84,6 +83,8 @@ def test_light_that_is_depolarised_has_less_contrast():
 
 def test_large_grains_are_distributed_as_fully_developed_speckle():
     """Kolmogorov and Smirnov, three grains apart: exponential; not so with two polarisations."""
+    from scipy.stats import kstest
+
     apart = 24
     for polarisations, likely in ((1, True), (2, False)):
         aperture = with_grain(8.0, polarisations=polarisations)

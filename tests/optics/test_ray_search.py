@@ -56,20 +56,21 @@ def scipys_hits(field, index, origins, directions):
     return np.array([rays.position(s)[i] for i, s in enumerate(arcs)])
 
 
-def test_newtons_pixels_are_scipys(scene):
-    """Fifty laser rays to the cylinder and fifty lines of sight back to it, to 1e-5 px.
+@pytest.mark.parametrize("rays", [5, pytest.param(50, marks=pytest.mark.slow)])
+def test_newtons_pixels_are_scipys(scene, rays):
+    """Laser rays to the cylinder and as many lines of sight back to it, to 1e-5 px.
 
     SciPy has its own spline through the nodes, its own integrator and its own variable, arc length;
     where its line of sight misses its laser point, the pixel was wrong by as much.
     """
-    y = np.linspace(-10.5, 10.5, 50)
+    y = np.linspace(-10.5, 10.5, rays)
     found = ray_search(scene, y, "newton")
     assert np.all(found.status == SearchStatus.FOUND)
     field, camera = scene.field, scene.sensor.camera
     index = oracles.spline_index(field.nodes, field.origin, field.spacing, field.mirror)
     laser_points = scipys_hits(field, index, *scene.sensor.laser.family.rays(0.0, y))
     sight = camera.lines_of_sight(found.pixel)
-    seen = scipys_hits(field, index, np.tile(camera.pose.origin_mm, (50, 1)), sight)
+    seen = scipys_hits(field, index, np.tile(camera.pose.origin_mm, (rays, 1)), sight)
     for difference in (found.laser_point_mm - laser_points, seen - laser_points):
         on_sensor = difference @ camera.pose.rotation[:, :2]
         assert np.linalg.norm(on_sensor, axis=1).max() * 1e3 / PIXEL_UM < 1e-5

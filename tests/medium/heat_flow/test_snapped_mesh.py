@@ -3,6 +3,7 @@
 import re
 import shutil
 from dataclasses import replace
+from importlib.util import find_spec
 from types import SimpleNamespace
 
 import numpy as np
@@ -24,7 +25,9 @@ from virtual_sensor.medium.imports import mesh_values
 from virtual_sensor.medium.imports.meshes import moved, read_openfoam
 from virtual_sensor.medium.imports.sources import Mesh
 
-pv = pytest.importorskip("pyvista", reason="the extra virtual-sensor[fields] is absent")
+pytestmark = pytest.mark.skipif(
+    find_spec("pyvista") is None, reason="the extra virtual-sensor[fields] is absent"
+)
 
 RADIUS, LENGTH = 10.0, 20.0
 CELL = 3.2
@@ -33,6 +36,8 @@ END_S = 0.05  # of flow: some 40 time steps
 
 def cylinder(**changes):
     shape = {"center": (0, 0, -RADIUS), "direction": (1, 0, 0), "radius": RADIUS, "height": LENGTH}
+    import pyvista as pv
+
     return pv.Cylinder(**(shape | changes), resolution=90).triangulate()
 
 
@@ -44,6 +49,8 @@ def written(folder, surface, name="part.stl"):
 
 def box(low, high):
     bounds = [edge for pair in zip(low, high, strict=True) for edge in pair]
+    import pyvista as pv
+
     return pv.Box(bounds).triangulate()
 
 
