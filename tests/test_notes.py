@@ -11,6 +11,8 @@ from virtual_sensor import cli
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 NOTE = "scene.xml: <made up> is ignored"
 FILM = ["-D", "width=256", "-D", "height=256", "-D", "spp=1"]
 
