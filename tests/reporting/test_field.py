@@ -47,7 +47,9 @@ def test_the_command_prints_draws_and_writes(shown, monkeypatch):
     for words in ("largest jump of n", "Narrowest", "every 2nd", "Border: sound.", "Grid: "):
         assert words in out
     assert re.search(
-        r"^[\d.]+ m?s in all; figures in a.json, picture in a.png, open a.html first$", out, re.M
+        r"^[\d.]+ (ms|s|min) in all; figures in a.json, picture in a.png, open a.html first$",
+        out,
+        re.M,
     )
     assert light_in(folder / "a.png")
     figures = json.loads((folder / "a.json").read_text(encoding="utf-8"))

@@ -40,7 +40,8 @@ def table(folder):
 
 def marks(folder):
     """What tells a finished case from one that was made again."""
-    files = (file for case in (folder / "cases").iterdir() for file in [case, *case.iterdir()])
+    cases = (case for case in (folder / "cases").iterdir() if not case.name.startswith("."))
+    files = (file for case in cases for file in [case, *case.iterdir()])
     return {file: (file.stat().st_ino, file.stat().st_mtime_ns) for file in files}
 
 
