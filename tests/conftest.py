@@ -45,7 +45,13 @@ def unpainted():
     For tests of what is computed, saved and said; what pictures show, others look at.
     """
     with pytest.MonkeyPatch.context() as patch:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        import numpy as np
 
-        patch.setattr(FigureCanvasAgg, "draw", FigureCanvasAgg.get_renderer)
+        from virtual_sensor.reporting import pictures
+
+        def blank(figure):
+            width, height = figure.canvas.get_width_height()
+            return np.full((height, width, 3), 255, np.uint8)
+
+        patch.setattr(pictures, "_pixels", blank)
         yield
