@@ -17,6 +17,11 @@ def picture(top, dtype):
     return np.rint(line_image(ROW, 2.0, 0.8 * top, background=0.02 * top)).astype(dtype)
 
 
+def write_exr(path, channels):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(path))
+
+
 GREY8, GREY12, GREY16 = picture(255, "u1"), picture(4095, "u2"), picture(65535, "u2")
 COLOUR16 = np.stack([GREY16, GREY16 // 3, GREY16[::-1]], axis=-1)
 

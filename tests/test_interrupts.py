@@ -18,7 +18,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # which a background j
 number, point, *sys.argv[1:] = sys.argv[1:]
 module, function = point.split(":")
 
-def trace(frame, event, _):  # of calls alone: a profile function would be told of returns too
+def trace(frame, event, _):  # of calls alone: a profile function would get returns too
     if frame.f_code.co_name == function and frame.f_globals.get("__name__") == module:
         sys.settrace(None)
         signal.raise_signal(int(number))

@@ -34,7 +34,8 @@ def test_the_time_that_is_said_counts_the_start(tmp_path):
     code = (
         "import time; began = time.perf_counter()\n"
         "from virtual_sensor.cli.shared import wall_clock_s\n"
-        "print(wall_clock_s() - (time.perf_counter() - began), time.clock_gettime(7))"
+        "elapsed = time.perf_counter() - began\n"  # first: a pause adds to both bounds
+        "print(wall_clock_s() - elapsed, time.clock_gettime(7))"
     )
     before = time.clock_gettime(time.CLOCK_BOOTTIME)
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

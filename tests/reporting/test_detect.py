@@ -8,9 +8,9 @@ import sys
 
 import cv2
 import numpy as np
-import OpenEXR
 import pytest
 from artificial import line_image, paper_sensor
+from image_makers import ROW, picture, write_exr
 from typer.testing import CliRunner
 
 from virtual_sensor.cli.commands import app
@@ -23,17 +23,7 @@ from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.pictures import draw_picture
 from virtual_sensor.studies.detect import Settings, detect
 
-ROW = 30.0 + 0.05 * np.arange(90)
 NASTY = (b"\xff\xe9 a\nb", b"$\\frac$ \x1b[31m" + "线".encode(), b"<script>alert('1')</script>")
-
-
-def picture(top, dtype):
-    return np.rint(line_image(ROW, 2.0, 0.8 * top, background=0.02 * top)).astype(dtype)
-
-
-def write_exr(path, channels):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, channels).write(str(path))
 
 
 def run(*arguments):

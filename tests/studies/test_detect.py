@@ -4,26 +4,14 @@ import os
 
 import cv2
 import numpy as np
-import OpenEXR
 import pytest
-from artificial import line_image
+from image_makers import ROW, picture, write_exr
 from typer.testing import CliRunner
 
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import find_images, read_image
 from virtual_sensor.studies.detect import Settings, detect, joined_notes
-
-ROW = 30.0 + 0.05 * np.arange(90)
-
-
-def picture(top, dtype):
-    return np.rint(line_image(ROW, 2.0, 0.8 * top, background=0.02 * top)).astype(dtype)
-
-
-def write_exr(path, channels):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, channels).write(str(path))
 
 
 def run(*arguments):
