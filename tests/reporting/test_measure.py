@@ -9,6 +9,7 @@ import pytest
 from command_line import command
 from matplotlib.figure import Figure
 
+from virtual_sensor.engine import activate
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.reporting import measure as reporting
 from virtual_sensor.reporting.files import undocumented
@@ -53,6 +54,17 @@ def test_pages_stand_in_a_browser(measured, faults_of):
     """Rationale: on a phone and a desk, with all pictures, links and words."""
     for _, _, folder in measured.values():
         assert faults_of(folder / "report.html") == []
+
+
+def test_the_page_bears_the_version_of_llvm_and_no_path_of_this_machine(measured):
+    """Rationale: where a library lies says nothing of the results, and something of their user."""
+    library = activate().llvm
+    for _, figures, folder in measured.values():
+        assert figures.made_with.llvm == (library and library.version)
+        if library:
+            html = (folder / "report.html").read_text(encoding="utf-8")
+            assert f"llvm: {library.version};" in html
+            assert str(library.path.parent) not in html
 
 
 def test_the_page_begins_with_how_wrong_the_section_is(measured):

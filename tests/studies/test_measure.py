@@ -128,6 +128,16 @@ def test_progress_never_goes_back(measured):
     assert {"cold part: rendering", "hot part: rendering"} <= set(stages)
 
 
+def test_a_search_tells_its_progress():
+    """Rationale: 3,001 rays take seconds, in which the command said nothing."""
+    told = []
+    search(load_scene("hot_cylinder"), "paper", [0.0, 5.0], report=lambda *now: told.append(now))
+    stages, fractions = zip(*told, strict=True)
+    assert (np.diff(fractions) >= 0.0).all()
+    assert fractions[0] == 0.0
+    assert stages.count("searching, ray by ray") > 5
+
+
 def test_a_part_that_is_only_cold_has_no_hot_figures():
     """Rationale: NaN and null where nothing was measured, never a zero."""
     film = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.5}

@@ -52,12 +52,13 @@ def search(
     if output:
         check_output(output, overwrite)
         shared.check_suffix(output, (".csv",), "a table")
-    loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
-    result = run(loaded, method, y or None, rays)
+    with shared.reporting("loading the scene") as report:
+        loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
+        result = run(loaded, method, y or None, rays, report)
+        if output:
+            write_csv(output, result.rays)
     number = len(result.rays)
-    if output:
-        write_csv(output, result.rays)
-    else:
+    if not output:
         shared.console.print(on_console(result).rich())
     shared.print_notes(result.notes)
     if number and not result.found:

@@ -5,6 +5,7 @@ camera's pixel is sought whose bent line of sight meets the surface there.  Ever
 and batched over all laser rays at once.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -104,6 +105,7 @@ def ray_search(
     tolerance_px: float = 1e-3,
     camera: str | None = None,
     source: str | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> FoundPixels:
     """Find the pixels that see laser rays' incidence points.
 
@@ -132,6 +134,8 @@ def ray_search(
         Of the maps of "tabulated".
     camera, source : str, optional
         Names of the scene's, where it has several.
+    progress : callable
+        Called with the fraction of the whole that is done, at the paper's steps.
 
     Returns
     -------
@@ -159,8 +163,9 @@ def ray_search(
         if not value > 0.0:
             raise InputError(f"ray_search: {name} must be positive, not {value}")
     (march or REFERENCE).check(scene.field)
+    progress(0.0)
     if method == "paper":
-        found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE)
+        found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE, progress)
     elif method == "newton":
         found = _found(scene, _newton(scene, b, march))
     else:
@@ -183,6 +188,7 @@ def _paper(
     k_stop: int,
     r_max_um: float,
     march: March,
+    progress: Callable[[float], None],
 ) -> FoundPixels:
     """Section 4.2, step 1 and step 2: halve the step, keep the best."""
     camera = scene.camera
@@ -201,6 +207,7 @@ def _paper(
         searching = np.isfinite(target[:, 0]) & ~(best.distance_um < r_max_um)
         if not searching.any():
             break
+        progress((k - 1) / k_stop)
         seen = np.full_like(target, np.nan)
         seen[searching] = seen_points(scene, pixel[searching], march)  # 2.3
         delta = ((seen - target) @ camera.pose.rotation)[:, :2] * 1e3

@@ -38,7 +38,7 @@ class MadeWith(Versions):
     variant : str
         Of Mitsuba.
     llvm : str or None
-        Library that compiles for the processor; None on a GPU.
+        Version of the library that compiles for the processor; None on a GPU.
     threads : int
         That compute.
     mitsuba, drjit : str
@@ -120,7 +120,7 @@ def made_with(scene: Scene | None = None) -> MadeWith:
     found = MadeWith(
         **asdict(versions()),
         variant=running.variant,
-        llvm=str(running.llvm.path) if running.llvm else None,
+        llvm=running.llvm.version if running.llvm else None,
         threads=running.threads,
         mitsuba=metadata.version("mitsuba"),
         drjit=metadata.version("drjit"),

@@ -1,5 +1,6 @@
 """The ray search alone, without any image."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,9 +69,15 @@ class Search:
 
 
 def search(
-    scene: Scene, method: str, y_mm: ArrayLike | None = None, rays: int | None = None
+    scene: Scene,
+    method: str,
+    y_mm: ArrayLike | None = None,
+    rays: int | None = None,
+    report: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Search:
     """Search the pixels of laser rays at y_mm, of so many along the line, or of the probe rays.
+
+    `report` is called with what is being done, and the fraction of the whole that is done.
 
     Raises
     ------
@@ -80,9 +87,12 @@ def search(
     sensor = scene.sensor
     if rays:
         y_mm = np.linspace(-0.5, 0.5, rays) * sensor.laser.length_mm
+    report("checking the scene", 0.0)
     notes = (*scene.notes, *check_scene(scene))
     y = probe_rays(scene, y_mm)
-    found = ray_search(scene, y, method)
+    found = ray_search(
+        scene, y, method, progress=lambda part: report("searching, ray by ray", 0.1 + 0.9 * part)
+    )
     table = SearchTable(
         y_mm=y,
         laser_point_mm=found.laser_point_mm,
