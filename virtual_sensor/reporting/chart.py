@@ -25,12 +25,7 @@ from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture,
 from virtual_sensor.reporting.style import GREY, MARKERS, colours, write_beside, write_on_line
 from virtual_sensor.reporting.tables import TextTable, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, time_in_words
-from virtual_sensor.studies.chart.benchmark import (
-    EFFECT_PX,
-    RESOLVED_PX,
-    Measured,
-    enough,
-)
+from virtual_sensor.studies.chart.benchmark import EFFECT_PX, RESOLVED_PX, Measured, enough
 from virtual_sensor.studies.chart.chart import Chart
 from virtual_sensor.studies.chart.failures import Failures, made_by
 from virtual_sensor.studies.chart.scaling import Scaling

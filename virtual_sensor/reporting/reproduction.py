@@ -11,14 +11,7 @@ import numpy as np
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import (
-    PAGE,
-    Details,
-    Listing,
-    Page,
-    Paragraph,
-    Section,
-)
+from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Paragraph, Section
 from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.reproduction_pictures import (
     FIGURES,
@@ -36,10 +29,7 @@ from virtual_sensor.studies.reproduction.broadening_fit import Fit
 from virtual_sensor.studies.reproduction.curves import Curve, Rays, together
 from virtual_sensor.studies.reproduction.paper import FITTED, TOLERANCE, StatementTable, Verdict
 from virtual_sensor.studies.reproduction.reconstruction import FittedCylinders, Reconstruction
-from virtual_sensor.studies.reproduction.reproduce import (
-    Reproduction,
-    Summary,
-)
+from virtual_sensor.studies.reproduction.reproduce import Reproduction, Summary
 from virtual_sensor.studies.reproduction.settings import AIRS, RESOLVED, Setting
 from virtual_sensor.studies.sweep_table import SweepTable
 

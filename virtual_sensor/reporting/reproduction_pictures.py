@@ -32,12 +32,7 @@ from virtual_sensor.studies.reproduction.curves import (
 )
 from virtual_sensor.studies.reproduction.paper import FITTED, STATEMENTS, Statement
 from virtual_sensor.studies.reproduction.reconstruction import STATES, Reconstruction
-from virtual_sensor.studies.reproduction.settings import (
-    AIRS,
-    BETAS_DEG,
-    TEMPERATURES_C,
-    Setting,
-)
+from virtual_sensor.studies.reproduction.settings import AIRS, BETAS_DEG, TEMPERATURES_C, Setting
 
 Array = NDArray[np.float64]
 CELL_IN = (4.2, 3.2)

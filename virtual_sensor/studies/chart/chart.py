@@ -16,13 +16,7 @@ from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.records import Record
-from virtual_sensor.studies.chart.benchmark import (
-    Measured,
-    Report,
-    Task,
-    measure_all,
-    with_fronts,
-)
+from virtual_sensor.studies.chart.benchmark import Measured, Report, Task, measure_all, with_fronts
 from virtual_sensor.studies.chart.failures import Failures, failures
 from virtual_sensor.studies.chart.scaling import Scaling
 from virtual_sensor.studies.machine import Machine, cuda_found, machine
@@ -125,9 +119,7 @@ def check_panels(panels: Sequence[str]) -> list[str]:
 
 
 def chart(
-    panels: Sequence[str] = (),
-    quick: bool = False,
-    report: Report = lambda stage, fraction: None,
+    panels: Sequence[str] = (), quick: bool = False, report: Report = lambda stage, fraction: None
 ) -> Chart:
     """Measure every configuration of some panels.
 

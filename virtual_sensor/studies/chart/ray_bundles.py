@@ -54,10 +54,7 @@ class Bundle:
         """Some `count` of the rays, evenly taken."""
         at = self.sample(count)
         return replace(
-            self,
-            origins=self.origins[at],
-            directions=self.directions[at],
-            targets=self.targets[at],
+            self, origins=self.origins[at], directions=self.directions[at], targets=self.targets[at]
         )
 
     def sample(self, count: int) -> NDArray[np.intp]:

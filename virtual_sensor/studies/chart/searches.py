@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.optics import covering_maps
-from virtual_sensor.optics.ray_search import (
-    FoundPixels,
-    March,
-    SearchStatus,
-    ray_search,
-)
+from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
 from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 
 Array = NDArray[np.float64]

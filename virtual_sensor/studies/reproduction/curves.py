@@ -273,11 +273,7 @@ def from_line(curve: Curve, folder: Path) -> Curve:
 def _rendered(curve: Curve, method: str, pixel_cold: Array, pixel_hot: Array) -> Curve:
     unknown = np.full(len(curve.y_mm), np.nan)
     return replace(
-        curve,
-        method=method,
-        pixel_cold=pixel_cold,
-        pixel_hot=pixel_hot,
-        search_distance_um=unknown,
+        curve, method=method, pixel_cold=pixel_cold, pixel_hot=pixel_hot, search_distance_um=unknown
     )
 
 

@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.records import Table
 from virtual_sensor.studies.reproduction.curves import SEARCHED, Curves
-from virtual_sensor.studies.reproduction.settings import (
-    AIRS,
-    BETAS_DEG,
-    TEMPERATURES_C,
-    Setting,
-)
+from virtual_sensor.studies.reproduction.settings import AIRS, BETAS_DEG, TEMPERATURES_C, Setting
 
 Array = NDArray[np.float64]
 _SETTINGS = {"temperature_c": TEMPERATURES_C, "beta_deg": BETAS_DEG}
@@ -222,9 +217,7 @@ FITTED = tuple(statement for statement in STATEMENTS if statement.fitted)
 
 
 def judge(
-    curves: Curves,
-    airs: Sequence[str] = AIRS,
-    statements: Sequence[Statement] = STATEMENTS,
+    curves: Curves, airs: Sequence[str] = AIRS, statements: Sequence[Statement] = STATEMENTS
 ) -> list[Verdict]:
     """Check all statements in some airs."""
     verdicts = []
