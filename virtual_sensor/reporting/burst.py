@@ -19,7 +19,7 @@ from virtual_sensor.records import write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import colour, plain, write_beside
+from virtual_sensor.reporting.style import colour, drawable, write_beside
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words
 from virtual_sensor.studies.burst import (
@@ -243,7 +243,7 @@ def draw(result: Burst, tables: Tables) -> Picture:
             width=2,
         ),
     ]
-    name = plain(result.scene.path.stem)
+    name = drawable(result.scene.path.stem)
     title = f"{name}: {figures.frames} frames of moving air, {first:.4g} to {last:.4g} s"
     return draw_picture(title, panels)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import NDArray
 
@@ -22,10 +21,16 @@ from virtual_sensor.records import Record, record_columns
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import DPI, Panel, PanelPicture, Picture, draw_picture
-from virtual_sensor.reporting.style import GREY, MARKERS, colours, write_beside, write_on_line
+from virtual_sensor.reporting.style import GREY, MARKERS, colours, key, write_beside, write_on_line
 from virtual_sensor.reporting.tables import TextTable, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, time_in_words
-from virtual_sensor.studies.chart.benchmark import EFFECT_PX, RESOLVED_PX, Measured, enough
+from virtual_sensor.studies.chart.benchmark import (
+    EFFECT_PX,
+    RESOLVED_PX,
+    Measured,
+    enough,
+    on_front,
+)
 from virtual_sensor.studies.chart.chart import Chart
 from virtual_sensor.studies.chart.failures import Failures, made_by
 from virtual_sensor.studies.chart.scaling import Scaling
@@ -39,7 +44,7 @@ TITLES = {
     "search": "Search for laser points",
     "lines": "Line detectors",
 }
-_JOBS = {"rays": "rays", "frames": "frames", "search": "laser points", "lines": "line centres"}
+_JOBS = {"rays": "Rays", "frames": "Frames", "search": "Laser points", "lines": "Line centres"}
 ITEMS = {"rays": "ray", "frames": "frame", "search": "laser point", "lines": "column"}
 _METHODS = {
     "euler": "Euler",
@@ -58,7 +63,19 @@ _METHODS = {
     "fir4": "FIR 4",
     "fir8": "FIR 8",
 }
-_PRECISIONS = {"single": "float32", "double": "float64"}
+_SETTINGS: dict[str, Callable[[Any], str]] = {
+    "samples_per_pixel": lambda number: f"{counted(number, 'sample')} per pixel",
+    "step_mm": "{:g} mm steps".format,
+    "tolerance_px": "tolerance {:g} px".format,
+    "tolerance_mm": "tolerance {:g} mm".format,
+    "grid_px": "grid of {:g} px".format,
+    "halvings": lambda number: counted(number, "halving"),
+    "precision": {"single": "float32", "double": "float64"}.__getitem__,
+    "interpolation": "{} field".format,
+    "dimensions": "{}-D field".format,
+    "variant": lambda _: "GPU",
+    "method": lambda name: method_in_words(name),
+}
 
 
 def method_in_words(name: str) -> str:
@@ -68,28 +85,8 @@ def method_in_words(name: str) -> str:
 
 def setting_in_words(name: str, value: Any) -> str:
     """A setting as people read it: "16 samples per pixel", "2 mm steps"."""
-    match name:
-        case "samples_per_pixel":
-            return f"{counted(value, 'sample')} per pixel"
-        case "step_mm":
-            return f"{value:g} mm steps"
-        case "tolerance_px" | "tolerance_mm":
-            return f"tolerance {value:g} {name.removeprefix('tolerance_')}"
-        case "grid_px":
-            return f"grid of {value:g} px"
-        case "halvings":
-            return counted(value, "halving")
-        case "precision":
-            return _PRECISIONS[value]
-        case "interpolation":
-            return f"{value} field"
-        case "dimensions":
-            return f"{value}-D field"
-        case "variant":
-            return "GPU"
-        case "method":
-            return method_in_words(value)
-    return f"{name.replace('_', ' ')} {value}"
+    words = _SETTINGS.get(name, f"{name.replace('_', ' ')} {{}}".format)
+    return words(value)
 
 
 def configuration_in_words(measured: Measured) -> str:
@@ -122,10 +119,7 @@ def enough_in_words(measured: Sequence[Measured]) -> str:
 
 def headline(chart: Chart) -> str:
     """The cheapest of each panel whose error no sensor resolves."""
-    found = [
-        f"{capital(_JOBS[panel])}: {enough_in_words(chart.of(panel, chart.tasks(panel)[0]))}."
-        for panel in chart.panels
-    ]
+    found = [f"{_JOBS[panel]}: {enough_in_words(chart.of(panel))}." for panel in chart.panels]
     return f"How little is enough for {RESOLVED_PX:g} px? {' '.join(found)}"
 
 
@@ -147,62 +141,58 @@ def draw_chart(chart: Chart) -> Picture:
     """All panels, each with the task that it is about."""
     panels = []
     for name in chart.panels:
-        measured = chart.of(name, chart.tasks(name)[0])
-        alt = (
-            f"Error in px over time per {ITEMS[name]} of {len(measured)} configurations. Enough:"
-            f" {enough_in_words(measured)}."
-        )
-        draw = partial(_draw_large, measured)
+        draw = partial(_draw_large, chart.of(name))
+        alt = _alt(chart.of(name))
         panels.append(Panel(TITLES[name], draw, alt, axes=False, layout=None))
     return draw_picture(headline(chart), panels, cell_in=_CELL_IN)
 
 
 def draw_other_tasks(chart: Chart, panel: str) -> Picture | None:
     """A panel's other tasks as small multiples; None where it has no others."""
-    panels = []
-    for task in chart.tasks(panel)[1:]:
-        measured = chart.of(panel, task)
-        alt = f"Error in px over time per {ITEMS[panel]}. Enough: {enough_in_words(measured)}."
-        panels.append(Panel(capital(task), partial(_draw_small, measured), alt))
+    tasks = {task: chart.of(panel, task) for task in chart.tasks(panel)[1:]}
+    panels = [Panel(capital(t), partial(_draw_small, of), _alt(of)) for t, of in tasks.items()]
     return draw_picture("", panels) if panels else None
+
+
+def _alt(measured: Sequence[Measured]) -> str:
+    return (
+        f"Error in px over time per {ITEMS[measured[0].panel]} of {len(measured)} configurations."
+        f" Enough: {enough_in_words(measured)}."
+    )
 
 
 def numbered(measured: Sequence[Measured]) -> list[Measured]:
     """Those of a front that get a number: what is enough, and what is clearly more accurate."""
     found: list[Measured] = []
     best = enough(measured)
-    for each in _front(measured):
+    for each in on_front(measured):
         if not found or each is best or each.rms_px <= _HARDLY * found[-1].rms_px:
             found.append(each)
     return found
 
 
-def _front(measured: Sequence[Measured]) -> list[Measured]:
-    return sorted((m for m in measured if m.on_front), key=lambda m: m.time_s)
-
-
 def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
     """A panel: its task, the axes, and below them the key of the front's numbers."""
     width, height = figure.get_size_inches() * DPI
-    key, best = numbered(measured), enough(measured)
-    keys = max(len(key), _FEWEST_KEYS)
+    numbers, best = numbered(measured), enough(measured)
+    keys = max(len(numbers), _FEWEST_KEYS)
     bottom = _BELOW_PX + _KEY_PX * keys
     size = (width - 100.0) / width, (height - bottom - _ABOVE_PX) / height
     axes = figure.add_axes((84.0 / width, bottom / height, *size))
     _draw(axes, measured)
     _legend(axes, measured, ncols=3, loc="lower left", bbox_to_anchor=(-0.15, 1.0))
-    _number(axes, key, measured)
+    _number(axes, numbers, measured)
 
     def write(x: float, y: float, text: str, **style: Any) -> None:
         figure.text(x / width, y / height, text, va="center", **style)
 
     write(13.0, height - 42.0, capital(measured[0].task), fontsize=11, color="0.3")
-    for number, each in enumerate(key):
+    for number, each in enumerate(numbers, 1):
         style: dict[str, Any] = {"fontsize": 10.2}
         if each is best:
             style |= {"fontweight": "bold", "color": _ENOUGH}
-        y = 10.0 + _KEY_PX * (keys - number - 0.5)
-        write(28.0, y, f"{number + 1}", ha="right", **style)
+        y = 10.0 + _KEY_PX * (keys - number + 0.5)
+        write(28.0, y, f"{number}", ha="right", **style)
         words = configuration_in_words(each)
         write(38.0, y, words, **style | {"fontsize": 10.2 * min(1.0, _KEY_LETTERS / len(words))})
         write(width - 88.0, y, error_in_words(each.rms_px), ha="right", **style)
@@ -234,13 +224,11 @@ def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
         axes.plot(best.time_s, _error(best), "o", ms=19, mfc="none", mec=_ENOUGH, mew=2.5)
     for each in shown:
         colour, marker = marks[each.name]
-        style: dict[str, Any] = (
-            {"ms": 8.5, "zorder": 4} if each.on_front else {"ms": 5.5, "zorder": 3}
-        )
-        style |= {"mec": "black" if each.on_front else colour, "mew": 1.0}
+        size, order, edge = (8.5, 4, "black") if each.on_front else (5.5, 3, colour)
+        style: dict[str, Any] = {"ms": size, "zorder": order, "mec": edge, "mew": 1.0}
         axes.plot(each.time_s, _error(each), marker=marker, **style, **_filled(each, colour))
     _limits(axes, shown)
-    front = _front(shown)
+    front = on_front(shown)
     times = [*(m.time_s for m in front), axes.get_xlim()[1]]
     errors = [*map(_error, front), *map(_error, front[-1:])]
     axes.step(times[: len(errors)], errors, where="post", color="0.2", lw=1.5, zorder=2)
@@ -331,51 +319,37 @@ def _bands(axes: Axes, bound_px: float) -> None:
 
 
 def _legend(axes: Axes, measured: Sequence[Measured], **place: Any) -> None:
+    hollow: dict[str, Any] = {"ls": "none", "mfc": "white", "ms": 6}
     handles = [
-        Line2D(
-            [],
-            [],
-            color=colour,
-            marker=marker,
-            ls="none",
-            mfc="white",
-            ms=6,
-            label=method_in_words(name),
-        )
+        key(method_in_words(name), color=colour, marker=marker, **hollow)
         for name, (colour, marker) in _marks(measured).items()
     ]
     if gpu := next(filter(on_gpu, measured), None):
-        style = {"color": "0.3", "ls": "none", **_filled(gpu, "0.3")}
-        handles.append(Line2D([], [], marker="o", label="half: on the GPU", **style))
+        half = {"color": "0.3", "marker": "o", "ls": "none"} | _filled(gpu, "0.3")
+        handles.append(key("half: on the GPU", **half))
     axes.legend(handles=handles, fontsize=9.5, handletextpad=0.1, labelspacing=0.2, **place)
 
 
-def _number(axes: Axes, key: Sequence[Measured], measured: Sequence[Measured]) -> None:
+def _number(axes: Axes, numbers: Sequence[Measured], measured: Sequence[Measured]) -> None:
     """Write the key's numbers beside their marks, below the front, where nothing else lies."""
 
     def pixels(each: Measured) -> NDArray[np.float64]:
         return np.asarray(axes.transData.transform((each.time_s, _error(each))))
 
     best = enough(measured)
-    taken = [pixels(each) for each in _front(measured)]
-    for number, each in enumerate(key):
-        at = pixels(each)
-        first = 24.0 if each is best else 16.0
-        offsets = [
-            distance * np.array([np.cos(angle), np.sin(angle)])
-            for distance in (first, first + 8.0, first + 16.0)
-            for angle in np.radians((225.0, 180.0, 270.0, 200.0, 250.0, 45.0))
-        ]
-        crowd = [
-            sum(max(0.0, 15.0 - float(np.linalg.norm(at + offset - other))) for other in taken)
-            for offset in offsets
-        ]
-        offset = offsets[int(np.argmin(crowd))]
+    taken = [pixels(each) for each in on_front(measured)]
+    angles = np.radians((225.0, 180.0, 270.0, 200.0, 250.0, 45.0))
+    round_it = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for number, each in enumerate(numbers, 1):
+        at, first = pixels(each), 24.0 if each is best else 16.0
+        offsets = np.concatenate([(first + more) * round_it for more in (0.0, 8.0, 16.0)])
+        apart = np.linalg.norm((at + offsets)[:, None] - np.array(taken), axis=2)
+        offset = offsets[np.argmin(np.maximum(15.0 - apart, 0.0).sum(axis=1))]
         taken.append(at + offset)
         place, (right, up) = (each.time_s, _error(each)), offset * 72.0 / DPI
         shade = _ENOUGH if each is best else "black"
         style = {"ha": "center", "fontsize": 10.5, "fontweight": "bold", "color": shade}
-        write_beside(axes, f"{number + 1}", place, (right, up), **style, zorder=6)
+        write_beside(axes, f"{number}", place, (right, up), **style, zorder=6)
 
 
 # ----------------------------------------------------------------------------------------- tables
@@ -414,15 +388,12 @@ class Summary(Record):
 
 def summary(chart: Chart) -> Summary:
     """The fronts, what is enough, and the machine."""
-    tasks = {panel: chart.tasks(panel) for panel in chart.panels}
+    panels = chart.panels
     return Summary(
-        {panel: enough(chart.of(panel, names[0])) for panel, names in tasks.items()},
-        {p: tuple(m for t in names for m in chart.front(p, t)) for p, names in tasks.items()},
+        {panel: enough(chart.of(panel)) for panel in panels},
+        {p: tuple(m for task in chart.tasks(p) for m in chart.front(p, task)) for p in panels},
         {each.name: each.exponent for each in chart.scalings},
-        chart.frame_memory_mb,
-        chart.machine,
-        chart.notes,
-        chart.time_s,
+        *(chart.frame_memory_mb, chart.machine, chart.notes, chart.time_s),
     )
 
 
@@ -449,17 +420,14 @@ def measured_table(measured: Sequence[Measured], caption: str, whole: bool = Fal
     if not any(np.isfinite(m.rms_um) for m in measured):
         columns.remove("on the part")
     best = enough(measured)
-    return text_table(
-        rows, columns, caption, [m.on_front if whole else m is best for m in measured]
-    )
+    first = [m.on_front if whole else m is best for m in measured]
+    return text_table(rows, columns, caption, first)
 
 
 def front_tables(chart: Chart) -> list[TextTable]:
     """The front of each panel's picture, as the console shows it."""
     return [
-        measured_table(
-            chart.front(panel, chart.tasks(panel)[0]), f"{TITLES[panel]}: the Pareto front"
-        )
+        measured_table(chart.front(panel), f"{TITLES[panel]}: the Pareto front")
         for panel in chart.panels
     ]
 
@@ -468,15 +436,12 @@ def front_table(chart: Chart) -> TextTable:
     """The front of each panel's picture: the table of the README."""
     rows = []
     for panel in chart.panels:
-        task = chart.tasks(panel)[0]
-        best = enough(chart.of(panel, task))
-        for number, m in enumerate(chart.front(panel, task)):
-            words = (
-                f"{configuration_in_words(m)} (enough)" if m is best else configuration_in_words(m)
-            )
-            cost = f"{time_in_words(m.time_s)} per {ITEMS[panel]}"
+        front = chart.front(panel)
+        for m in front:
+            words = configuration_in_words(m) + (" (enough)" if m is enough(front) else "")
             errors = error_in_words(m.rms_px), error_in_words(m.largest_px)
-            rows.append(("" if number else TITLES[panel], words, *errors, cost))
+            cost = f"{time_in_words(m.time_s)} per {ITEMS[panel]}"
+            rows.append((TITLES[panel] if m is front[0] else "", words, *errors, cost))
     return TextTable(("job", "configuration", "error, rms", "largest", "time"), tuple(rows))
 
 
@@ -541,13 +506,12 @@ def save(chart: Chart, folder: Path, command: str, overwrite: bool = False) -> N
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
     picture = draw_chart(chart)
-    panels = zip(chart.panels, picture.panels, strict=True)
     contents = {
         "configurations.csv": record_columns(Measured, chart.measured),
         "failures.csv": chart.failures,
         "scaling.csv": record_columns(Scaling, chart.scalings),
         PICTURE: picture,
-        **{f"{name}.png": panel.png for name, panel in panels},
+        **{f"{n}.png": p.png for n, p in zip(chart.panels, picture.panels, strict=True)},
         FRONT_TABLE: front_text(chart),
         PAGE: page(chart, picture, command),
         RESULTS_SIGN: summary(chart),
@@ -614,23 +578,20 @@ def page(chart: Chart, picture: Picture, command: str) -> Page:
 
 def _panel(chart: Chart, name: str, panel: PanelPicture) -> list[Content]:
     """A panel's picture and front, its other tasks, and all that was measured."""
-    main, *others = chart.tasks(name)
-    measured = chart.of(name, main)
+    tasks = {task: chart.of(name, task) for task in chart.tasks(name)}
+    main, reference = chart.tasks(name)[0], chart.of(name)[0].reference
     content: list[Content] = [
-        f"{capital(main)}. Errors are against {measured[0].reference}.",
+        f"{capital(main)}. Errors are against {reference}.",
         panel,
-        measured_table(chart.front(name, main), "The Pareto front, the fastest first"),
+        measured_table(chart.front(name), "The Pareto front, the fastest first"),
     ]
     if picture := draw_other_tasks(chart, name):
-        content.append(Details(counted(len(others), "other task"), (picture,)))
-    tables = tuple(
-        measured_table(
-            sorted(chart.of(name, task), key=lambda m: (not np.isfinite(m.rms_px), m.rms_px)),
-            f"{capital(task)}, against {chart.of(name, task)[0].reference}",
-            whole=True,
-        )
-        for task in (main, *others)
-    )
-    count = sum(m.panel == name for m in chart.measured)
-    content.append(Details(f"All {count} that were measured, the most accurate first", tables))
-    return content
+        content.append(Details(counted(len(tasks) - 1, "other task"), (picture,)))
+    tables = []
+    for task, measured in tasks.items():
+        ordered = sorted(measured, key=lambda m: (not np.isfinite(m.rms_px), m.rms_px))
+        caption = f"{capital(task)}, against {measured[0].reference}"
+        tables.append(measured_table(ordered, caption, whole=True))
+    count = sum(map(len, tasks.values()))
+    words = f"All {count} that were measured, the most accurate first"
+    return [*content, Details(words, tuple(tables))]

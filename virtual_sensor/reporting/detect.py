@@ -27,9 +27,9 @@ from virtual_sensor.reporting.style import (
     SKY,
     YELLOW,
     colour,
+    drawable,
     write_on_line,
 )
-from virtual_sensor.reporting.style import plain as plain_text
 from virtual_sensor.reporting.tables import Column, Link, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import (
     anchor,
@@ -314,7 +314,7 @@ def draw(found: Detected, name: str, settings: Settings) -> Picture:
                 layout=None,
             ),
         ]
-    title = f"{plain_text(name)}: {counted_ok}; {plain_text(described(settings))}"
+    title = f"{drawable(name)}: {counted_ok}; {drawable(described(settings))}"
     return draw_picture(title, panels, columns=2)
 
 

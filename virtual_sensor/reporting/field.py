@@ -22,8 +22,7 @@ from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, write_vector
-from virtual_sensor.reporting.style import BLACK, colour
-from virtual_sensor.reporting.style import plain as plain_text
+from virtual_sensor.reporting.style import BLACK, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed
 from virtual_sensor.studies.field_info import COARSE_PX, Border, FieldInfo, Grid, inside_part
@@ -425,7 +424,7 @@ def panels_of(info: FieldInfo) -> list[Panel]:
 def title(info: FieldInfo) -> str:
     """Above all panels."""
     instant = "" if info.time_s is None else f", flow time {info.time_s:g} s"
-    return f"{plain_text(info.file.name)}{instant}: {lead(info)}"
+    return f"{drawable(info.file.name)}{instant}: {lead(info)}"
 
 
 def level_mm(info: FieldInfo) -> float:

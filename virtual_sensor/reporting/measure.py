@@ -21,7 +21,7 @@ from virtual_sensor.records import write_csv, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
-from virtual_sensor.reporting.style import LINES, MARKERS, colour, plain
+from virtual_sensor.reporting.style import LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
 from virtual_sensor.studies.measure import (
@@ -363,7 +363,7 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
         panels |= {"letters": _letters_panel()} | check
     else:
         panels |= check | {"frame": _frame_panel(result, 3)}
-    name = plain(result.scene.path.stem)
+    name = drawable(result.scene.path.stem)
     drawn = draw_picture(f"{name}: {headline(figures)}", list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
 

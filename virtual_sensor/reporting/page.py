@@ -18,7 +18,6 @@ from virtual_sensor.reporting.words import anchor
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markupsafe import Markup
 
 PAGE = "report.html"
 """Name of the page of a folder of results."""
@@ -129,11 +128,6 @@ def write_page(path: Path, page: Page) -> None:
 def page_html(page: Page) -> str:
     """A page as HTML."""
     return _environment().get_template("report.html.j2").render(page=page)
-
-
-def table_html(table: TextTable) -> Markup:
-    """A table as HTML."""
-    return _environment().get_template("content.html.j2").module.table(table)  # type: ignore[attr-defined]
 
 
 def _opened(values: Mapping[str, object]) -> dict[str, object]:

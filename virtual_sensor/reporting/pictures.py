@@ -122,7 +122,7 @@ def draw_picture(
     Parameters
     ----------
     title : str
-        Above them all; "" for none. A user's text goes through `style.plain` first.
+        Above them all; "" for none. A user's text goes through `style.drawable` first.
     panels : sequence of Panel
     columns : int
         Cells of a row; of fewer panels fewer.

@@ -15,6 +15,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.colors import to_rgb
+from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from virtual_sensor.errors import printable
@@ -142,7 +143,7 @@ def letters_on(background: str) -> str:
     return "black" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "white"
 
 
-def plain(text: str) -> str:
+def drawable(text: str) -> str:
     """A user's text for a picture: no formula, no control characters, of a length that fits."""
     text = printable(text).replace("\n", " ")
     if len(text) > 60:
@@ -168,6 +169,11 @@ def write_on_line(axes: Axes, words: str, y: float, right: bool = False, **style
     at = (0.99 if right else 0.01, y)
     style = {"ha": "right" if right else "left", "va": "bottom"} | style
     write_beside(axes, words, at, (0.0, 3.0), xycoords=axes.get_yaxis_transform(), **style)
+
+
+def key(label: str, **style: Any) -> Line2D:
+    """An entry of a key, whose curves or marks may differ from it."""
+    return Line2D([], [], label=label, **style)
 
 
 def decimal_ticks(axis: Axis, fine: bool = False) -> None:

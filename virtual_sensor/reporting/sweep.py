@@ -23,8 +23,8 @@ from virtual_sensor.reporting.style import (
     colour,
     colours,
     decimal_ticks,
+    drawable,
     letters_on,
-    plain,
 )
 from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
 from virtual_sensor.reporting.words import counted, in_words, listed
@@ -98,7 +98,7 @@ def unit_of(parameter: SweptParameter) -> str:
 
 def _with_unit(value: str, unit: str) -> str:
     """A value as a label has it: "15°", "900 °C"."""
-    text = plain(value) or "none"
+    text = drawable(value) or "none"
     return (
         f"{text}{'' if unit == '°' else ' '}{unit}" if unit and _number(value) is not None else text
     )
@@ -146,7 +146,7 @@ class _Axis:
 
     @property
     def label(self) -> str:
-        return plain(self.name) + (f" in {self.unit}" if self.unit else "")
+        return drawable(self.name) + (f" in {self.unit}" if self.unit else "")
 
     def place(self, value: str) -> float:
         return float(value) if self.numeric else float(self.values.index(value))
@@ -175,8 +175,8 @@ def draw(result: Sweep) -> Picture:
                 panel = _curves(result.table, quantity, rows, first, second)
             panels.append(Panel(title, panel, alt))
     name = Path(result.summary.scene).stem
-    over = listed([plain(axis.name) for axis in axes])
-    return draw_picture(f"Sweep of {plain(name)}" + (f" over {over}" if over else ""), panels)
+    over = listed([drawable(axis.name) for axis in axes])
+    return draw_picture(f"Sweep of {drawable(name)}" + (f" over {over}" if over else ""), panels)
 
 
 def _quantities(table: SweepTable) -> list[_Quantity]:
@@ -254,7 +254,7 @@ def _facets(table: SweepTable, rest: Sequence[_Axis]) -> Iterable[tuple[str, Row
             if all(table.parameters[axis.name][row] == value for axis, value in pairs)
         ]
         if rows:
-            words = (f"{plain(axis.name)} {axis.label_of(value)}" for axis, value in pairs)
+            words = (f"{drawable(axis.name)} {axis.label_of(value)}" for axis, value in pairs)
             yield ", ".join(words), rows
 
 
@@ -301,7 +301,7 @@ def _curves(
         axes.set_ylabel(quantity.label)
         if second:
             labels = {value: second.label_of(value) for value in curves}
-            _label_ends(axes, drawn, labels, shades, plain(second.name))
+            _label_ends(axes, drawn, labels, shades, drawable(second.name))
 
     return draw
 
@@ -337,14 +337,14 @@ def _ticks(axes: Axes, axis: _Axis | None, key: str) -> None:
         return
     axes.set_xlabel(axis.label + (f"   ({key})" if key else ""))
     if not axis.numeric:
-        words = [plain(Path(value).name[-24:]) or "none" for value in axis.values]
+        words = [drawable(Path(value).name[-24:]) or "none" for value in axis.values]
         long = sum(map(len, words)) > 50
         axes.set_xticks(
             range(len(words)), words, rotation=25 if long else 0, ha="right" if long else "center"
         )
         axes.set_xlim(-0.5, len(words) - 0.5)
     elif len(axis.values) <= 8:
-        axes.set_xticks([float(value) for value in axis.values], [plain(v) for v in axis.values])
+        axes.set_xticks([float(value) for value in axis.values], [drawable(v) for v in axis.values])
 
 
 def _scale(axes: Axes, quantity: _Quantity) -> None:
@@ -498,7 +498,7 @@ def _heat_map(
         for axis, set_ticks in ((first, axes.set_xticks), (second, axes.set_yticks)):
             step = max(1, -(-len(axis.values) // 9))
             places = range(0, len(axis.values), step)
-            set_ticks(places, [plain(axis.values[i]) for i in places])
+            set_ticks(places, [drawable(axis.values[i]) for i in places])
         axes.set(xlabel=first.label, ylabel=second.label)
 
     return draw

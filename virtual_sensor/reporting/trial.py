@@ -24,9 +24,9 @@ from virtual_sensor.reporting.style import (
     colour,
     colours,
     decimal_ticks,
+    drawable,
     write_beside,
 )
-from virtual_sensor.reporting.style import plain as plain_text
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import time_in_words, unbroken
 from virtual_sensor.studies.machine import Machine
@@ -287,7 +287,7 @@ def _shortened(name: str) -> str:
     name = printable(name).replace("\n", " ")
     if len(name) > _LONGEST_NAME:
         name = f"{name[: _LONGEST_NAME - 11]}...{name[-8:]}"
-    return plain_text(name)
+    return drawable(name)
 
 
 def _speed(trial: Trial, key: _Key) -> Picture:

@@ -239,6 +239,11 @@ def with_fronts(measured: Sequence[Measured]) -> tuple[Measured, ...]:
     return tuple(replace(each, on_front=id(each) in best) for each in measured)
 
 
+def on_front(measured: Iterable[Measured]) -> list[Measured]:
+    """Those that `with_fronts` found on a front, the fastest first."""
+    return sorted((m for m in measured if m.on_front), key=lambda m: m.time_s)
+
+
 def enough_px(measured: Measured) -> float:
     """Error in px that is as good as none: what a sensor resolves, or what no detector beats."""
     return max(RESOLVED_PX, _NEAR_BOUND * measured.bound_px)
@@ -246,5 +251,4 @@ def enough_px(measured: Measured) -> float:
 
 def enough(measured: Sequence[Measured]) -> Measured | None:
     """The fastest of one task's front whose error is as good as none."""
-    small = (m for m in measured if m.on_front and m.rms_px <= enough_px(m))
-    return min(small, key=lambda m: m.time_s, default=None)
+    return next((m for m in on_front(measured) if m.rms_px <= enough_px(m)), None)

@@ -16,7 +16,14 @@ from virtual_sensor import engine
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.records import Record
-from virtual_sensor.studies.chart.benchmark import Measured, Report, Task, measure_all, with_fronts
+from virtual_sensor.studies.chart.benchmark import (
+    Measured,
+    Report,
+    Task,
+    measure_all,
+    on_front,
+    with_fronts,
+)
 from virtual_sensor.studies.chart.failures import Failures, failures
 from virtual_sensor.studies.chart.scaling import Scaling
 from virtual_sensor.studies.machine import Machine, cuda_found, machine
@@ -95,13 +102,14 @@ class Chart(Record):
         """Names of a panel's tasks, the one that its picture shows first."""
         return list(dict.fromkeys(m.task for m in self.measured if m.panel == panel))
 
-    def of(self, panel: str, task: str) -> list[Measured]:
-        """What was measured of a task."""
+    def of(self, panel: str, task: str = "") -> list[Measured]:
+        """What was measured of a task; by default of that which the panel's picture shows."""
+        task = task or self.tasks(panel)[0]
         return [m for m in self.measured if (m.panel, m.task) == (panel, task)]
 
-    def front(self, panel: str, task: str) -> list[Measured]:
-        """The Pareto front of a task, the fastest first."""
-        return sorted((m for m in self.of(panel, task) if m.on_front), key=lambda m: m.time_s)
+    def front(self, panel: str, task: str = "") -> list[Measured]:
+        """The Pareto front of the same, the fastest first."""
+        return on_front(self.of(panel, task))
 
 
 def check_panels(panels: Sequence[str]) -> list[str]:
