@@ -4,9 +4,12 @@ import re
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from command_line import command
 
 from virtual_sensor.cli import shared
@@ -89,3 +92,47 @@ def test_a_name_that_promises_another_format_is_refused(words, tmp_path, monkeyp
     status, _, error = command(*words.split())
     assert status == 2
     assert re.search(rf"{option} {name}: .*name (a folder|it so)", error)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a command is asked for.
+
+    Attributes
+    ----------
+    width_mm : float
+        Of the part; in
+        two lines.
+    at_least_s : float, optional
+        How long.
+    whole : bool
+        All of it.
+    """
+
+    width_mm: float = 2.5
+    at_least_s: float | None = None
+    whole: bool = False
+
+
+def test_fields_of_a_dataclass_are_options_with_its_words():
+    """Rationale: an option is described once: type and default in its field, help in its words."""
+    got = []
+
+    @shared.with_options
+    def run(name: str, *, asked: Asked, last: int = 1) -> None:
+        """Run."""
+        got.append((name, asked, last))
+
+    app = typer.Typer(add_completion=False)
+    app.command()(run)
+    group: Any = typer.main.get_command(app)
+    options = {each.opts[0]: each.help for each in group.params if each.name != "name"}
+    assert options == {
+        "--width": "Of the part; in two lines.",
+        "--at-least": "How long.",
+        "--whole": "All of it.",
+        "--last": None,
+    }
+    for words in ("a", "b --width 3 --at-least 1 --whole --last 2"):
+        group.main(words.split(), standalone_mode=False)
+    assert got == [("a", Asked(), 1), ("b", Asked(3.0, 1.0, True), 2)]

@@ -1,13 +1,17 @@
 """What the commands share: the console, a progress bar, options."""
 
+import functools
+import inspect
 import os
+import re
 import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -81,6 +85,47 @@ FolderToGoOnIn = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for the results, or to go on in.")
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace results that exist.")]
+
+
+def with_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Let a command take dataclasses, by keyword: each of their fields is an option.
+
+    Its name is the field's without a unit at the end, its default the field's, and its help the
+    field's words under "Attributes" of the dataclass.
+    """
+    signature = inspect.signature(command)
+    parameters: list[inspect.Parameter] = []
+    groups: dict[str, tuple[Any, dict[str, str]]] = {}
+    for name, parameter in signature.parameters.items():
+        if is_dataclass(kind := parameter.annotation):
+            options = _options(kind)
+            groups[name] = kind, {field: option.name for field, option in options.items()}
+            parameters += options.values()
+        else:
+            parameters.append(parameter)
+
+    @functools.wraps(command)
+    def called(**given: Any) -> None:
+        for name, (kind, names) in groups.items():
+            given[name] = kind(**{field: given.pop(option) for field, option in names.items()})
+        command(**given)
+
+    called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return called
+
+
+def _options(kind: Any) -> dict[str, inspect.Parameter]:
+    """The options of a dataclass, by the names of its fields."""
+    words = dict(re.findall(r"^(\w+) : .*\n((?: +.*\n?)+)", inspect.getdoc(kind) or "", re.M))
+    options = {}
+    for each in fields(kind):
+        name = re.sub(r"_(mm|c|pa|s|px_per_s)$", "", each.name)
+        flag = [f"--{name}"] if each.type is bool else []  # no --no-NAME
+        option = typer.Option(each.default, *flag, help=" ".join(words[each.name].split()))
+        options[each.name] = inspect.Parameter(
+            name, inspect.Parameter.KEYWORD_ONLY, default=option, annotation=each.type
+        )
+    return options
 
 
 def definitions(define: list[str] | None) -> dict[str, str]:

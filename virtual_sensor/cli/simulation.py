@@ -1,5 +1,6 @@
 """The commands `virtual-sensor field simulate` and `field convergence`, which need OpenFOAM."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -12,6 +13,78 @@ from virtual_sensor.files import check_output
 GOES_ON = "the simulated flow stays, and the same command goes on"
 
 
+@dataclass(frozen=True)
+class FlowOptions:
+    """The part and how finely the air round it is simulated: fields of `HeatFlow`.
+
+    Attributes
+    ----------
+    temperature_c : float
+        Of the part's surface, degC.
+    radius_mm : float
+        Of the cylinder, mm.
+    length_mm : float
+        Of the cylinder, mm.
+    stl : Path, optional
+        Surface of another part, mm, z up, in place of a cylinder.
+    section : bool
+        Only across an endless cylinder: some minutes.
+    whole : bool
+        A section without mirror plane: the plume may sway.
+    unsteady : bool
+        Small time steps, that follow the air's own motion.
+    ambient_c : float
+        Of the surrounding air, degC.
+    pressure_pa : float
+        Of the surrounding air, Pa.
+    cell_mm : float
+        Width of a mesh cell across the plume, mm; others scale with it.
+    """
+
+    temperature_c: float = 1250.0
+    radius_mm: float = 13.5
+    length_mm: float = 170.0
+    stl: Path | None = None
+    section: bool = False
+    whole: bool = False
+    unsteady: bool = False
+    ambient_c: float = 20.0
+    pressure_pa: float = 101325.0
+    cell_mm: float = 0.8
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """When a simulation ends, and what is kept of it.
+
+    Attributes
+    ----------
+    coarse : bool
+        Accept a mesh that does not resolve the wall layer.
+    grid_mm : str, optional
+        Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, and for another
+        part as fine as 2 MB hold.
+    time_s : float
+        Flow time at which it ends at the latest, s.
+    at_least_s : float
+        Flow time before which it does not end, s.
+    steady_px_per_s : float
+        It ends when the scene's probe rays move by less than this, px per s of flow.
+    record_s : float
+        Write the last so many seconds of flow as a time axis.
+    every_s : float, optional
+        Flow time between saved instants, s; by default 0.25, unsteady 0.05.
+    """
+
+    coarse: bool = False
+    grid_mm: str | None = None
+    time_s: float = 15.0
+    at_least_s: float = 2.0
+    steady_px_per_s: float = 0.05
+    record_s: float = 0.0
+    every_s: float | None = None
+
+
 @app.command(
     epilog="Examples:\n\n"
     "    virtual-sensor field simulate --section -o section.nc\n\n"
@@ -20,63 +93,16 @@ GOES_ON = "the simulated flow stays, and the same command goes on"
     "\n\n"
     "    virtual-sensor field simulate --stl part.stl --cell 2 --coarse -o part.nc"
 )
+@shared.with_options
 def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="NetCDF file for the field.")],
     case: Annotated[
         Path | None,
         typer.Option(help="Folder of the OpenFOAM case; by default beside the field, .case."),
     ] = None,
-    temperature: Annotated[float, typer.Option(help="Of the part's surface, degC.")] = 1250.0,
-    radius: Annotated[float, typer.Option(help="Of the cylinder, mm.")] = 13.5,
-    length: Annotated[float, typer.Option(help="Of the cylinder, mm.")] = 170.0,
-    stl: Annotated[
-        Path | None, typer.Option(help="Surface of another part, mm, z up, in place of a cylinder.")
-    ] = None,
-    section: Annotated[
-        bool, typer.Option("--section", help="Only across an endless cylinder: some minutes.")
-    ] = False,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="A section without mirror plane: the plume may sway.")
-    ] = False,
-    unsteady: Annotated[
-        bool,
-        typer.Option("--unsteady", help="Small time steps, that follow the air's own motion."),
-    ] = False,
-    ambient: Annotated[float, typer.Option(help="Of the surrounding air, degC.")] = 20.0,
-    pressure: Annotated[float, typer.Option(help="Of the surrounding air, Pa.")] = 101325.0,
-    cell: Annotated[
-        float,
-        typer.Option(help="Width of a mesh cell across the plume, mm; others scale with it."),
-    ] = 0.8,
-    coarse: Annotated[
-        bool, typer.Option("--coarse", help="Accept a mesh that does not resolve the wall layer.")
-    ] = False,
-    grid: Annotated[
-        str | None,
-        typer.Option(
-            help="Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, and for"
-            " another part as fine as 2 MB hold."
-        ),
-    ] = None,
-    time: Annotated[
-        float, typer.Option(help="Flow time at which it ends at the latest, s.")
-    ] = 15.0,
-    at_least: Annotated[
-        float, typer.Option(help="Flow time before which it does not end, s.")
-    ] = 2.0,
-    steady: Annotated[
-        float,
-        typer.Option(
-            help="It ends when the scene's probe rays move by less than this, px per s of flow."
-        ),
-    ] = 0.05,
-    record: Annotated[
-        float, typer.Option(help="Write the last so many seconds of flow as a time axis.")
-    ] = 0.0,
-    every: Annotated[
-        float | None,
-        typer.Option(help="Flow time between saved instants, s; by default 0.25, unsteady 0.05."),
-    ] = None,
+    *,
+    part: FlowOptions,
+    asked: RunOptions,
     processes: Annotated[int, typer.Option(min=1, help="Processes of the solver, by MPI.")] = 1,
     scene: Annotated[
         str, typer.Option(help="Scene whose probe rays show whether the flow is steady.")
@@ -96,20 +122,17 @@ def simulate(
 
     shared.check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
-    flow = HeatFlow(
-        temperature, radius, length, stl, section, whole, unsteady, ambient, pressure, cell
-    )
-    spacing = shared.numbers("--grid", grid, 3)
+    spacing = shared.numbers("--grid", asked.grid_mm, 3)
     with shared.reporting("preparing the case", GOES_ON) as report:
         result = run(
-            flow,
+            HeatFlow(**vars(part)),
             case or output.with_suffix(".case"),
             output,
-            Until(time, min(at_least, time), steady),
+            Until(asked.time_s, min(asked.at_least_s, asked.time_s), asked.steady_px_per_s),
             spacing_mm=(spacing[0], spacing[1], spacing[2]) if spacing else None,
-            coarse=coarse,
-            record_s=record,
-            every_s=every or (0.05 if unsteady else 0.25),
+            coarse=asked.coarse,
+            record_s=asked.record_s,
+            every_s=asked.every_s or (0.05 if part.unsteady else 0.25),
             processes=processes,
             scene_name=scene,
             camera=camera,

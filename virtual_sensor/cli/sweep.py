@@ -136,7 +136,8 @@ def numbers_of(name: str, text: str) -> list[str]:
             f"-D {name}={text}: has {last + 1} values; give a longer step, for at most"
             f" {_MOST_VALUES}"
         )
-    return [_plainly(start + i * step) for i in range(last + 1)]
+    # Plainly: without an exponent, zeros at the end, or the sign of 0.
+    return [f"{(start + i * step).normalize() + 0:f}" for i in range(last + 1)]
 
 
 def _decimal(text: str) -> Decimal | None:
@@ -145,10 +146,3 @@ def _decimal(text: str) -> Decimal | None:
     except InvalidOperation:
         return None
     return number if number.is_finite() else None
-
-
-def _plainly(number: Decimal) -> str:
-    """Without an exponent and zeros at the end."""
-    text = format(number, "f")
-    text = text.rstrip("0").rstrip(".") if "." in text else text
-    return "0" if text in ("-0", "") else text
