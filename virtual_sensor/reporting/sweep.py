@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
+from math import ceil
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import matplotlib
@@ -14,6 +18,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
+from virtual_sensor.records import UNITS
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
@@ -27,7 +32,7 @@ from virtual_sensor.reporting.style import (
     letters_on,
 )
 from virtual_sensor.reporting.tables import Column, Link, TextTable, text_table
-from virtual_sensor.reporting.words import counted, in_words, listed
+from virtual_sensor.reporting.words import counted, listed
 from virtual_sensor.studies.sweep import CASES, MARK, CaseStatus
 from virtual_sensor.studies.sweep_table import Sweep, SweepSummary, SweepTable, SweptParameter
 
@@ -44,10 +49,9 @@ FILES = (
 )
 
 Array = NDArray[np.float64]
-Rows = Sequence[int]
+Rows = list[int]
 
-_UNITS = {"degrees": "°", "degree": "°", "deg": "°", "degC": "°C", "um": "µm"}
-_UNITS |= {unit: unit for unit in ("mm", "px", "s", "nm", "K", "W", "%", "e")}
+_SPOKEN = {"degree": "deg", "degrees": "deg", "degC": "c", "%": "percent", "e": "electrons"}
 _USUAL_UNITS = {  # of parameters of which the scene says nothing
     **dict.fromkeys(("alpha", "beta", "tilt", "fan"), "°"),
     **dict.fromkeys(("along", "line_length", "line_radius", "step", "blur"), "mm"),
@@ -90,43 +94,81 @@ def save(result: Sweep, folder: Path, command: str) -> None:
 
 def unit_of(parameter: SweptParameter) -> str:
     """Unit of a parameter, from what the scene says of it ("of the part, degC: chooses ...")."""
-    for part in parameter.words.replace(";", ",").replace(":", ",").split(","):
-        if part.strip() in _UNITS:
-            return _UNITS[part.strip()]
+    for part in re.split("[,;:]", parameter.words):
+        word = part.strip()
+        if unit := UNITS.get(_SPOKEN.get(word, word.lower())):
+            return unit
     return "" if parameter.words else _USUAL_UNITS.get(parameter.name, "")
 
 
-def _with_unit(value: str, unit: str) -> str:
-    """A value as a label has it: "15°", "900 °C"."""
-    text = drawable(value) or "none"
-    return (
-        f"{text}{'' if unit == '°' else ' '}{unit}" if unit and _number(value) is not None else text
-    )
-
-
-def _number(value: str) -> float | None:
+def _is_number(value: str) -> bool:
     try:
-        number = float(value)
+        return bool(np.isfinite(float(value)))
     except ValueError:
-        return None
-    return number if np.isfinite(number) else None
-
-
-# The picture.
+        return False
 
 
 @dataclass(frozen=True)
 class _Quantity:
-    """What a panel shows over the parameters."""
+    """A figure of each case, as panels and a table's column show it."""
 
     title: str
     label: str
+    column: Column
     values: Array
-    colour: str
 
     @property
     def known(self) -> Array:
         return self.values[np.isfinite(self.values)]
+
+
+def _state(table: SweepTable) -> str:
+    """The state whose figures are shown: hot, or cold of parts that are only measured cold."""
+    return "hot" if np.isfinite(table.hot_centres).any() else "cold"
+
+
+def _quantities(table: SweepTable) -> dict[str, _Quantity]:
+    """What is shown of each case, the user's first question first."""
+    state = _state(table)
+    error, line, u, v, centres = (
+        getattr(table, f"{state}_{name}")
+        for name in (
+            *("section_rms_um", "line_rms_px"),
+            *("dots_largest_u_px", "dots_largest_v_px", "centres"),
+        )
+    )
+    dots = np.fmax(u, v)
+    of_dots = bool(np.isfinite(dots).any() and not np.isfinite(line).any())
+    found = (
+        _Quantity(
+            f"Error of the section measured {state}",
+            "rms in µm",
+            Column("error", "error, µm"),
+            error,
+        ),
+        _Quantity(
+            "Shift of the probe rays' points by hot air",
+            "largest in µm",
+            Column("shift", "shift, µm"),
+            table.largest_measured_shift_um,
+        ),
+        _Quantity(
+            f"Rendered minus ray search, {state}",
+            "largest in px" if of_dots else "rms in px",
+            Column("apart", "largest, px" if of_dots else "rms, px", "{:.4f}"),
+            np.where(np.isfinite(line), line, dots),
+        ),
+        _Quantity(
+            f"{'Dots' if of_dots else 'Line centres'} found, {state}",
+            "number",
+            Column("centres", "dots" if of_dots else "centres", "{:.0f}"),
+            centres,
+        ),
+    )
+    return {each.column.name: each for each in found}
+
+
+# The picture.
 
 
 @dataclass(frozen=True)
@@ -140,7 +182,7 @@ class _Axis:
 
     @staticmethod
     def of(parameter: SweptParameter) -> _Axis:
-        numeric = all(_number(value) is not None for value in parameter.values)
+        numeric = all(map(_is_number, parameter.values))
         values = tuple(sorted(parameter.values, key=float)) if numeric else parameter.values
         return _Axis(parameter.name, unit_of(parameter), values, numeric)
 
@@ -148,11 +190,22 @@ class _Axis:
     def label(self) -> str:
         return drawable(self.name) + (f" in {self.unit}" if self.unit else "")
 
-    def place(self, value: str) -> float:
-        return float(value) if self.numeric else float(self.values.index(value))
-
     def label_of(self, value: str) -> str:
-        return _with_unit(value, self.unit)
+        """A value as a label has it: "15°", "900 °C"."""
+        unit = self.unit if _is_number(value) else ""
+        return (drawable(value) or "none") + (unit if unit in ("", "°") else f" {unit}")
+
+    def given(self, table: SweepTable) -> tuple[str, ...]:
+        """Its value in each case."""
+        return table.parameters.get(self.name, ("",) * len(table))
+
+    def places(self, table: SweepTable) -> Array:
+        """Where each case lies along the axis."""
+        given = self.given(table)
+        return np.array([float(v) if self.numeric else self.values.index(v) for v in given], float)
+
+
+_NO_AXIS = _Axis("", "", ("",), numeric=False)
 
 
 def draw(result: Sweep) -> Picture:
@@ -160,83 +213,52 @@ def draw(result: Sweep) -> Picture:
 
     Further parameters make a panel for each combination.
     """
-    quantities = _quantities(result.table)
-    axes = [_Axis.of(parameter) for parameter in result.summary.swept]
-    panels: list[Panel] = []
-    first, second, rest, mapped = _arranged(axes)
-    facets = list(_facets(result.table, rest))
-    for words, rows in facets[:_MOST_FACETS]:  # sweep.csv and the page's table have all
-        for quantity in quantities if len(facets) == 1 else quantities[::2]:
-            title = quantity.title + (f"\n{words}" if words else "")
-            alt = f"{_alt(quantity, rows, first, second)}{f', {words}' if words else ''}"
-            if mapped and first and second:
-                panel = _heat_map(result.table, quantity, rows, first, second)
-            else:
-                panel = _curves(result.table, quantity, rows, first, second)
-            panels.append(Panel(title, panel, alt))
-    name = Path(result.summary.scene).stem
-    over = listed([drawable(axis.name) for axis in axes])
-    return draw_picture(f"Sweep of {drawable(name)}" + (f" over {over}" if over else ""), panels)
-
-
-def _quantities(table: SweepTable) -> list[_Quantity]:
-    """What there is to draw, the user's first question first."""
-    state = _state(table)
-    apart, of_dots = _apart(table, state)
-    shift = table.largest_measured_shift_um
-    found = [
-        (f"Error of the section measured {state}", "rms in µm", _error(table, state)),
-        ("Shift of the probe rays' points by hot air", "largest in µm", shift),
-        (f"Rendered minus ray search, {state}", "largest in px" if of_dots else "rms in px", apart),
-        (
-            f"{'Dots' if of_dots else 'Line centres'} found, {state}",
-            "number",
-            getattr(table, f"{state}_centres"),
-        ),
+    table, swept = result.table, result.summary.swept
+    quantities = list(_quantities(table).values())
+    quantities = [each for each in quantities if each.known.size] or quantities[-1:]
+    first, second, rest, mapped = _arranged(swept)
+    facets = list(_facets(table, rest))
+    panels = [
+        Panel(
+            "\n".join(filter(None, (quantity.title, words))),
+            partial(
+                _draw_map if mapped else _draw_curves,
+                table=table,
+                quantity=quantity,
+                rows=rows,
+                first=first,
+                second=second,
+            ),
+            ", ".join(filter(None, (_alt(quantity, rows, first, second), words))),
+        )
+        for words, rows in facets[:_MOST_FACETS]  # sweep.csv and the page's table have all
+        for quantity in (quantities if len(facets) == 1 else quantities[::2])
     ]
-    quantities = [_Quantity(*each, state) for each in found]
-    return [each for each in quantities if each.known.size] or quantities[-1:]
+    title = f"Sweep of {drawable(Path(result.summary.scene).stem)}"
+    over = listed([drawable(parameter.name) for parameter in swept])
+    return draw_picture(f"{title} over {over}" if over else title, panels)
 
 
-def _state(table: SweepTable) -> str:
-    """The state whose figures are shown: hot, or cold of parts that are only measured cold."""
-    return "hot" if np.isfinite(table.hot_centres).any() else "cold"
+def _arranged(swept: Sequence[SweptParameter]) -> tuple[_Axis, _Axis, list[_Axis], bool]:
+    """Which parameter lies along the axis, which makes curves, and the others.
 
-
-def _error(table: SweepTable, state: str) -> Array:
-    """Error of the measured section, um rms."""
-    error: Array = getattr(table, f"{state}_section_rms_um")
-    return error
-
-
-def _apart(table: SweepTable, state: str) -> tuple[Array, bool]:
-    """Rendered minus searched: rms of lines, of dots the largest; and whether all are dots."""
-    line, *dots = (
-        getattr(table, f"{state}_{name}_px")
-        for name in ("line_rms", "dots_largest_u", "dots_largest_v")
-    )
-    largest = np.fmax(*dots)
-    known = np.isfinite(line)
-    return np.where(known, line, largest), bool(np.isfinite(largest).any() and not known.any())
-
-
-def _arranged(axes: list[_Axis]) -> tuple[_Axis | None, _Axis | None, list[_Axis], bool]:
-    """Which parameter lies along the axis, which makes curves or a heat map, and the others."""
-    if not axes:
-        return None, None, [], False
+    Two of many numbers make a map; then the last is True.
+    """
+    axes = [_Axis.of(parameter) for parameter in swept]
     many = [axis for axis in axes if axis.numeric and len(axis.values) >= _HEAT_MAP]
-    if len(many) >= 2:
-        return many[0], many[1], [axis for axis in axes if axis not in many[:2]], True
-    numeric = [axis for axis in axes if axis.numeric and len(axis.values) > 2]
-    along = max(numeric or axes, key=lambda axis: len(axis.values))
-    others = [axis for axis in axes if axis is not along]
-    second = next((axis for axis in others if len(axis.values) <= _MOST_CURVES), None)
-    return along, second, [axis for axis in others if axis is not second], False
+    if mapped := len(many) >= 2:
+        first, second = many[:2]
+    else:
+        numeric = [axis for axis in axes if axis.numeric and len(axis.values) > 2]
+        first = max(numeric or axes, key=lambda axis: len(axis.values), default=_NO_AXIS)
+        few = [axis for axis in axes if axis != first and len(axis.values) <= _MOST_CURVES]
+        second = few[0] if few else _NO_AXIS
+    return first, second, [axis for axis in axes if axis not in (first, second)], mapped
 
 
 def _undrawn(result: Sweep) -> list[str]:
     """Says that there are more combinations than panels, if so."""
-    rest = _arranged([_Axis.of(parameter) for parameter in result.summary.swept])[2]
+    rest = _arranged(result.summary.swept)[2]
     count = len(list(_facets(result.table, rest)))
     if count <= _MOST_FACETS:
         return []
@@ -246,138 +268,54 @@ def _undrawn(result: Sweep) -> list[str]:
 
 def _facets(table: SweepTable, rest: Sequence[_Axis]) -> Iterable[tuple[str, Rows]]:
     """Each combination of the other parameters that there is, in words, and its rows."""
+    given = list(zip(*(axis.given(table) for axis in rest), strict=True)) or [()] * len(table)
     for values in product(*(axis.values for axis in rest)):
-        pairs = list(zip(rest, values, strict=True))
-        rows = [
-            row
-            for row in range(len(table))
-            if all(table.parameters[axis.name][row] == value for axis, value in pairs)
-        ]
-        if rows:
-            words = (f"{drawable(axis.name)} {axis.label_of(value)}" for axis, value in pairs)
-            yield ", ".join(words), rows
+        if rows := [row for row, each in enumerate(given) if each == values]:
+            pairs = zip(rest, values, strict=True)
+            yield ", ".join(f"{drawable(a.name)} {a.label_of(value)}" for a, value in pairs), rows
 
 
-def _alt(quantity: _Quantity, rows: Rows, first: _Axis | None, second: _Axis | None) -> str:
-    known = quantity.values[list(rows)]
-    known = known[np.isfinite(known)]
-    over = [axis.name for axis in (first, second) if axis]
-    words = quantity.title + (f" over {listed(over)}" if over else "")
+def _alt(quantity: _Quantity, rows: Rows, first: _Axis, second: _Axis) -> str:
+    known = quantity.values[rows][np.isfinite(quantity.values[rows])]
+    over = listed([axis.name for axis in (first, second) if axis.name])
+    words = f"{quantity.title} over {over}" if over else quantity.title
     if not known.size:
         return f"{words}: no case has a value"
-    low, high = (in_words(float(value), "{:.3g}") for value in (known.min(), known.max()))
-    return f"{words}, {quantity.label}: {low} to {high}"
+    return f"{words}, {quantity.label}: {known.min():.3g} to {known.max():.3g}"
 
 
-def _curves(
-    table: SweepTable, quantity: _Quantity, rows: Rows, first: _Axis | None, second: _Axis | None
-) -> Callable[[Axes], None]:
-    """A curve over the first parameter for each value of the second."""
+def _draw_curves(
+    axes: Axes, table: SweepTable, quantity: _Quantity, rows: Rows, first: _Axis, second: _Axis
+) -> None:
+    """A curve over the first parameter for each value of the second.
 
-    def draw(axes: Axes) -> None:
-        curves = _curve_rows(table, rows, second)
-        shades = _shades(quantity, list(curves), second)
-        drawn: dict[str, tuple[Array, Array]] = {}
-        for number, (value, each) in enumerate(curves.items()):
-            behind = len(curves) - 1 - number  # coinciding curves frame one another
-            x = np.array([_place(table, first, row) for row in each])
-            order = np.argsort(x, kind="stable")
-            x, y = x[order], quantity.values[list(each)][order]
-            drawn[value] = x, y
-            words = first is None or not first.numeric  # between which there is nothing
-            axes.plot(
-                x + (_BESIDE * (number - (len(curves) - 1) / 2.0) if words else 0.0),
-                y,
-                color=shades[value],
-                ls="" if words else LINES[number % len(LINES)],
-                lw=min(1.2 + 0.8 * behind, 4.0),
-                marker=MARKERS[number % len(MARKERS)],
-                ms=6.0 if words else 4.0 + 1.5 * behind,
-                mfc="white" if len(curves) > 1 else shades[value],
-            )
-        _scale(axes, quantity)
-        key = _mark_failed(axes, table, first, curves, shades)
-        _ticks(axes, first, key)
-        axes.set_ylabel(quantity.label)
-        if second:
-            labels = {value: second.label_of(value) for value in curves}
-            _label_ends(axes, drawn, labels, shades, drawable(second.name))
-
-    return draw
-
-
-def _curve_rows(table: SweepTable, rows: Rows, second: _Axis | None) -> dict[str, list[int]]:
-    found: dict[str, list[int]] = {value: [] for value in (second.values if second else ("",))}
-    for row in rows:
-        found[table.parameters[second.name][row] if second else ""].append(row)
-    return {value: each for value, each in found.items() if each}
-
-
-def _shades(quantity: _Quantity, values: list[str], second: _Axis | None) -> dict[str, str]:
-    """Colours of curves: numbers from dark to light, words as on every page, one as its state."""
-    if second is None:
-        return dict.fromkeys(values, colour(quantity.colour))
-    if not second.numeric:
-        return colours(values)
-    scale = matplotlib.colormaps["cividis"]
-    steps = np.linspace(0.0, 0.8, len(values))
-    return {
-        value: matplotlib.colors.to_hex(scale(step))
-        for value, step in zip(values, steps, strict=True)
-    }
-
-
-def _place(table: SweepTable, axis: _Axis | None, row: int) -> float:
-    return axis.place(table.parameters[axis.name][row]) if axis else 0.0
-
-
-def _ticks(axes: Axes, axis: _Axis | None, key: str) -> None:
-    if axis is None:
-        axes.set(xticks=[0.0], xticklabels=["the scene"], xlim=(-1.0, 1.0), xlabel=key)
-        return
-    axes.set_xlabel(axis.label + (f"   ({key})" if key else ""))
-    if not axis.numeric:
-        words = [drawable(Path(value).name[-24:]) or "none" for value in axis.values]
-        long = sum(map(len, words)) > 50
-        axes.set_xticks(
-            range(len(words)), words, rotation=25 if long else 0, ha="right" if long else "center"
-        )
-        axes.set_xlim(-0.5, len(words) - 0.5)
-    elif len(axis.values) <= 8:
-        axes.set_xticks([float(value) for value in axis.values], [drawable(v) for v in axis.values])
-
-
-def _scale(axes: Axes, quantity: _Quantity) -> None:
-    """The same in all panels: from 0, or logarithmic where a linear axis would hide the least."""
-    known = quantity.known
-    if _wide(known):
-        axes.set(yscale="log", ylim=(known.min() / 1.3, known.max() * 1.3))
-        decimal_ticks(axes.yaxis, fine=True)
-    else:
-        axes.set_ylim(0.0, 1.12 * (known.max() if known.size and known.max() > 0.0 else 1.0))
-
-
-def _wide(known: Array) -> bool:
-    """Whether values span more than a linear axis shows."""
-    return bool(known.size and known.min() > 0.0 and known.max() > _LOGARITHMIC * known.min())
-
-
-def _mark_failed(
-    axes: Axes,
-    table: SweepTable,
-    first: _Axis | None,
-    curves: Mapping[str, list[int]],
-    shades: Mapping[str, str],
-) -> str:
-    """Crosses at the foot for cases that failed, rings for those without a line; and their key."""
+    Crosses at the foot are cases that failed, rings those without a line.
+    """
+    given, place, words = second.given(table), first.places(table), not first.numeric
+    curves = {value: [row for row in rows if given[row] == value] for value in second.values}
+    curves = {value: each for value, each in curves.items() if each}
+    shades = _shades(list(curves), second, _state(table))
+    drawn: dict[str, tuple[Array, Array]] = {}
     seen: dict[str, str] = {}
-    for number, (value, rows) in enumerate(curves.items()):
+    for number, (value, each) in enumerate(curves.items()):
+        behind = len(curves) - 1 - number  # coinciding curves frame one another
+        ordered = np.array(each)[np.argsort(place[each], kind="stable")]
+        drawn[value] = x, y = place[ordered], quantity.values[ordered]
+        axes.plot(
+            x + (_BESIDE * (number - (len(curves) - 1) / 2.0) if words else 0.0),
+            y,
+            color=shades[value],
+            ls="" if words else LINES[number % len(LINES)],  # between words there is nothing
+            lw=min(1.2 + 0.8 * behind, 4.0),
+            marker=MARKERS[number % len(MARKERS)],
+            ms=6.0 if words else 4.0 + 1.5 * behind,
+            mfc="white" if len(curves) > 1 else shades[value],
+        )
         for status, (marker, sign) in _SIGNS.items():
-            x = [_place(table, first, row) for row in rows if table.status[row] == status]
-            if x:
+            if marked := [row for row in each if table.status[row] == status]:
                 seen[status] = f"{sign} {_STATUS_WORDS[status]}"
                 axes.plot(
-                    *(x, np.full(len(x), 0.03 + 0.055 * number)),
+                    *(place[marked], np.full(len(marked), 0.03 + 0.055 * number)),
                     marker=marker,
                     ls="",
                     ms=7,
@@ -387,121 +325,127 @@ def _mark_failed(
                     transform=axes.get_xaxis_transform(),
                     clip_on=False,
                 )
-    return ", ".join(seen.values())
+    known = quantity.known
+    if _wide(known):
+        axes.set(yscale="log", ylim=(known.min() / 1.3, known.max() * 1.3))
+        decimal_ticks(axes.yaxis, fine=True)
+    else:
+        axes.set_ylim(0.0, 1.12 * (known.max(initial=0.0) or 1.0))
+    _ticks(axes, first)
+    signs = f"({', '.join(seen.values())})" if seen else ""
+    axes.set(xlabel="   ".join(filter(None, (first.label, signs))), ylabel=quantity.label)
+    if second.name:
+        _label_ends(axes, drawn, second, shades)
+
+
+def _shades(values: list[str], second: _Axis, state: str) -> dict[str, str]:
+    """Colours of curves: numbers from dark to light, words as on every page, one as its state."""
+    if not second.name:
+        return dict.fromkeys(values, colour(state))
+    if not second.numeric:
+        return colours(values)
+    scale = matplotlib.colormaps["cividis"](np.linspace(0.0, 0.8, len(values)))
+    return dict(zip(values, map(matplotlib.colors.to_hex, scale), strict=True))
+
+
+def _ticks(axes: Axes, axis: _Axis) -> None:
+    if axis.numeric and len(axis.values) <= 8:
+        axes.set_xticks([float(value) for value in axis.values], [*map(drawable, axis.values)])
+    elif not axis.numeric:
+        nothing = "none" if axis.name else "the scene"
+        words = [drawable(Path(value).name[-24:]) or nothing for value in axis.values]
+        turned = {"rotation": 25, "ha": "right"} if sum(map(len, words)) > 50 else {}
+        axes.set_xticks(range(len(words)), words, **turned)
+        axes.set_xlim(-0.5, len(words) - 0.5)
+
+
+def _wide(known: Array) -> bool:
+    """Whether values span more than a linear axis shows: it would hide the least."""
+    return bool(known.size and known.min() > 0.0 and known.max() > _LOGARITHMIC * known.min())
 
 
 def _label_ends(
     axes: Axes,
     drawn: Mapping[str, tuple[Array, Array]],
-    labels: Mapping[str, str],
+    second: _Axis,
     shades: Mapping[str, str],
-    heading: str,
 ) -> None:
     """Write each curve's value at its right end; curves that coincide have one label."""
-    groups: list[list[str]] = []
-    for value in drawn:
-        same = [group for group in groups if _coincide(axes, drawn[group[0]], drawn[value])]
-        (same[0].append(value)) if same else groups.append([value])
-    ends: list[tuple[float, tuple[float, float] | None, list[str]]] = []
-    for group in groups:
-        x, y = drawn[group[0]]
-        known = np.flatnonzero(np.isfinite(y))
-        at = (float(x[known[-1]]), float(y[known[-1]])) if known.size else None
-        ends.append((_height(axes, at[1]) if at else 0.0, at, group))
-    ends.sort(key=lambda end: end[0])
-    places = _spread([height for height, *_ in ends], 0.07)
-    for (_, at, group), place in zip(ends, places, strict=True):
-        alike = len(group) == len(drawn) > 1
-        words = "all alike" if alike else "\n= ".join(labels[value] for value in group)
+    axes.autoscale_view()  # now, as the places of its points are asked for
+    to_axes = axes.transData - axes.transAxes
+    points = {value: to_axes.transform(np.column_stack(curve)) for value, curve in drawn.items()}
+    groups: dict[str, list[str]] = {}
+    for value, curve in points.items():
+        same = (each for each in groups if _coincide(curve, points[each]))
+        groups.setdefault(next(same, value), []).append(value)
+    known = {value: points[value][np.isfinite(points[value][:, 1])] for value in groups}
+    heights = {value: each[-1, 1] if len(each) else 0.0 for value, each in known.items()}
+    ordered = sorted(groups, key=lambda value: heights[value])
+    places = _spread(np.array([heights[value] for value in ordered]), 0.07)
+    for value, place in zip(ordered, places, strict=True):
+        alike = len(groups[value]) == len(drawn) > 1
+        words = "all alike" if alike else "\n= ".join(map(second.label_of, groups[value]))
+        shade = shades[value] if letters_on(shades[value]) == "white" else "#333333"
         axes.annotate(
-            *(words if at else f"{words}: none", at or (1.0, place)),
+            words if len(known[value]) else f"{words}: none",
+            known[value][-1] if len(known[value]) else (1.0, place),
             xytext=(1.045, place),
-            xycoords="data" if at else "axes fraction",
-            textcoords="axes fraction",
+            xycoords="axes fraction",
             va="center",
             fontsize=9.5,
-            color="black" if alike else _dark(shades[group[0]]),
+            color="black" if alike else shade,
             arrowprops={"arrowstyle": "-", "lw": 0.6, "color": "#999999", "shrinkB": 5},
             annotation_clip=False,
         )
+    heading = drawable(second.name)
     axes.text(1.045, places[-1] + 0.07, heading, transform=axes.transAxes, fontsize=9.5)
 
 
-def _coincide(axes: Axes, one: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
-    if not np.array_equal(one[0], other[0]):
-        return False
-    heights = [np.array([_height(axes, value) for value in y]) for _, y in (one, other)]
-    missing = [np.isnan(height) for height in heights]
-    apart = np.abs(heights[0] - heights[1])[~missing[0]]
-    return bool(np.array_equal(*missing)) and bool(np.all(apart <= _SAME))
+def _coincide(one: Array, other: Array) -> bool:
+    """Whether curves of points (N, 2), in shares of the axes, can't be told apart."""
+    same = one.shape == other.shape
+    return same and np.allclose(one, other, rtol=0.0, atol=_SAME, equal_nan=True)
 
 
-def _height(axes: Axes, value: float) -> float:
-    """Where a value lies on the axis, from 0 to 1."""
-    low, high = axes.get_ylim()
-    if axes.get_yscale() == "log":
-        low, high, value = np.log(low), np.log(high), np.log(value)
-    return float((value - low) / (high - low))
+def _spread(places: Array, gap: float) -> Array:
+    """Ascending places moved apart to a gap at least, as little as can be, and none above 1."""
+    steps = gap * np.arange(len(places))
+    return np.minimum(np.maximum.accumulate(places - steps) + steps, 1.0 - steps[::-1])
 
 
-def _spread(places: Sequence[float], gap: float) -> list[float]:
-    """Ascending places moved apart to a gap at least, as little as can be."""
-    moved: list[float] = []
-    for place in places:
-        moved.append(max(place, moved[-1] + gap) if moved else place)
-    for i in range(len(moved) - 1, -1, -1):
-        ceiling = 1.0 if i == len(moved) - 1 else moved[i + 1] - gap
-        moved[i] = min(moved[i], ceiling)
-    return moved
-
-
-def _dark(shade: str) -> str:
-    """A colour that letters on white can have."""
-    return shade if letters_on(shade) == "white" else "#333333"
-
-
-def _heat_map(
-    table: SweepTable, quantity: _Quantity, rows: Rows, first: _Axis, second: _Axis
-) -> Callable[[Axes], None]:
+def _draw_map(
+    axes: Axes, table: SweepTable, quantity: _Quantity, rows: Rows, first: _Axis, second: _Axis
+) -> None:
     """A cell for each pair of values, with the number in it where there is room."""
-
-    def draw(axes: Axes) -> None:
-        shape = len(second.values), len(first.values)
-        few = shape[0] * shape[1] <= _WRITTEN_CELLS
-        cells, failed = np.full(shape, np.nan), {}
-        for row in rows:
-            at = (
-                second.values.index(table.parameters[second.name][row]),
-                first.values.index(table.parameters[first.name][row]),
-            )
-            cells[at] = quantity.values[row]
-            if table.status[row] != CaseStatus.OK:
-                failed[at] = _STATUS_WORDS[table.status[row]] if few else "×"
-        known = cells[np.isfinite(cells)]
-        wide = _wide(quantity.known)
-        drawn = axes.imshow(cells, aspect="auto", origin="lower", norm="log" if wide else "linear")
-        if known.size:
-            drawn.set_clim(quantity.known.min(), quantity.known.max())
-        bar = axes.figure.colorbar(drawn, ax=axes, label=quantity.label, pad=0.02)
-        if wide:
-            decimal_ticks(bar.ax.yaxis, fine=True)
-        axes.grid(False)
-        for (row, column), words in failed.items():
-            axes.text(column, row, words, ha="center", va="center", color=colour("failed"))
-        if few and known.size:
-            for (row, column), value in np.ndenumerate(cells):
-                if np.isfinite(value):
-                    shade = matplotlib.colors.to_hex(drawn.cmap(drawn.norm(value)))
-                    text = f"{value:.3g}"
-                    letters = {"ha": "center", "va": "center", "color": letters_on(shade)}
-                    axes.text(column, row, text, fontsize=8.5, **letters)
-        for axis, set_ticks in ((first, axes.set_xticks), (second, axes.set_yticks)):
-            step = max(1, -(-len(axis.values) // 9))
-            places = range(0, len(axis.values), step)
-            set_ticks(places, [drawable(axis.values[i]) for i in places])
-        axes.set(xlabel=first.label, ylabel=second.label)
-
-    return draw
+    cells = np.full((len(second.values), len(first.values)), np.nan)
+    places = {
+        row: (second.values.index(second.given(table)[row]), first.values.index(value))
+        for row, value in enumerate(first.given(table))
+        if row in rows
+    }
+    for row, at in places.items():
+        cells[at] = quantity.values[row]
+    wide, few = _wide(quantity.known), cells.size <= _WRITTEN_CELLS
+    drawn = axes.imshow(cells, aspect="auto", origin="lower", norm="log" if wide else "linear")
+    if np.isfinite(cells).any():
+        drawn.set_clim(quantity.known.min(), quantity.known.max())
+    bar = axes.figure.colorbar(drawn, ax=axes, label=quantity.label, pad=0.02)
+    if wide:
+        decimal_ticks(bar.ax.yaxis, fine=True)
+    axes.grid(False)
+    for row, at in places.items():
+        style: dict[str, Any] = {"ha": "center", "va": "center"}
+        if table.status[row] != CaseStatus.OK:
+            words = _STATUS_WORDS[table.status[row]] if few else "×"
+            axes.text(*at[::-1], words, color=colour("failed"), **style)
+        if few and np.isfinite(cells[at]):
+            shade = matplotlib.colors.to_hex(drawn.cmap(drawn.norm(cells[at])))
+            style |= {"fontsize": 8.5, "color": letters_on(shade)}
+            axes.text(*at[::-1], f"{cells[at]:.3g}", **style)
+    for axis, set_ticks in ((first, axes.set_xticks), (second, axes.set_yticks)):
+        some = range(0, len(axis.values), ceil(len(axis.values) / 9))
+        set_ticks(some, [drawable(axis.values[i]) for i in some])
+    axes.set(xlabel=first.label, ylabel=second.label)
 
 
 # The page.
@@ -509,32 +453,27 @@ def _heat_map(
 
 def table(result: Sweep, links: bool = False) -> TextTable:
     """The figures of all cases that a reader asks for first; on a page with links to the cases."""
-    found, swept, state = result.table, result.summary.swept, _state(result.table)
-    apart, of_dots = _apart(found, state)
+    found, swept = result.table, result.summary.swept
+    hidden = () if links else ("shift",)  # 80 letters of a console hold no more
+    shown = {
+        name: quantity
+        for name, quantity in _quantities(found).items()
+        if quantity.known.size and name not in hidden
+    }
     rows = [
         {
             "case": _link(end.case.name, found.folder[i]) if links else end.case.name,
             "parameters": {p.name: found.parameters[p.name][i] for p in swept},
             "status": _STATUS_WORDS[found.status[i]],
-            "error": _error(found, state)[i],
-            "shift": found.largest_measured_shift_um[i],
-            "apart": apart[i],
-            "centres": getattr(found, f"{state}_centres")[i],
         }
+        | {name: quantity.values[i] for name, quantity in shown.items()}
         for i, end in enumerate(result.finished)
     ]
-    figures = (
-        Column("error", "error, µm"),
-        *([Column("shift", "shift, µm")] if links else []),  # 80 letters of a console hold no more
-        Column("apart", "largest, px" if of_dots else "rms, px", "{:.4f}"),
-        Column("centres", "dots" if of_dots else "centres", "{:.0f}"),
-    )
     names = [] if swept and not links else [Column("case")]
     given = [Column(f"parameters.{p.name}", _Axis.of(p).label.replace(" in ", ", ")) for p in swept]
-    known = [c for c in figures if any(np.isfinite(row[c.name]) for row in rows)]
     return text_table(
         rows,
-        [*names, *given, Column("status"), *known],
+        [*names, *given, Column("status"), *(quantity.column for quantity in shown.values())],
         emphasised=[status != CaseStatus.OK.value for status in found.status],
     )
 
@@ -552,8 +491,7 @@ def _link(name: str, folder: str) -> str | Link:
 
 def lead(result: Sweep) -> str:
     """How many cases there are, where the error is largest, and where least."""
-    summary, state = result.summary, _state(result.table)
-    error = _error(result.table, state)
+    summary, error = result.summary, _quantities(result.table)["error"].values
     counts = {status: result.table.status.count(status) for status in _STATUS_WORDS}
     parts = [
         f"{counts[status]} {words}" for status, words in _STATUS_WORDS.items() if counts[status]
@@ -568,8 +506,8 @@ def lead(result: Sweep) -> str:
         for row in (most, least)
     )
     return (
-        f"{words} The section measured {state} is wrong by {error[most]:.3g} µm rms at {worst},"
-        f" where it is worst, and by {error[least]:.3g} µm at {best}, where it is best."
+        f"{words} The section measured {_state(result.table)} is wrong by {error[most]:.3g} µm rms"
+        f" at {worst}, where it is worst, and by {error[least]:.3g} µm at {best}, where it is best."
     )
 
 
@@ -577,13 +515,9 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
     """The page of a sweep."""
     summary = result.summary
     swept = [
-        {
-            "parameter": parameter.name,
-            "unit": unit_of(parameter),
-            "values": ", ".join(value or "(empty)" for value in parameter.values),
-            "words": parameter.words,
-        }
-        for parameter in summary.swept
+        p.to_dict()
+        | {"unit": unit_of(p), "values": ", ".join(value or "(empty)" for value in p.values)}
+        for p in summary.swept
     ]
     sections = [
         Section("Over the parameters", *_undrawn(result), picture),
@@ -594,12 +528,14 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
         sections.append(Section("Cases that failed", Listing(why)))
     if swept:
         heads = [
-            Column("parameter"),
-            Column("unit"),
-            Column("values"),
+            Column("name", "parameter"),
+            "unit",
+            "values",
             Column("words", "the scene's words"),
         ]
-        sections.append(Section("Parameters", text_table(swept, heads)))
+        sections.append(
+            Section("Parameters", text_table(swept, [Column(*each) for each in heads.items()]))
+        )
     if summary.notes:
         notes = Listing(summary.notes)
         many = len(summary.notes) > _SHOWN_NOTES
