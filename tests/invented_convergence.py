@@ -18,4 +18,5 @@ def invented():
         figures = (error, error / 2, error, 20 * error, seconds, 9, 1 / grid[0])
         changes.append(Change(cell, time_s, *grid, *figures))
     longer = Change(2.0, 15.0, *GRIDS[-1], 0.001, 0.001, 0.001, 0.01, 9.0, 9, 2.0)
-    return Convergence.of(1250.0, Setting(CELLS[-1], TIMES[-1], *GRIDS[-1]), changes, longer, MADE)
+    finest = Setting(CELLS[-1], TIMES[-1], *GRIDS[-1])
+    return Convergence(1250.0, finest, longer, MADE, (), tuple(changes))

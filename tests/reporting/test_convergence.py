@@ -60,11 +60,10 @@ def test_a_study_in_which_nothing_suffices_is_drawn_too(tmp_path):
     """Rationale: a cylinder that is hotter than any before may need a finer mesh."""
     study = invented()
     few = replace(
-        study,
-        changes=tuple(replace(c, line_px=c.line_px + 1.0) for c in study.changes),
-        coarsest=tuple(replace(each, change=None) for each in study.coarsest),
-        shipped=None,
+        study, changes=tuple(replace(c, line_px=c.line_px + 1.0) for c in study.changes[:-1])
     )
+    assert few.shipped is None
+    assert [each.change for each in few.coarsest] == [None, None]
     reporting.save(few, tmp_path / "out", "command")
     assert reporting.outcome(few)[0] == "No coarser setting stays within 0.1 px of the finest."
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -39,6 +39,11 @@ _CURVES = (
     ("rays_px", "probe rays", colour("search"), "s"),
     ("line_px", "line", colour("line"), "o"),
 )
+_SETTINGS = {  # what is varied, its axis, and a value of it
+    "cell_mm": ("Mesh", "mesh cell across the plume in mm", "{:g} mm mesh"),
+    "time_s": ("Flow time", "flow time in s", "{:g} s of flow"),
+    "grid_y_mm": ("Grid", "distance of nodes across the plume in mm", "{:g} mm grid"),
+}
 _BANDS = ("#E3EFE3", "#F3F8F0")  # within the smaller bound, and the larger one
 
 
@@ -157,43 +162,19 @@ def page(result: Convergence, picture: Picture, command: str) -> Page:
 
 def draw(result: Convergence) -> Picture:
     """Change against mesh, flow time and grid, each with the others finest; and against time."""
-    finest = result.reference
-    cells = sorted({c.cell_mm for c in result.changes})
-    times = sorted({c.time_s for c in result.changes})
-    grids = sorted({c.grid_mm for c in result.changes})
-    mesh, flow, grid = (
-        f"{finest.cell_mm:g} mm mesh",
-        f"{finest.time_s:g} s of flow",
-        f"{finest.grid_y_mm:g} mm grid",
-    )
-    along = (
-        (
-            f"Mesh ({flow}, {grid})",
-            "mesh cell across the plume in mm",
-            {c: result.change(c, finest.time_s, finest.grid_mm) for c in cells},
-            SHIPPED.cell_mm,
-        ),
-        (
-            f"Flow time ({mesh}, {grid})",
-            "flow time in s",
-            {t: result.change(finest.cell_mm, t, finest.grid_mm) for t in times},
-            SHIPPED.time_s,
-        ),
-        (
-            f"Grid ({mesh}, {flow})",
-            "distance of nodes across the plume in mm",
-            {g[0]: result.change(finest.cell_mm, finest.time_s, g) for g in grids},
-            SHIPPED.grid_y_mm,
-        ),
-    )
-    panels = [
-        Panel(
-            title,
-            partial(_draw_changes, label=label, changes=changes, shipped=shipped, result=result),
-            f"{title}: change of the line and of the probe rays in px over the {label}.",
+    panels = []
+    for name, (what, label, _) in _SETTINGS.items():
+        others = {each: getattr(result.reference, each) for each in _SETTINGS if each != name}
+        changes = [c for c in result.changes if others.items() <= vars(c).items()]
+        kept = ", ".join(_SETTINGS[each][2].format(value) for each, value in others.items())
+        title = f"{what} ({kept})"
+        panels.append(
+            Panel(
+                title,
+                partial(_draw_changes, name=name, changes=changes, scale=_um_per_px(result)),
+                f"{title}: change of the line and of the probe rays in px over the {label}.",
+            )
         )
-        for title, label, changes, shipped in along
-    ]
     panels.append(
         Panel(
             "What it costs (finest grid)",
@@ -208,76 +189,61 @@ def draw(result: Convergence) -> Picture:
     )
 
 
-def _draw_changes(
-    axes: Axes, label: str, changes: dict[float, Change], shipped: float, result: Convergence
-) -> None:
-    """Curves of the line and the probe rays, with the bounds; the shipped fields' value marked."""
-    places = np.array(list(changes))
-    ends = []
-    for name, words, shade, marker in _CURVES:
-        values = np.array([getattr(c, name) for c in changes.values()])
-        known = values > 0.0  # the finest changes nothing
-        axes.plot(places[known], values[known], marker + "-", color=shade)
-        if known.any():
-            top = int(np.argmax(np.where(known, values, -1.0)))
-            ends.append((values[top], places[top], words, shade))
-    axes.set(xscale="log", yscale="log", xlabel=label, ylabel="change in px")
+def _draw_changes(axes: Axes, name: str, changes: Sequence[Change], scale: float) -> None:
+    """Curves of the line and the probe rays, with the bounds; the shipped fields' value marked.
+
+    `scale` is the change of the points, um, for a change of the line of 1 px.
+    """
+    places = np.array([getattr(c, name) for c in changes])
+    axes.set(xscale="log", yscale="log", xlabel=_SETTINGS[name][1], ylabel="change in px")
     axes.set_xticks(places, [f"{p:g}" for p in places])
     axes.minorticks_off()
     axes.set_xlim(0.88 * places.min(), 1.14 * places.max())
     axes.margins(y=0.15)
-    _label_ends(axes, ends)
-    if shipped in changes:
+    middle = np.sqrt(np.prod(axes.get_xlim()))
+    tops = []
+    for of, words, shade, marker in _CURVES:
+        values = np.array([getattr(c, of) for c in changes])
+        known = values > 0.0  # the finest changes nothing
+        axes.plot(places[known], values[known], marker + "-", color=shade)
+        if known.any():
+            tops.append((values.max(), places[values.argmax()], words, shade))
+    # Names of curves at their highest points, one above the other where they come close.
+    tops.sort(reverse=True)
+    close = len(tops) > 1 and tops[0][0] < 3.0 * tops[1][0]
+    for (top, place, words, shade), up in zip(tops, (12, -12) if close else (9, 9), strict=False):
+        style = {"color": shade, "fontweight": "bold", "fontsize": 10.0}
+        write_beside(axes, words, (place, top), (10 if place < middle else -10, up), **style)
+    shipped = getattr(SHIPPED, name)
+    if shipped in places:
         axes.axvline(shipped, color=GREEN, lw=1.0, ls=":")
-        left = shipped > np.sqrt(np.prod(axes.get_xlim()))
-        axes.text(
-            *(shipped, 0.03, " shipped fields "),
-            transform=axes.get_xaxis_transform(),
-            **{"color": GREEN, "va": "bottom", "ha": "right" if left else "left", "fontsize": 9.5},
-        )
+        at, side = (shipped, 0.03), "right" if shipped > middle else "left"
+        style = {"color": GREEN, "va": "bottom", "ha": side, "fontsize": 9.5}
+        axes.text(*at, " shipped fields ", transform=axes.get_xaxis_transform(), **style)
     _draw_bounds(axes)
-    scale = _um_per_px(result)
-    of_points = axes.secondary_yaxis("right", functions=_scaled(scale))
+    of_points = axes.secondary_yaxis("right", functions=(lambda v: v * scale, lambda v: v / scale))
     of_points.set_ylabel("change of the points in µm")
     decimal_ticks(of_points.yaxis)
 
 
-def _label_ends(axes: Axes, ends: Sequence[tuple[float, float, str, str]]) -> None:
-    """Names of curves at their highest points, one above the other where they come close."""
-    middle = np.sqrt(np.prod(axes.get_xlim()))
-    ordered = sorted(ends, reverse=True)
-    for rank, (value, place, words, shade) in enumerate(ordered):
-        right = place < middle
-        close = len(ordered) > 1 and ordered[0][0] < 3.0 * ordered[1][0]
-        offset = (12, -12)[rank] if close else 9
-        style = {"color": shade, "fontweight": "bold", "fontsize": 10.0}
-        write_beside(axes, words, (place, value), (10 if right else -10, offset), **style)
-
-
 def _draw_cost(axes: Axes, result: Convergence) -> None:
     """Change over the solver's time, a curve for each mesh; the chosen settings marked."""
-    finest = result.reference
-    cells = sorted({c.cell_mm for c in result.changes})
-    shades = [str(0.15 + 0.5 * i / max(len(cells) - 1, 1)) for i in range(len(cells))]
-    for cell, shade in zip(cells, shades, strict=True):
-        curve = [
-            c
-            for c in result.changes
-            if c.cell_mm == cell and c.grid_mm == finest.grid_mm and c.line_px > 0.0
-        ]
-        if not curve:
-            continue
-        axes.plot(
-            [c.solver_s for c in curve], [c.line_px for c in curve], "o-", color=shade, lw=1.0
-        )
-        first = curve[0]
-        words = f"{cell:g} mm mesh" if cell == cells[0] else f"{cell:g}"
-        write_beside(axes, words, (first.solver_s, first.line_px), (0, 11), color=shade)
+    finest = [c for c in result.changes if c.grid_mm == result.reference.grid_mm]
+    cells = sorted({c.cell_mm for c in finest})
+    for cell, grey in zip(cells, np.linspace(0.15, 0.65, len(cells)), strict=True):
+        curve = [(c.solver_s, c.line_px) for c in finest if c.cell_mm == cell and c.line_px > 0.0]
+        if curve:
+            axes.plot(*zip(*curve, strict=True), "o-", color=f"{grey}", lw=1.0)
+            words = f"{cell:g} mm mesh" if cell == cells[0] else f"{cell:g}"
+            write_beside(axes, words, curve[0], (0, 11), color=f"{grey}")
     axes.set(xscale="log", yscale="log", xlabel="solver's time on one core in s")
     axes.set_ylabel("change of the line in px")
     for each, marker in zip(result.coarsest, ("D", "*"), strict=False):
         if each.change:
-            shown = f"coarsest within {each.bound_px:g} px: {_setting(each.change)}"
+            setting = ", ".join(
+                _SETTINGS[name][2].format(getattr(each.change, name)) for name in _SETTINGS
+            )
+            shown = f"coarsest within {each.bound_px:g} px: {setting}"
             place = each.change.solver_s, each.change.line_px
             axes.plot(*place, marker, ms=9, mec=BLACK, color=GREEN, ls="", label=shown)
     decimal_ticks(axes.xaxis)
@@ -285,10 +251,6 @@ def _draw_cost(axes: Axes, result: Convergence) -> None:
     _draw_bounds(axes)
     if axes.get_legend_handles_labels()[0]:
         axes.figure.legend(loc="outside lower left")
-
-
-def _setting(change: Change) -> str:
-    return f"{change.cell_mm:g} mm, {change.time_s:g} s, grid {change.grid_y_mm:g} mm"
 
 
 def _draw_bounds(axes: Axes) -> None:
@@ -309,7 +271,3 @@ def _um_per_px(result: Convergence) -> float:
     """Change of the measured points for a change of the line."""
     ratios = [c.points_um / c.line_px for c in result.changes if c.line_px > 0.0]
     return float(np.median(ratios)) if ratios else 1.0
-
-
-def _scaled(scale: float) -> tuple[Callable[[float], float], Callable[[float], float]]:
-    return lambda value: value * scale, lambda value: value / scale

@@ -527,15 +527,9 @@ def page(result: Sweep, picture: Picture, command: str) -> Page:
         why = tuple(f"{name}: {message}" for name, message in summary.failed.items())
         sections.append(Section("Cases that failed", Listing(why)))
     if swept:
-        heads = [
-            Column("name", "parameter"),
-            "unit",
-            "values",
-            Column("words", "the scene's words"),
-        ]
-        sections.append(
-            Section("Parameters", text_table(swept, [Column(*each) for each in heads.items()]))
-        )
+        heads = {"name": "parameter", "unit": "", "values": "", "words": "the scene's words"}
+        columns = [Column(name, head) for name, head in heads.items()]
+        sections.append(Section("Parameters", text_table(swept, columns)))
     if summary.notes:
         notes = Listing(summary.notes)
         many = len(summary.notes) > _SHOWN_NOTES

@@ -150,40 +150,19 @@ class Convergence(Record):
 
     temperature_c: float
     reference: Setting
-    coarsest: tuple[Coarsest, ...]
-    shipped: Change | None
+    coarsest: tuple[Coarsest, ...] = dataclasses.field(init=False)
+    shipped: Change | None = dataclasses.field(init=False)
     longer_run: Change
     made_with: MadeWith
     notes: tuple[str, ...]
     # Of all settings, by mesh, time and grid.
     changes: tuple[Change, ...] = dataclasses.field(metadata={"internal": True}, repr=False)
 
-    @classmethod
-    def of(
-        cls,
-        temperature_c: float,
-        reference: Setting,
-        changes: Sequence[Change],
-        longer_run: Change,
-        made_with: MadeWith,
-        notes: tuple[str, ...] = (),
-    ) -> Convergence:
-        """Choose among the changes."""
-        return cls(
-            temperature_c=temperature_c,
-            reference=reference,
-            coarsest=tuple(Coarsest(bound, coarsest(changes, bound)) for bound in BOUNDS_PX),
-            shipped=next((c for c in changes if c.setting == SHIPPED), None),
-            longer_run=longer_run,
-            made_with=made_with,
-            notes=notes,
-            changes=tuple(changes),
-        )
-
-    def change(self, cell_mm: float, time_s: float, grid_mm: tuple[float, float]) -> Change:
-        """The change that one setting makes."""
-        setting = Setting(cell_mm, time_s, *grid_mm)
-        return next(c for c in self.changes if c.setting == setting)
+    def __post_init__(self) -> None:
+        shipped = next((c for c in self.changes if c.setting == SHIPPED), None)
+        chosen = tuple(Coarsest(bound, coarsest(self.changes, bound)) for bound in BOUNDS_PX)
+        object.__setattr__(self, "coarsest", chosen)
+        object.__setattr__(self, "shipped", shipped)
 
 
 def coarsest(changes: Sequence[Change], bound_px: float) -> Change | None:
@@ -282,13 +261,13 @@ def convergence(
 
     reference = Setting(cells_mm[-1], times_s[-1], *grids_mm[-1])
     report("done", 1.0)
-    return Convergence.of(
+    return Convergence(
         temperature_c,
         reference,
-        [change(setting, reference) for setting in settings],
         change(longer, dataclasses.replace(reference, cell_mm=long[0])),
         made_with(scene),
         scene.notes,
+        tuple(change(setting, reference) for setting in settings),
     )
 
 
