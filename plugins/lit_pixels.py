@@ -28,6 +28,7 @@ from virtual_sensor.optics.transports import (
     opaque,
     rows,
 )
+from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint32]
@@ -49,35 +50,37 @@ _THREE = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True)
-class RenderReport:
+class RenderReport(Record):
     """How a frame was made.
 
     Attributes
     ----------
     transport : str
-        "tabulated" or another of `TRANSPORTS`.
-    reason : str
-        Why it is not the transport that was asked for; "" if it is.
-    nodes : Mapping
+        How light was carried through the air: "tabulated", or another of `TRANSPORTS`.
+    reason : str or None
+        Why not as asked.
+    map_nodes : dict
         Nodes of the ray maps, three numbers each, by "camera" and the sources' names.
-    error_px : float
-        The maps' own estimate of their error; NaN without maps.
+    map_error_px : float
+        Their own estimate of their error; NaN without maps.
     march_px : float
         What half the march's step changes at some lit pixels, at most; NaN where none were asked.
-    samples, marched : int
-        Samples for which the sources' light was searched, and those of them that were marched.
-    folded : int
+    samples : int
+        Samples for which the sources' light was searched.
+    marched_samples : int
+        Those of them that were marched: the maps had no answer.
+    folded_pixels : int
         Pixels near the light to whose centre no single ray of a source was found: they are black.
     """
 
     transport: str
-    reason: str = ""
-    nodes: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    error_px: float = float("nan")
+    reason: str | None = None
+    map_nodes: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+    map_error_px: float = float("nan")
     march_px: float = float("nan")
     samples: int = 0
-    marched: int = 0
-    folded: int = 0
+    marched_samples: int = 0
+    folded_pixels: int = 0
 
 
 @dataclass(frozen=True)
@@ -119,7 +122,7 @@ def find_lit_pixels(
     """
     field, march = (None if transport.name == "straight" else medium), transport.march
     by_maps = transport.name in ("tabulated", "straight")
-    report, reason = RenderReport(transport.name), ""
+    report, reason = RenderReport(transport.name), None
     try:
         region = _searched(straight, field, march, sources)
     except NoMapError as why:
@@ -142,7 +145,7 @@ def find_lit_pixels(
             report = replace(report, transport="marched", reason=str(why))
     sight, _ = tracer.sight(straight.view.centres(region.candidates))
     lit, folded = region.lit(sight)
-    report = replace(report, folded=folded)
+    report = replace(report, folded_pixels=folded)
     if not lit.size:
         return LitPixels(np.zeros(0, np.uint32), (), tracer, report)
     index = region.candidates[lit]
@@ -155,7 +158,7 @@ def _with_maps(
     maps = tracer.camera, *tracer.maps
     nodes = {name: each.nodes for name, each in zip(("camera", *names), maps, strict=True)}
     error_mm = tracer.camera.linear_error_mm + max(each.linear_error_mm for each in tracer.maps)
-    return replace(report, nodes=nodes, error_px=error_mm / pixel_mm)
+    return replace(report, map_nodes=nodes, map_error_px=error_mm / pixel_mm)
 
 
 @dataclass(frozen=True)

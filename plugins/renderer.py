@@ -267,7 +267,7 @@ class Prepared:
         if others:
             report = self._expose_others(exposure, sampler)
         exposure.add(lit.index, by_tracer, _LANES["marched" if self._marches else "tabulated"])
-        return exposure, replace(report, samples=samples, marched=marched)
+        return exposure, replace(report, samples=samples, marched_samples=marched)
 
     def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> RenderReport:
         """Expose the pixels that no source lights, and say how."""

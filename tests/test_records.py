@@ -4,9 +4,11 @@ import csv
 import dataclasses
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ import pytest
 from virtual_sensor import records
 from virtual_sensor.errors import InputError
 from virtual_sensor.records import (
+    WITH_NORM,
     Record,
     Table,
     counts_of,
@@ -289,6 +292,45 @@ def test_a_table_of_unequal_columns_is_a_mistake():
     """Rationale: cut to the shortest, rows would belong to no ray."""
     with pytest.raises(ValueError, match="different lengths"):
         dataclasses.replace(line(), status=["ok"]).columns()
+
+
+@dataclass(frozen=True)
+class Pairs(Table):
+    """Values of two states.
+
+    Attributes
+    ----------
+    shift_mm : ndarrays of shape (N, 2)
+        From there to here.
+    status : ndarrays of shape (N,)
+        How it ended.
+    """
+
+    shift_mm: Annotated[Mapping[str, np.ndarray], "", "cold"] = dataclasses.field(
+        metadata=WITH_NORM
+    )
+    status: Annotated[Mapping[str, np.ndarray], "cold", "hot"]
+
+
+def test_a_mapping_makes_a_column_for_each_key():
+    """Rationale: cold and hot columns are of one kind, said once; the unit still ends a name."""
+    shift = np.array([[3.0, 4.0]])
+    table = Pairs({"": shift, "cold": -shift}, {"cold": np.array(["ok"])})
+    [row] = table.rows()
+    assert row == {
+        **{"shift_mm_u": 3.0, "shift_mm_v": 4.0, "shift_mm_norm": 5.0},
+        **{"shift_cold_mm_u": -3.0, "shift_cold_mm_v": -4.0, "shift_cold_mm_norm": 5.0},
+        "status_cold": "ok",
+    }
+    listed = {each.name: (each.unit, each.words) for each in documented(Pairs)}
+    assert list(listed.items()) == [
+        ("shift_mm", ("mm", "From there to here.")),
+        ("shift_mm_norm", ("mm", "Its length.")),
+        ("shift_cold_mm", ("mm", "From there to here.")),
+        ("shift_cold_mm_norm", ("mm", "Its length.")),
+        ("status_cold", ("", "How it ended.")),
+        ("status_hot", ("", "How it ended.")),
+    ]
 
 
 def test_a_record_is_a_json_object(tmp_path):

@@ -32,6 +32,9 @@ UNITS = {
 }
 """Units as names end with them, and as people read them."""
 
+WITH_NORM = {"norm": True}
+"""Metadata of a `Table`'s field whose vectors have their length as a column too."""
+
 _AXES = {2: "uv", 3: "xyz"}
 _SPECIAL = set(',"\r\n')
 
@@ -58,7 +61,10 @@ class Table(Record):
     """Mixin of a frozen dataclass whose fields are columns of equal length.
 
     A field is a sequence or an array (N,); an array (N, 3) makes the columns ``name_x``, ``_y``,
-    ``_z``, and one of (N, 2) ``name_u``, ``_v``. A field that is None makes no column.
+    ``_z``, and one of (N, 2) ``name_u``, ``_v``; and ``name_norm``, their length, if the field is
+    one `WITH_NORM`. A mapping of them makes columns for each of its keys, which stand before the
+    unit: "cold" in ``depth_mm`` makes ``depth_cold_mm``; its type is `Annotated` with all keys that
+    it may have. What is None makes no column.
     """
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -66,14 +72,18 @@ class Table(Record):
         found: dict[str, NDArray[Any]] = {}
         for each in _fields(self):
             value = getattr(self, each.name)
-            if value is None:
-                continue
-            array = np.asarray(value)
-            if array.ndim == 2:
+            by_key = value if isinstance(value, Mapping) else {"": value}
+            for key, values in by_key.items():
+                name, array = _with_key(each.name, key), np.asarray(values)
+                if values is None:
+                    continue
+                if array.ndim == 1:
+                    found[name] = array
+                    continue
                 axes = _AXES[array.shape[1]]
-                found |= {f"{each.name}_{axis}": array[:, i] for i, axis in enumerate(axes)}
-            else:
-                found[each.name] = array
+                found |= {f"{name}_{axis}": array[:, i] for i, axis in enumerate(axes)}
+                if each.metadata.get("norm"):
+                    found[f"{name}_norm"] = np.linalg.norm(array, axis=1)
         lengths = {name: len(column) for name, column in found.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"{type(self).__name__}: columns of different lengths, {lengths}")
@@ -101,6 +111,13 @@ class Table(Record):
         except ImportError:
             raise InputError("to_dataframe: pandas is missing; pip install pandas") from None
         return pandas.DataFrame(self.columns())
+
+
+def _with_key(name: str, key: str) -> str:
+    """A field's name with a key before its unit."""
+    stem, _, last = name.rpartition("_")
+    parts = (stem, key, last) if last in UNITS else (name, key)
+    return "_".join(filter(None, parts))
 
 
 def plain(value: Any) -> Any:
@@ -162,7 +179,7 @@ class Described:
 
 
 def documented(kind: type) -> list[Described]:
-    """The fields of a record or table with their words.
+    """The fields of a record with their words; of a table, a field for each key of a mapping.
 
     Raises
     ------
@@ -175,11 +192,17 @@ def documented(kind: type) -> list[Described]:
         raise ValueError(
             f"{kind.__name__}: documented are {sorted(words)}, fields are {sorted(names)}"
         )
-    hints = typing.get_type_hints(kind)
-    return [
-        Described(name, unit_of(name), words[name], tuple(_records_in(hints[name])))
-        for name in names
-    ]
+    hints = typing.get_type_hints(kind, include_extras=True)
+    found = []
+    for field in _fields(kind):
+        hint = hints[field.name]
+        records = tuple(_records_in(hint))
+        for key in getattr(hint, "__metadata__", ("",)):
+            name = _with_key(field.name, key)
+            found.append(Described(name, unit_of(name), words[field.name], records))
+            if field.metadata.get("norm"):
+                found.append(Described(f"{name}_norm", unit_of(name), "Its length."))
+    return found
 
 
 def _fields(record: Any) -> list[dataclasses.Field[Any]]:

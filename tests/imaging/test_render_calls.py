@@ -146,7 +146,7 @@ def test_a_line_much_longer_than_the_image_costs_no_more():
         render_frame(vs.load_scene("hot_cylinder", **size, line_length=x)) for x in (100, 500)
     ]
     for table in ("camera", "laser"):
-        nodes = [frame.report.nodes[table] for frame in frames]
+        nodes = [frame.report.map_nodes[table] for frame in frames]
         assert nodes[0] == nodes[1]
     assert frames[1].report.transport == "tabulated"
     np.testing.assert_allclose(5.0 * frames[1].radiance, frames[0].radiance, rtol=1e-4, atol=1e-9)

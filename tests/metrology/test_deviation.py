@@ -24,11 +24,11 @@ def test_signs_and_units_are_the_papers():
     """A spot that moves by +1 um in y gives Delta y = +1 in figure 7(a), and so on."""
     zero, y, pixel = np.zeros((1, 3)), np.array([[0.0, 1e-3, 0.0]]), np.zeros((1, 2))
     moved = deviations(zero, y, zero, 3 * y, pixel, [[-4.0, 2.0]])
-    np.testing.assert_allclose(moved.incidence_um, [[0.0, 1.0, 0.0]])
-    np.testing.assert_allclose(moved.hot_um, [[0.0, -2.0, 0.0]])
-    np.testing.assert_allclose(moved.measured_um, [[0.0, 3.0, 0.0]])
-    np.testing.assert_allclose(moved.cold_um, 0.0)
-    np.testing.assert_allclose(moved.pixel_px, [[-4.0, 2.0]])
+    np.testing.assert_allclose(moved.incidence_shift_um, [[0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(moved.hot_error_um, [[0.0, -2.0, 0.0]])
+    np.testing.assert_allclose(moved.measured_shift_um, [[0.0, 3.0, 0.0]])
+    np.testing.assert_allclose(moved.cold_error_um, 0.0)
+    np.testing.assert_allclose(moved.pixel_shift_px, [[-4.0, 2.0]])
 
 
 def test_the_papers_thought_experiment():
@@ -43,13 +43,15 @@ def test_the_papers_thought_experiment():
     hot = np.stack([0.05 * along - 0.03 * down, 0.02 * out])
     pixels = [sensor.camera.project(points) for points in (spot, hot)]
     d = deviations(spot, hot, *(triangulate(sensor, pixel) for pixel in pixels), *pixels)
-    np.testing.assert_allclose(d.incidence_um[0], d.measured_um[0], atol=1e-6)
-    np.testing.assert_allclose(euclidean(d.incidence_um), [np.hypot(50.0, 30.0), 20.0])
-    np.testing.assert_allclose(d.hot_um[0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(d.incidence_shift_um[0], d.measured_shift_um[0], atol=1e-6)
+    np.testing.assert_allclose(euclidean(d.incidence_shift_um), [np.hypot(50.0, 30.0), 20.0])
+    np.testing.assert_allclose(d.hot_error_um[0], 0.0, atol=1e-6)
     expected = 20.0 / np.sin(np.radians(60.0))
-    np.testing.assert_allclose(euclidean(d.hot_um)[1], expected, rtol=1e-4)  # nearly central
-    np.testing.assert_allclose(d.cold_um, 0.0, atol=1e-6)
-    np.testing.assert_allclose(d.pixel_px[0, 0], 50.0 / 22.0, rtol=2e-4)  # the paper's resolution
+    np.testing.assert_allclose(euclidean(d.hot_error_um)[1], expected, rtol=1e-4)  # nearly central
+    np.testing.assert_allclose(d.cold_error_um, 0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        d.pixel_shift_px[0, 0], 50.0 / 22.0, rtol=2e-4
+    )  # the paper's resolution
 
 
 def test_missing_points_stay_missing():
@@ -57,9 +59,9 @@ def test_missing_points_stay_missing():
     hot = B_M.copy()
     hot[4] = np.nan
     d = deviations(A, B, A_M, hot, PIXEL_A, PIXEL_B)
-    np.testing.assert_array_equal(np.isnan(euclidean(d.hot_um)), np.arange(9) == 4)
-    np.testing.assert_array_equal(np.isnan(euclidean(d.measured_um)), np.arange(9) == 4)
-    assert np.isfinite(d.cold_um).all()
+    np.testing.assert_array_equal(np.isnan(euclidean(d.hot_error_um)), np.arange(9) == 4)
+    np.testing.assert_array_equal(np.isnan(euclidean(d.measured_shift_um)), np.arange(9) == 4)
+    assert np.isfinite(d.cold_error_um).all()
 
 
 def test_euclidean_is_the_length():
@@ -96,7 +98,7 @@ def test_rounding_errs_by_the_papers_few_micrometres():
     np.testing.assert_allclose(points @ normal, offset, atol=1e-12)
     pixel = sensor.camera.project(points)
     measured = triangulate(sensor, round_pixel(pixel))
-    error_um = euclidean(deviations(points, points, measured, measured, pixel, pixel).cold_um)
+    error_um = euclidean(deviations(points, points, measured, measured, pixel, pixel).cold_error_um)
     assert 1.0 < error_um.max() < 2.75 * np.hypot(1.0, 1.0 / np.sin(np.radians(60.0)))
 
 
@@ -125,4 +127,4 @@ def test_results_cannot_be_overwritten():
     """They are records."""
     d = deviations(A, B, A_M, B_M, PIXEL_A, PIXEL_B)
     with pytest.raises(dataclasses.FrozenInstanceError):
-        d.hot_um = A
+        d.hot_error_um = A

@@ -33,7 +33,7 @@ def stronger(scene, contrast):
 
 def nodes(report):
     """Nodes of both maps."""
-    return sum(np.prod(each) for each in report.nodes.values())
+    return sum(np.prod(each) for each in report.map_nodes.values())
 
 
 @pytest.fixture(scope="module", params=SCENES)
@@ -130,7 +130,7 @@ def by_tolerance():
 def test_the_error_stays_within_the_tolerance(small, by_tolerance, tolerance):
     """Rationale: of the laser's ray and the point seen, at every pixel's centre."""
     frame, pixel_mm = by_tolerance[tolerance], PIXEL_MM[0]
-    assert 0.0 < frame.report.error_px <= tolerance
+    assert 0.0 < frame.report.map_error_px <= tolerance
     both = frame.lit & small.lit
     assert np.count_nonzero(both) > 1000
     # A point errs along the surface; square to the line of sight it errs by no more than this.
@@ -143,7 +143,7 @@ def test_a_looser_tolerance_makes_coarser_tables(by_tolerance):
     """Rationale: nodes are marched rays; who asks for less accuracy must pay less."""
     loose, tight = by_tolerance[0.05].report, by_tolerance[0.001].report
     assert nodes(loose) < 0.7 * nodes(tight)
-    assert loose.error_px > 2.0 * tight.error_px
+    assert loose.map_error_px > 2.0 * tight.map_error_px
 
 
 # ---------------------------------------------------------------------------------- choices
@@ -226,7 +226,7 @@ def test_samples_off_the_tables_are_marched_and_counted(small):
     exposure, report = replace(prepared, lit=halved(prepared.lit)).exposed(4, 0)
     image, samples = exposure.image(), 4 * prepared.lit.index.size
     assert report.samples == samples
-    assert 0.2 * samples < report.marched < 0.6 * samples
+    assert 0.2 * samples < report.marched_samples < 0.6 * samples
     apart = np.abs(image - small.radiance) / small.radiance.max()
     one, other = apart[:, :126].max(), apart[:, 130:].max()  # p grows along u, or against it
     assert min(one, other) < 2e-3 < 0.05 < max(one, other)
@@ -246,8 +246,8 @@ def test_a_folded_map_falls_back_to_marching_and_says_why(folded):
     _, frame = folded
     assert frame.report.transport == "marched"
     assert "folds" in frame.report.reason or "caustic" in frame.report.reason
-    assert not frame.report.nodes
-    assert np.isnan(frame.report.error_px)
+    assert not frame.report.map_nodes
+    assert np.isnan(frame.report.map_error_px)
     exact = stronger(vs.load_scene("hot_cylinder", **SMALL, transport="marched"), 14.0)
     np.testing.assert_array_equal(frame.radiance, render_frame(exact).radiance)
 

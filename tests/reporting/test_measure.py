@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from virtual_sensor.engine import activate
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.reporting import measure as reporting
 from virtual_sensor.reporting.files import undocumented
-from virtual_sensor.studies.measure import measure, summary
+from virtual_sensor.studies.measure import DotAgreement, measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
 SCENES = {
@@ -80,6 +81,39 @@ def test_the_page_begins_with_how_wrong_the_section_is(measured):
         assert lead.startswith(f"In {name} air the measured section is wrong by ")
         assert f"{section.rms_um:.3g} µm rms" in lead
         assert f"y = {section.largest_y_mm:.3g} mm".replace("-", "\N{MINUS SIGN}") in lead
+
+
+def test_a_measurement_that_is_worth_little_says_so_first(measured):
+    """Rationale: of a film of 256 px 8 of 108 columns had a centre, and the lead was their rms."""
+    _, good, folder = measured["hot"]
+    assert reporting.caveats(good) == []
+
+    def said(dots=None, **changes):
+        hot = good.states["hot"]
+        if dots is None:
+            line = replace(hot.line_minus_search, **changes)
+            state = replace(hot, line_minus_search=line, gap_y_mm=(-9.5, 2.0))
+        else:
+            state = replace(hot, line_minus_search=None, dots_minus_search=dots)
+        figures = replace(good, states=good.states | {"hot": state})
+        [printed, *_] = reporting.on_console(figures)
+        assert str(printed).startswith("In hot air ")
+        return reporting.findings(figures)
+
+    few = said(expected=108, lost={"too_narrow": 98, "line_end": 2})
+    assert few.startswith(
+        "in hot air only 8 of 108 columns that see the whole line have a centre, "
+    )
+    assert "none from y = −9.5 to 2 mm; the others are too_narrow 98 and line_end 2: a finer" in few
+    assert few.endswith(reporting.headline(good)[1:])
+    assert "none from" in said(expected=100, lost={"saturated": 40})  # all of one side
+    assert "finer film" not in said(expected=100, lost={"saturated": 40})
+    nothing = said(expected=0, lost={}, compared=0, cut_centres=12)
+    assert nothing.startswith("in hot air no centre could be compared with the search. In hot air")
+    one = said(dots=DotAgreement(0.1, 0.1, 0.1, 1, 3))
+    assert one.startswith("in hot air only 1 of 3 dots are found. In hot air")
+    [html] = [(folder.parent / "nothing/report.html").read_text(encoding="utf-8")]
+    assert re.search(r"In hot air no point is measured: the columns are .*too_narrow \d+", html)
 
 
 def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
@@ -181,7 +215,7 @@ def test_light_paths_explain_the_whole_error(measured):
     hot = measured["hot"][0].hot
     table = reporting.dense_table(measured["hot"][0])
     np.testing.assert_allclose(
-        table.laser_path_um + table.camera_path_um, table.section_error_hot_um, atol=1e-9
+        table.laser_path_um + table.camera_path_um, table.section_error_um["hot"], atol=1e-9
     )
     assert np.abs(measured["hot"][0].cold.laser_path_um).max() < 1e-6
     paths = summary(measured["hot"][0]).states["hot"].paths

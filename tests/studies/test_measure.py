@@ -90,7 +90,7 @@ def test_newtons_search_needs_few_marches_and_finds_the_same(result, state):
 
 def test_in_cold_air_the_measured_point_is_the_point(result):
     """Rationale: straight light closes the circle laser, surface, pixel, triangulation."""
-    assert np.abs(probe_deviations(result).cold_um).max() < 1e-6
+    assert np.abs(probe_deviations(result).cold_error_um).max() < 1e-6
 
 
 def test_rounded_pixels_move_the_point_by_half_a_step_along_each_axis_of_the_sensor(result):
@@ -100,7 +100,7 @@ def test_rounded_pixels_move_the_point_by_half_a_step_along_each_axis_of_the_sen
     because the laser plane is inclined to the sensor: by 60 degrees to its axis, so that a
     point which moves by dv across the line of sight moves by dv tan(30 degrees) along it, too.
     """
-    cold_um = probe_deviations(result, 0.25).cold_um
+    cold_um = probe_deviations(result, 0.25).cold_error_um
     camera = result.cold.scene.sensor.camera
     half_step_um = 0.125 * FIELD_OF_VIEW_MM * 1e3 / camera.size[0]
     perspective = camera.pose.to_local(result.cold.newton.laser_point_mm)[:, 2] / 300.0
@@ -144,8 +144,10 @@ def test_a_part_that_is_only_cold_has_no_hot_figures():
     result = measure(load_scene("cold_cylinder", **film))
     assert list(result.states) == ["cold"]
     deviation = probe_deviations(result)
-    assert np.isnan([deviation.hot_um, deviation.incidence_um, deviation.measured_um]).all()
-    assert np.abs(deviation.cold_um).max() < 1e-6
+    assert np.isnan(
+        [deviation.hot_error_um, deviation.incidence_shift_um, deviation.measured_shift_um]
+    ).all()
+    assert np.abs(deviation.cold_error_um).max() < 1e-6
     figures = json.loads(json.dumps(summary(result).to_dict()))
     assert figures["probe_rays"]["largest_incidence_shift_um"] is None
     assert list(figures["states"]) == ["cold"]

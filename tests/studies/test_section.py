@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from virtual_sensor.imaging.scene import load_scene
-from virtual_sensor.studies.section import section_errors, true_section
+from virtual_sensor.studies.section import longest_gap, section_errors, true_section
 
 RADIUS_MM = 13.5
 
@@ -86,3 +86,13 @@ def test_figures_leave_out_what_has_no_distance(cylinder):
     nothing = section_errors(section, points[2:3])
     assert (nothing.points, nothing.edge_points) == (0, 0)
     assert np.isnan([nothing.mean_um, nothing.rms_um, nothing.largest_um]).all()
+
+
+def test_the_longest_gap_is_between_points_or_at_an_end():
+    """Rationale: points at both ends, or of one side only, have an rms that says nothing."""
+    line = np.linspace(-10.0, 10.0, 201)
+    both_ends = np.r_[np.nan, 9.0, -9.5, -10.2, 10.3]
+    assert longest_gap(line, both_ends) == (-9.5, 9.0)
+    assert longest_gap(line[::-1], line[line > 2.05]) == pytest.approx((-10.0, 2.1))
+    assert longest_gap(line, np.full(3, np.nan)) == (-10.0, 10.0)
+    assert np.isnan(longest_gap(np.full(3, np.nan), line)).all()

@@ -16,6 +16,14 @@ Array = NDArray[np.float64]
 
 UM_PER_MM = 1000.0
 
+LETTERS = {
+    "incidence_shift_um": "B - A",
+    "hot_error_um": "B - B_m",
+    "measured_shift_um": "B_m - A_m",
+    "cold_error_um": "A - A_m",
+}
+"""Each of the differences in space in the paper's letters."""
+
 
 @dataclass(frozen=True)
 class Deviation:
@@ -23,23 +31,23 @@ class Deviation:
 
     Attributes
     ----------
-    incidence_um : ndarray of shape (N, 3)
+    incidence_shift_um : ndarray of shape (N, 3)
         B - A: how far the laser spot moves on the object, figure 7(a).
-    hot_um : ndarray of shape (N, 3)
+    hot_error_um : ndarray of shape (N, 3)
         B - B_m: real minus measured point in hot air, figure 7(b).
-    measured_um : ndarray of shape (N, 3)
+    measured_shift_um : ndarray of shape (N, 3)
         B_m - A_m: how far the measured point moves, figure 7(c).
-    pixel_px : ndarray of shape (N, 2)
+    pixel_shift_px : ndarray of shape (N, 2)
         Hot minus cold pixel (Delta u, Delta v), figure 7(d).
-    cold_um : ndarray of shape (N, 3)
+    cold_error_um : ndarray of shape (N, 3)
         A - A_m: real minus measured point in cold air, figure 7(e).
     """
 
-    incidence_um: Array
-    hot_um: Array
-    measured_um: Array
-    pixel_px: Array
-    cold_um: Array
+    incidence_shift_um: Array
+    hot_error_um: Array
+    measured_shift_um: Array
+    pixel_shift_px: Array
+    cold_error_um: Array
 
 
 @dataclass(frozen=True)
@@ -73,11 +81,11 @@ def deviations(
     """Compare points (N, 3) in mm and pixels (N, 2) of the cold (A) and the hot (B) object."""
     A, B, A_m, B_m = (np.asarray(points, float) for points in (A_mm, B_mm, A_m_mm, B_m_mm))
     return Deviation(
-        incidence_um=UM_PER_MM * (B - A),
-        hot_um=UM_PER_MM * (B - B_m),
-        measured_um=UM_PER_MM * (B_m - A_m),
-        pixel_px=np.asarray(pixel_B, float) - np.asarray(pixel_A, float),
-        cold_um=UM_PER_MM * (A - A_m),
+        incidence_shift_um=UM_PER_MM * (B - A),
+        hot_error_um=UM_PER_MM * (B - B_m),
+        measured_shift_um=UM_PER_MM * (B_m - A_m),
+        pixel_shift_px=np.asarray(pixel_B, float) - np.asarray(pixel_A, float),
+        cold_error_um=UM_PER_MM * (A - A_m),
     )
 
 

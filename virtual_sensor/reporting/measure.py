@@ -1,7 +1,7 @@
 """A measurement's results: its picture, page and tables, and all files that it writes."""
 
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import product
 from operator import attrgetter
 from pathlib import Path
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.render import EXR_LAYERS, write_exr, write_png
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
-from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
-from virtual_sensor.records import write_csv, write_ply
+from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Details, Page, Section
-from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture
+from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture, key_above
 from virtual_sensor.reporting.style import LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
@@ -42,6 +42,8 @@ from virtual_sensor.studies.measure import (
 )
 
 Array = NDArray[np.float64]
+Curve = tuple[Array, Array, dict[str, Any]]
+"""Its places, its values, and how `Axes.plot` draws it."""
 
 CALIBRATION = "calibration.yaml"
 """The sensor as `detect --calibration` reads it."""
@@ -51,15 +53,22 @@ NIL_UM = 1e-6
 
 _UM = "µm"
 _MARGIN_PX = 12
+_ON_BLACK = ("#56B4E9", "#FF7A2F")  # colours of cold and hot, as light as a black ground needs
 _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
 _LONGEST_STEP = 4.0  # times the usual one of searched points
-_LETTER_KEY = (
-    ("B − A", "incidence_um", "lit point: hot minus cold"),
-    ("B − Bₘ", "hot_um", "hot: lit minus measured"),
-    ("Bₘ − Aₘ", "measured_um", "measured: hot minus cold"),
-    ("A − Aₘ", "cold_um", "cold: lit minus measured"),
-)
+_FEW = 0.9  # of the columns, or dots: a measurement that has fewer says so first
+_LETTERS = {
+    name: letters.replace("-", "\N{MINUS SIGN}").replace("_m", "ₘ")
+    for name, letters in LETTERS.items()
+}
+_REMEDIES = {"too_narrow": ": a finer film (width, height) or a wider line (line_radius) has more"}
+_CHECKED = {
+    "line": {"rms_px": "rms, px", "largest_px": "largest, px"}
+    | {name: name for name in ("compared", "centres")},
+    "dots": {"rms_px": "rms, px", "largest_u_px": "largest in u, px"}
+    | {"largest_v_px": "largest in v, px", "found": "found", "dots": "dots"},
+}
 
 
 FILES = (
@@ -94,22 +103,24 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
     figures = summary(result)
     white = max(float(state.frame.radiance.max()) for state in result.states.values())
     with folder_written_whole(folder, overwrite) as place, ThreadPoolExecutor() as aside:
-        written = []
+        written: list[Future[None]] = []
+        tables: dict[str, Table] = {}
         for name, state in result.states.items():
-            header = {f"virtual_sensor/{k}": v for k, v in state.scene.parameters.items()}
-            header["virtual_sensor/state"] = name
+            facts = {**state.scene.parameters, "state": name}
+            header = {f"virtual_sensor/{key}": value for key, value in facts.items()}
             # To compress one takes half a second, in which all the rest is written.
             written.append(aside.submit(write_exr, place / f"{name}.exr", state.frame, header))
             image = state.frame.radiance
             written.append(aside.submit(write_png, place / f"{name}.png", image, white))
-            write_csv(place / f"line_{name}.csv", line_table(state))
+            tables[f"line_{name}.csv"] = line_table(state)
             if state.dots:
-                write_csv(place / f"dots_{name}.csv", dot_table(state))
+                tables[f"dots_{name}.csv"] = dot_table(state)
             brightness = state.dots.flux if state.dots else state.line.amplitude
             write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
         sensor = calibration_of(result.cold.scene.sensor)
         whole, panels = picture(result, figures)
         contents = {
+            **tables,
             "probe_rays.csv": probe_table(result),
             "dense_search.csv": dense_table(result),
             CALIBRATION: calibration_text(sensor, CALIBRATION),
@@ -182,7 +193,8 @@ def _table_page(result: Measurement, figures: Summary) -> str:
 
 def on_console(figures: Summary) -> list[TextTable | str]:
     """What the command prints: how wrong the section is, why, and whether the check holds."""
-    return [section_table(figures), *why(figures), check_table(figures)]
+    poor = [f"{capital(text)}." for text in caveats(figures)]
+    return [*poor, section_table(figures), *why(figures), check_table(figures)]
 
 
 def section_table(figures: Summary) -> TextTable:
@@ -201,25 +213,44 @@ def section_table(figures: Summary) -> TextTable:
 
 def check_table(figures: Summary) -> TextTable:
     """Whether renderer and ray search agree."""
-    dots = any(state.dots_minus_search for state in figures.states.values())
-    what = "dots" if dots else "line"
-    of_dots = {
-        "largest_u_px": "largest in u, px",
-        "largest_v_px": "largest in v, px",
-        "found": "found",
-        "dots": "dots",
-    }
-    of_line = {"largest_px": "largest, px", "compared": "compared", "centres": "centres"}
+    what = "dots" if any(s.dots_minus_search for s in figures.states.values()) else "line"
     columns = [Column("state", " ")]
-    for key, heading in {"rms_px": "rms, px", **(of_dots if dots else of_line)}.items():
+    for key, heading in _CHECKED[what].items():
         shape = "{:.4f}" if key.endswith("_px") else "{}"
         columns.append(Column(f"{what}_minus_search.{key}", heading, shape, "none"))
-    caption = f"Check: rendered {what} minus ray search"
-    return text_table(_states(figures), columns, caption)
+    return text_table(_states(figures), columns, f"Check: rendered {what} minus ray search")
 
 
 def _states(figures: Summary) -> list[dict[str, Any]]:
     return [{"state": name, **vars(state)} for name, state in figures.states.items()]
+
+
+def caveats(figures: Summary) -> list[str]:
+    """Why a measurement is worth little: what was not found or not compared; [] of a good one."""
+    said = [_caveat(f"in {name} air", state) for name, state in reversed(figures.states.items())]
+    return [text for text in said if text]
+
+
+def _caveat(where: str, state: StateSummary) -> str:
+    line, dots = state.line_minus_search, state.dots_minus_search
+    if dots and 0 < dots.found < _FEW * dots.dots:
+        return f"{where} only {dots.found} of {counted(dots.dots, 'dot')} are found"
+    if not line or not line.centres:  # which the headline says
+        return ""
+    have = line.expected - sum(line.lost.values())
+    if have < _FEW * line.expected:
+        start, end = (_number(round(y, 1)) for y in state.gap_y_mm)
+        remedy = _REMEDIES.get(max(line.lost, key=line.lost.__getitem__), "")
+        return (
+            f"{where} only {have} of {line.expected} columns that see the whole line have a centre,"
+            f" none from y = {start} to {end} mm; the others are {_counts(line.lost)}{remedy}"
+        )
+    return "" if line.compared else f"{where} no centre could be compared with the search"
+
+
+def _counts(statuses: Mapping[str, int]) -> str:
+    """How many have each status, of those that occur."""
+    return listed([f"{status} {count}" for status, count in statuses.items() if count])
 
 
 def why(figures: Summary) -> list[str]:
@@ -285,7 +316,7 @@ def page(
         ),
     ]
     title = f"{result.scene.path.stem}: a measurement"
-    lead = f"{capital(headline(figures))}."
+    lead = f"{capital(findings(figures))}."
     return Page(title, lead, tuple(sections), command, figures.made_with, figures.notes)
 
 
@@ -310,8 +341,7 @@ def _compared(name: str, state: StateSummary) -> str:
     line = state.line_minus_search
     assert line is not None
     if not line.centres:
-        counts = {kind: n for kind, n in state.line_status.items() if n}
-        reasons = listed([f"{kind} {n}" for kind, n in counts.items()])
+        reasons = _counts(state.line_status)
         return f"{name}: no line centre was found; the image's columns are: {reasons}."
     words = f"{name}: {line.compared} of {counted(line.centres, 'centre')} were compared"
     left_out = {
@@ -338,9 +368,7 @@ def _probe_rays_table(result: Measurement) -> TextTable:
         probe_table(result),
         (
             Column("y_mm", "y, mm"),
-            Column("incidence_shift_um_norm", "B − A, µm"),
-            Column("hot_error_um_norm", "B − Bₘ, µm"),
-            Column("measured_shift_um_norm", "Bₘ − Aₘ, µm"),
+            *(Column(f"{name}_norm", f"{_LETTERS[name]}, µm") for name in list(_LETTERS)[:3]),
             Column("pixel_shift_px_u", "shift in u, px"),
             Column("pixel_shift_px_v", "shift in v, px"),
             Column("status_hot", "status"),
@@ -363,27 +391,39 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
         panels |= {"letters": _letters_panel()} | check
     else:
         panels |= check | {"frame": _frame_panel(result, 3)}
-    name = drawable(result.scene.path.stem)
-    drawn = draw_picture(f"{name}: {headline(figures)}", list(panels.values()), columns=3)
+    title = f"{drawable(result.scene.path.stem)}: {findings(figures)}"
+    drawn = draw_picture(title, list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
 
 
+def findings(figures: Summary) -> str:
+    """What the reader wants to know first, and before it whether it is worth anything."""
+    first, *others = [*caveats(figures), headline(figures)]
+    return ". ".join([first, *map(capital, others)])
+
+
 def headline(figures: Summary) -> str:
-    """How wrong the measured section is, and where."""
-    words = []
+    """How wrong the measured section is, and where; or why none is measured."""
+    unknown: list[str] = []
+    wrong: list[str] = []
     for name, state in reversed(figures.states.items()):
         section = state.section
-        if not section.points:
-            words.append(f"in {name} air no point is measured")
-        elif not words:
-            words.append(
+        if section.edge_points and not section.points:
+            unknown.append(f"in {name} air all measured points lie at edges of the part")
+        elif not section.points:
+            reasons = f": the columns are {_counts(state.line_status)}" * (
+                not state.dots_minus_search
+            )
+            unknown.append(f"in {name} air no point is measured{reasons}")
+        elif not wrong:
+            wrong.append(
                 f"in {name} air the measured section is wrong by"
                 f" {micrometres(section.rms_um)} rms, at most by"
                 f" {micrometres(section.largest_um)} at y = {_number(section.largest_y_mm)} mm"
             )
         else:
-            words.append(f"in {name} air by {micrometres(section.rms_um)} rms")
-    return "; ".join(words)
+            wrong.append(f"in {name} air by {micrometres(section.rms_um)} rms")
+    return "; ".join([*unknown, *wrong])
 
 
 def micrometres(value_um: float | None) -> str:
@@ -397,60 +437,124 @@ def _number(value: float) -> str:
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
-def _section_panel(result: Measurement, figures: Summary) -> Panel:
-    def draw(axes: Axes) -> None:
-        for name, state in result.states.items():
-            errors = figures.states[name].section
-            label = (
-                f"{name}: {micrometres(errors.rms_um)} rms" if errors.points else f"{name}: none"
-            )
-            y = state.section.along_mm(state.points_mm)
-            _curve(axes, y, state.section_error_um, name, label, dots=bool(state.dots))
-            if errors.points and abs(errors.largest_um) >= NIL_UM and state.scene.field:
-                at = (errors.largest_y_mm, errors.largest_um)
-                axes.plot(*at, "s", color=colour(name), ms=11, mfc="none", zorder=5)
-        for state in result.states.values():
-            some = slice(None, None, 1 if state.dots else _SEARCHED_EVERY)
-            y, error = state.section.along_mm(state.searched_mm), _floored(state.searched_error_um)
-            style: dict[str, Any] = {"marker": "o", "mfc": "none", "ms": 4, "ls": ""}
-            style["label"] = "by ray search" if state is result.cold else None
-            axes.plot(y[some], error[some], color=colour("search"), **style)
-        axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel="y along the line in mm", ylabel="outside (+) or inside the part (−), µm")
-        _key_above(axes)
+def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:
+    """A curve in the colour of a thing that has a name; lengths that are rounding are zero."""
+    y = np.where(np.abs(y_um) < NIL_UM, 0.0, y_um)
+    return x, y, {"color": colour(name), "label": label} | style
 
-    return Panel(
+
+def _style(state: State, number: int = 0) -> dict[str, Any]:
+    """How the curve of some number is drawn; of dots, points only."""
+    return {"ls": "", "marker": MARKERS[number], "ms": 6} if state.dots else {"ls": LINES[number]}
+
+
+def _curve_panel(
+    title: str, x: str, y: str, alt: str, curves: Sequence[Curve], width: int = 1
+) -> Panel:
+    """Curves about zero over the line, with the words of their axes and a key above."""
+
+    def draw(axes: Axes) -> None:
+        for places, values, style in curves:
+            axes.plot(places, values, **style)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel=x, ylabel=y)
+        key_above(axes)
+
+    return Panel(title, draw, alt, width, layout=None)
+
+
+def _section_panel(result: Measurement, figures: Summary) -> Panel:
+    curves = []
+    for name, state in result.states.items():
+        errors = figures.states[name].section
+        label = f"{name}: {micrometres(errors.rms_um)} rms" if errors.points else f"{name}: none"
+        y, style = state.section.along_mm(state.points_mm), _style(state)
+        curves.append(_curve(y, state.section_error_um, name, label, **style))
+        if errors.points and abs(errors.largest_um) >= NIL_UM and state.scene.field:
+            x, y = np.array([[errors.largest_y_mm], [errors.largest_um]])
+            curves.append(_curve(x, y, name, marker="s", ms=11, mfc="none", zorder=5))
+    for state in result.states.values():
+        some = slice(None, None, 1 if state.dots else _SEARCHED_EVERY)
+        y, error = state.section.along_mm(state.searched_mm)[some], state.searched_error_um[some]
+        first = "by ray search" if state is result.cold else None
+        curves.append(_curve(y, error, "search", first, marker="o", mfc="none", ms=4, ls=""))
+    return _curve_panel(
         "Measured minus true section",
-        draw,
-        f"Error of the measured section along the line. {headline(figures)}.",
+        "y along the line in mm",
+        "outside (+) or inside the part (−), µm",
+        f"Error of the measured section along the line. {capital(findings(figures))}.",
+        curves,
         width=2,
-        layout=None,
     )
 
 
 def _paths_panel(hot: State) -> Panel:
     """Which of the two bent light paths makes the error."""
-    whole, laser = hot.searched_error_um, hot.laser_path_um
-
-    def draw(axes: Axes) -> None:
-        y = hot.section.along_mm(hot.searched_mm)
-        dots = bool(hot.dots)
-        if not dots:
-            y = np.where(_parted(hot.searched_mm), np.nan, y)
-        _curve(axes, y, whole, "hot", "both", dots=dots)
-        _curve(axes, y, laser, "laser", "laser's path", LINES[1], MARKERS[1], dots)
-        _curve(axes, y, whole - laser, "camera", "camera's path", LINES[2], MARKERS[2], dots)
-        axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel="y along the line in mm", ylabel="error of the section, µm")
-        _key_above(axes)
-
-    return Panel(
+    y = hot.section.along_mm(hot.searched_mm)
+    steps = np.linalg.norm(np.diff(hot.searched_mm, axis=0), axis=1)
+    longest = np.inf if hot.dots else _LONGEST_STEP * np.nanmedian(steps)
+    paths = (
+        ("hot", "both", hot.searched_error_um),
+        ("laser", "laser's path", hot.laser_path_um),
+        ("camera", "camera's path", hot.camera_path_um),
+    )
+    return _curve_panel(
         "Why: hot air bends both paths",
-        draw,
+        "y along the line in mm",
+        "error of the section, µm",
         "The section's error of the hot part, split into what the bent laser light alone makes and"
         " what the camera's bent lines of sight add.",
-        layout=None,
+        [
+            _curve(*_with_gaps(y, error, steps, longest), name, label, **_style(hot, number))
+            for number, (name, label, error) in enumerate(paths)
+        ],
     )
+
+
+def _probe_panel(result: Measurement) -> Panel:
+    """The norms of the paper's figure 7."""
+    found, y = probe_deviations(result), result.probe_y_mm
+    return _curve_panel(
+        "Probe rays",
+        "y of the laser ray in mm",
+        "distance, µm",
+        "Distances between the points lit (A cold, B hot) and measured (A_m cold, B_m hot), for"
+        " each probe ray.",
+        [
+            _curve(y, euclidean(getattr(found, name)), name, letters, marker=marker)
+            for (name, letters), marker in zip(_LETTERS.items(), MARKERS, strict=False)
+        ],
+    )
+
+
+def _check_panel(result: Measurement) -> Panel:
+    curves = []
+    for number, (name, state) in enumerate(result.states.items()):
+        compared = state.compared
+        rms = f"{in_words(compared.rms_px)} px rms " if compared.count else ""
+        label = f"{name}: {rms}({compared.count} of {state.centres})"
+        style = _style(state, number)
+        if isinstance(compared, DotErrors):
+            u, dv = compared.true_pixel[:, 0], compared.error_px[:, 1]
+        else:
+            u, dv = compared.column, compared.error_px
+            u, dv = _with_gaps(u, dv, np.diff(u), 1.5)
+            style["lw"] = 0.9
+        curves.append(_curve(u, 1e3 * dv, name, label, **style))
+    what = "dots" if result.cold.dots else "line"
+    return _curve_panel(
+        f"Check: rendered {what} minus search",
+        "u along the line in px",
+        "difference in v, 0.001 px",
+        f"The rendered {what} minus the ray search, px, along the line.",
+        curves,
+    )
+
+
+def _with_gaps(x: Array, y: Array, steps: Array, longest: float) -> tuple[Array, Array]:
+    """The same with NaN between points that are farther apart: no line is drawn across."""
+    gaps = np.flatnonzero(steps > longest) + 1
+    return np.insert(x, gaps, np.nan), np.insert(y, gaps, np.nan)
 
 
 def _frame_panel(result: Measurement, width: int) -> Panel:
@@ -459,41 +563,30 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
 
     def draw(axes: Axes) -> None:
         found = np.concatenate([s.centres_px for s in result.states.values()])
-        columns, rows = found[np.isfinite(found).all(axis=1)].T
-        lit_rows, lit_columns = np.nonzero(image > 0.01 * image.max())
-        left, right = _range(columns, lit_columns, image.shape[1])
-        top, bottom = _range(rows, lit_rows, image.shape[0])
+        found = found[np.isfinite(found).all(axis=1)]
+        lit = np.argwhere(image > 0.01 * image.max())[:, ::-1]
+        both = np.concatenate([found, lit])
+        left, top = np.maximum(both.min(axis=0).astype(int) - _MARGIN_PX, 0)
+        ends = np.ceil(both.max(axis=0)).astype(int) + _MARGIN_PX
+        right, bottom = np.minimum(ends, image.shape[::-1])
         extent = (left - 0.5, right - 0.5, bottom - 0.5, top - 0.5)
         axes.imshow(image[top:bottom, left:right], cmap="gray", aspect="auto", extent=extent)
         for number, (label, drawn) in enumerate(result.states.items()):
             line = ("+", "x")[number] if drawn.dots else LINES[number]
             label = f"{label}: {drawn.centres} {'dots' if drawn.dots else 'line centres'}"
-            axes.plot(*drawn.centres_px.T, line, color=_on_black(number), lw=1.2, ms=8, label=label)
+            paint = _ON_BLACK[number]
+            axes.plot(*drawn.centres_px.T, line, color=paint, lw=1.2, ms=8, label=label)
         axes.grid(False)
-        axes.set(xlim=extent[:2], ylim=extent[2:], xlabel="u along the line in px")
-        axes.set(ylabel="v in px")
-        _key_above(axes)
+        axes.set(xlim=extent[:2], ylim=extent[2:], ylabel="v in px")
+        axes.set_xlabel("u along the line in px")
+        key_above(axes)
 
     return Panel(
         f"What the camera sees of the {name} part",
         draw,
         f"The camera's frame of the {name} part, cut to the lit pixels, with the centres found.",
-        width=width,
+        width,
         layout=None,
-    )
-
-
-def _on_black(number: int) -> str:
-    """Colours of cold and hot, as light as a black ground needs."""
-    return ("#56B4E9", "#FF7A2F")[number]
-
-
-def _range(found: Array, lit: NDArray[np.intp], size: int) -> tuple[int, int]:
-    """First pixel and the one after the last, of what is found or lit, with a margin."""
-    both = np.concatenate([found, lit])
-    return (
-        max(int(both.min()) - _MARGIN_PX, 0),
-        min(int(np.ceil(both.max())) + _MARGIN_PX, size),
     )
 
 
@@ -542,15 +635,11 @@ def _air_plane(axes: Axes, state: State, axis: int) -> Any:
             flat = points_mm[:, [axis, 2]]
             axes.plot(*flat.T, style, color=colour(name), lw=1.5, label=label)
             ends += list(flat)
-    axes.set(xlim=_ends(ends, 0), ylim=_ends(ends, 1), xlabel=f"{'xy'[axis]} in mm")
+    xlim, ylim = np.stack([np.min(ends, axis=0), np.max(ends, axis=0)], axis=1)
+    axes.set(xlim=xlim, ylim=ylim, xlabel=f"{'xy'[axis]} in mm")
     axes.grid(False)
     axes.set_title(f"plane {'yx'[axis]} = 0", fontsize=9.5, fontweight="normal", loc="center")
     return drawn
-
-
-def _ends(points: list[Array], axis: int) -> tuple[float, float]:
-    values = np.array(points)[:, axis]
-    return float(values.min()), float(values.max())
 
 
 def _light_paths(state: State) -> Iterator[dict[str, Array]]:
@@ -566,30 +655,6 @@ def _light_paths(state: State) -> Iterator[dict[str, Array]]:
         }
 
 
-def _probe_panel(result: Measurement) -> Panel:
-    """The norms of the paper's figure 7."""
-    d = probe_deviations(result)
-
-    def draw(axes: Axes) -> None:
-        styles = zip(MARKERS, _LETTER_COLOURS, strict=False)
-        for (letters, name, _), (marker, paint) in zip(_LETTER_KEY, styles, strict=False):
-            lengths = _floored(euclidean(getattr(d, name)))
-            axes.plot(result.probe_y_mm, lengths, marker=marker, color=paint, label=letters)
-        axes.set(xlabel="y of the laser ray in mm", ylabel="distance, µm")
-        _key_above(axes, 4)
-
-    return Panel(
-        "Probe rays",
-        draw,
-        "Distances between the points lit (A cold, B hot) and measured (A_m cold, B_m hot), for"
-        " each probe ray.",
-        layout=None,
-    )
-
-
-_LETTER_COLOURS = ("#CC79A7", "#D55E00", "#E69F00", "#0072B2")
-
-
 def _letters_panel() -> Panel:
     """A sketch of what the letters mean."""
 
@@ -599,11 +664,10 @@ def _letters_panel() -> Panel:
         axes.plot(x, -0.35 * x**2, color="0.4")
         laser, camera = np.array([-0.55, 1.1]), np.array([0.85, 1.0])
         A, B = np.array([0.0, 0.0]), np.array([0.3, -0.0315])
-        _arrow(axes, [laser, A], "--", colour("cold"))
-        _arrow(axes, _bent(laser, B, 0.10), "-", colour("hot"))
         leaves = _bent(B, camera, 0.09)
-        _arrow(axes, leaves, "-", colour("hot"))
-        _arrow(axes, [A, camera], "--", colour("cold"))
+        axes.plot(*np.stack([laser, A, camera]).T, "--", color=colour("cold"))
+        for path in (_bent(laser, B, 0.10), leaves):
+            axes.plot(*path.T, "-", color=colour("hot"))
         towards = leaves[-2] - camera  # the line of sight, as the camera believes it
         share = np.linalg.solve(np.stack([towards, laser - A], axis=1), A - camera)[0]
         B_m = camera + share * towards
@@ -642,83 +706,3 @@ def _bent(start: Array, end: Array, by: float) -> Array:
     share = np.linspace(0.0, 1.0, 30)[:, None]
     aside = np.array([start[1] - end[1], end[0] - start[0]])
     return start + share * (end - start) + by * 4.0 * share**2 * (1.0 - share) * aside
-
-
-def _arrow(axes: Axes, path: Any, line: str, paint: str) -> None:
-    axes.plot(*np.asarray(path).T, line, color=paint)
-
-
-def _check_panel(result: Measurement) -> Panel:
-    def draw(axes: Axes) -> None:
-        for number, (name, state) in enumerate(result.states.items()):
-            compared = state.compared
-            rms = f"{in_words(compared.rms_px)} px rms " if compared.count else ""
-            label = f"{name}: {rms}({compared.count} of {state.centres})"
-            if isinstance(compared, DotErrors):
-                u, dv = compared.true_pixel[:, 0], compared.error_px[:, 1]
-                axes.plot(u, 1e3 * dv, MARKERS[number], color=colour(name), label=label)
-            else:
-                u, dv = _with_gaps(compared.column, compared.error_px)
-                axes.plot(u, 1e3 * dv, LINES[number], color=colour(name), lw=0.9, label=label)
-        axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel="u along the line in px", ylabel="difference in v, 0.001 px")
-        _key_above(axes)
-
-    what = "dots" if result.cold.dots else "line"
-    return Panel(
-        f"Check: rendered {what} minus search",
-        draw,
-        f"The rendered {what} minus the ray search, px, along the line.",
-        layout=None,
-    )
-
-
-def _curve(
-    axes: Axes,
-    x: Array,
-    y: Array,
-    name: str,
-    label: str,
-    line: str = "-",
-    marker: str = "o",
-    dots: bool = False,
-) -> None:
-    """A curve that is broken where there is no value, of dots points only."""
-    style = {"ls": "", "marker": marker, "ms": 6} if dots else {"ls": line}
-    axes.plot(x, _floored(y), color=colour(name), label=label, **style)
-
-
-def _parted(points_mm: Array) -> NDArray[np.bool_]:
-    """Which points (N, 3) are far from the one before: the line is broken there."""
-    steps = np.linalg.norm(np.diff(points_mm, axis=0, prepend=points_mm[:1]), axis=1)
-    return steps > _LONGEST_STEP * np.nanmedian(steps)
-
-
-def _floored(values_um: Array) -> Array:
-    """Lengths whose rounding is drawn as zero."""
-    return np.where(np.abs(values_um) < NIL_UM, 0.0, values_um)
-
-
-def _with_gaps(column: Array, values: Array) -> tuple[Array, Array]:
-    """The same with NaN where a column is missing, so that no line is drawn across."""
-    gaps = np.flatnonzero(np.diff(column) > 1.5) + 1
-    return np.insert(column, gaps, np.nan), np.insert(values, gaps, np.nan)
-
-
-def _key_above(axes: Axes, columns: int | None = None) -> None:
-    """A legend above the axes, beside the title, where it covers nothing."""
-    handles, _ = axes.get_legend_handles_labels()
-    if not handles:
-        return
-    wide = axes.figure.get_figwidth() > 8.0
-    axes.legend(
-        loc="lower right" if wide else "lower left",
-        bbox_to_anchor=(1.0, 1.0) if wide else (-0.02, 1.0),
-        ncols=columns or len(handles),
-        columnspacing=1.0,
-        handlelength=1.6,
-        borderaxespad=0.2,
-    )
-    if not wide:
-        axes.set_title(axes.get_title(loc="left"), pad=24)
-        axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())

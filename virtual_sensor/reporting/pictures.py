@@ -180,6 +180,25 @@ def write_vector(
             figure.savefig(temporary, format=path.suffix.lower().lstrip("."))
 
 
+def key_above(axes: Axes) -> None:
+    """A legend above the axes, beside the title, where it covers nothing."""
+    handles, _ = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    wide = axes.figure.get_figwidth() > 8.0
+    axes.legend(
+        loc="lower right" if wide else "lower left",
+        bbox_to_anchor=(1.0, 1.0) if wide else (-0.02, 1.0),
+        ncols=len(handles),
+        columnspacing=1.0,
+        handlelength=1.6,
+        borderaxespad=0.2,
+    )
+    if not wide:
+        axes.set_title(axes.get_title(loc="left"), pad=24)
+        axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())
+
+
 def _arranged(panels: Sequence[Panel], most: int) -> tuple[int, int, list[tuple[int, int]]]:
     """Rows and columns of a picture of at most so many columns, and the place of each panel."""
     columns = max(min(most, sum(p.width for p in panels)), *(p.width for p in panels))

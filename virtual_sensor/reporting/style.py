@@ -45,6 +45,11 @@ COLOURS = {
     # searches
     "paper": PURPLE,
     "newton": BLUE,
+    # points lit and measured
+    "incidence_shift_um": PURPLE,
+    "hot_error_um": VERMILION,
+    "measured_shift_um": ORANGE,
+    "cold_error_um": BLUE,
     # components of differences, in space and on the sensor
     "x": YELLOW,
     "y": SKY,

@@ -1,10 +1,10 @@
 """The main job: measure a part cold and hot by rendered frames, beside the ray-by-ray search."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +17,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.deviation import (
+    LETTERS,
     Deviation,
     deviations,
     euclidean,
@@ -36,11 +37,17 @@ from virtual_sensor.metrology.truth import (
     rms,
 )
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
-from virtual_sensor.records import Record, Table, counts_of, status_names
+from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
 from virtual_sensor.studies.notes import coarse_grid, frame_notes, unlit_rays, upright_line
 from virtual_sensor.studies.probes import dense_rays, probe_rays
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
-from virtual_sensor.studies.section import Section, SectionErrors, section_errors, true_section
+from virtual_sensor.studies.section import (
+    Section,
+    SectionErrors,
+    longest_gap,
+    section_errors,
+    true_section,
+)
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.str_]
@@ -127,13 +134,15 @@ class State:
 
     @cached_property
     def laser_path_um(self) -> Array:
-        """What they would be (M,) if the laser's light alone were bent, and the camera's straight.
-
-        The rest is the camera's part.
-        """
+        """What they would be (M,) if the laser's light alone were bent."""
         straight = self.scene.sensor.camera.project(self.dense.laser_point_mm)
         straight[np.isnan(self.dense.pixel)] = np.nan
         return self.section.distance_um(triangulate(self.scene.sensor, straight))
+
+    @property
+    def camera_path_um(self) -> Array:
+        """What the camera's bent lines of sight add to that, (M,)."""
+        return self.searched_error_um - self.laser_path_um
 
 
 @dataclass(frozen=True)
@@ -237,14 +246,13 @@ def _measure_state(
     clock = time.perf_counter
     report("searching, ray by ray", 0.0)
     began = clock()
-    paper = ray_search(scene, probe_y, "paper")
-    newton = ray_search(scene, probe_y, "newton")
-    dense = ray_search(scene, dense_y, "newton")
-    search_time_s = clock() - began
+    searches = (probe_y, "paper"), (probe_y, "newton"), (dense_y, "newton")
+    paper, newton, dense = (ray_search(scene, y, method) for y, method in searches)
+    search_s = clock() - began
     report("finding the lit pixels", 0.2)
     began = clock()
     frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
-    render_time_s = clock() - began
+    render_s = clock() - began
     if not np.any(frame.radiance > 0.0):
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
@@ -256,19 +264,8 @@ def _measure_state(
     else:
         searched = searched_line(scene, dense).seen_in(across_mm, laser.radius_mm)
         compared = compare_line(line, searched)
-    return State(
-        scene,
-        frame,
-        line,
-        paper,
-        newton,
-        dense,
-        by_frame,
-        compared,
-        section,
-        search_time_s,
-        render_time_s,
-    )
+    found = line, paper, newton, dense, by_frame, compared
+    return State(scene, frame, *found, section, search_s, render_s)
 
 
 def searched_line(scene: Scene, found: FoundPixels) -> TrueLine:
@@ -315,6 +312,8 @@ class LineAgreement(Record):
         Columns that have a centre.
     expected : int
         Columns on the searched line from edge to edge, that see its whole profile.
+    lost : dict
+        How many of these have no centre, by the status of their highest peak.
     cut : int
         Columns that would be expected if no edge of the part hid some of the profile.
     cut_centres : int
@@ -328,6 +327,7 @@ class LineAgreement(Record):
     compared: int
     centres: int
     expected: int
+    lost: dict[str, int]
     cut: int
     cut_centres: int
     stray_centres: int
@@ -413,37 +413,6 @@ class PathErrors(Record):
 
 
 @dataclass(frozen=True)
-class FrameFacts(Record):
-    """How a frame was made.
-
-    Attributes
-    ----------
-    transport : str
-        How light was carried through the air.
-    reason : str or None
-        Why not as asked.
-    map_nodes : dict
-        Nodes of the ray maps, three numbers each, by "camera" and the sources' names.
-    map_error_px : float
-        Their own estimate of their error.
-    samples : int
-        Samples that sought the source's light.
-    marched_samples : int
-        Those of them for which the maps had no answer.
-    folded_pixels : int
-        Pixels of folded light, which are black.
-    """
-
-    transport: str
-    reason: str | None
-    map_nodes: dict[str, tuple[int, ...]]
-    map_error_px: float
-    samples: int
-    marched_samples: int
-    folded_pixels: int
-
-
-@dataclass(frozen=True)
 class StateSummary(Record):
     """The figures of the part measured cold, or hot.
 
@@ -451,6 +420,8 @@ class StateSummary(Record):
     ----------
     section : SectionErrors
         The measured section beside the true one.
+    gap_y_mm : tuple of float
+        Ends of the longest stretch of the line on which no point is measured.
     paths : PathErrors or None
         Which light path is to blame; None where light runs straight.
     line_minus_search : LineAgreement or None
@@ -465,13 +436,14 @@ class StateSummary(Record):
         How many of the searched rays have each status.
     paper_search, newton_search : SearchFacts
         The probe rays, by both methods.
-    frame : FrameFacts
+    frame : RenderReport
         How the frame was made.
     render_time_s, search_time_s : float
         Time that rendering and searching took.
     """
 
     section: SectionErrors
+    gap_y_mm: tuple[float, float]
     paths: PathErrors | None
     line_minus_search: LineAgreement | None
     dots_minus_search: DotAgreement | None
@@ -480,7 +452,7 @@ class StateSummary(Record):
     search_status: dict[str, int]
     paper_search: SearchFacts
     newton_search: SearchFacts
-    frame: FrameFacts
+    frame: RenderReport
     render_time_s: float
     search_time_s: float
 
@@ -597,15 +569,12 @@ def summary(result: Measurement) -> Summary:
 def _probe_rays(result: Measurement) -> ProbeRays:
     exact, rounded = probe_deviations(result), probe_deviations(result, ROUNDED_PX)
     sensor = result.cold.scene.sensor
-    along_axes = rounded.cold_um @ sensor.camera.pose.rotation[:, :2]
+    along_axes = rounded.cold_error_um @ sensor.camera.pose.rotation[:, :2]
     return ProbeRays(
         rays=len(result.probe_y_mm),
         lit=int(np.sum(sensor.laser.reaches(0.0, result.probe_y_mm))),
-        largest_incidence_shift_um=largest(euclidean(exact.incidence_um)),
-        largest_hot_error_um=largest(euclidean(exact.hot_um)),
-        largest_measured_shift_um=largest(euclidean(exact.measured_um)),
-        largest_cold_error_um=largest(euclidean(exact.cold_um)),
-        largest_cold_error_rounded_um=largest(euclidean(rounded.cold_um)),
+        **{f"largest_{name}": largest(euclidean(getattr(exact, name))) for name in LETTERS},
+        largest_cold_error_rounded_um=largest(euclidean(rounded.cold_error_um)),
         largest_cold_error_rounded_axis_um=largest(along_axes),
     )
 
@@ -624,6 +593,7 @@ def _field_facts(field: IndexField) -> FieldFacts:
 def _state_summary(state: State) -> StateSummary:
     return StateSummary(
         section=section_errors(state.section, state.points_mm),
+        gap_y_mm=longest_gap(*map(state.section.along_mm, (state.searched_mm, state.points_mm))),
         paths=_path_errors(state) if state.scene.field else None,
         line_minus_search=_line_agreement(state.by_search, state.centres)
         if state.by_search
@@ -636,15 +606,14 @@ def _state_summary(state: State) -> StateSummary:
         search_status=counts_of(state.dense.status, SearchStatus),
         paper_search=_search_facts(state.paper),
         newton_search=_search_facts(state.newton),
-        frame=frame_facts(state.frame.report),
+        frame=state.frame.report,
         render_time_s=round(state.render_time_s, 3),
         search_time_s=round(state.search_time_s, 3),
     )
 
 
 def _path_errors(state: State) -> PathErrors:
-    laser = state.laser_path_um
-    camera = state.searched_error_um - laser
+    laser, camera = state.laser_path_um, state.camera_path_um
     return PathErrors(rms(laser), largest(laser), rms(camera), largest(camera))
 
 
@@ -655,6 +624,7 @@ def _line_agreement(compared: LineErrors, centres: int) -> LineAgreement:
         compared=compared.count,
         centres=centres,
         expected=compared.expected,
+        lost={name: n for name, n in counts_of(compared.lost, Status).items() if n},
         cut=compared.cut,
         cut_centres=compared.cut_centres,
         stray_centres=compared.stray_centres,
@@ -676,19 +646,6 @@ def _search_facts(found: FoundPixels) -> SearchFacts:
         found=int(np.sum(found.status == SearchStatus.FOUND)),
         largest_distance_um=largest(found.distance_um),
         iterations=int(found.iterations.max(initial=0)),
-    )
-
-
-def frame_facts(report: RenderReport) -> FrameFacts:
-    """How a frame was made."""
-    return FrameFacts(
-        transport=report.transport,
-        reason=report.reason or None,
-        map_nodes=dict(report.nodes),
-        map_error_px=report.error_px,
-        samples=report.samples,
-        marched_samples=report.marched,
-        folded_pixels=report.folded,
     )
 
 
@@ -729,8 +686,8 @@ class LineTable(Table):
 
 def line_table(state: State) -> LineTable:
     """A state's line."""
-    line, sensor = state.line, state.scene.sensor
-    points = triangulate(sensor, line.pixel) if state.dots else state.points_mm
+    line = state.line
+    points = triangulate(state.scene.sensor, line.pixel)
     return LineTable(
         line.column,
         line.row,
@@ -739,7 +696,7 @@ def line_table(state: State) -> LineTable:
         line.amplitude,
         status_names(line.status, Status),
         points,
-        state.section.distance_um(points) if state.dots else state.section_error_um,
+        state.section.distance_um(points),
     )
 
 
@@ -793,6 +750,11 @@ def dot_table(state: State) -> DotTable:
     )
 
 
+ByState = Annotated[Mapping[str, Array], "cold", "hot"]
+TextByState = Annotated[Mapping[str, Texts], "cold", "hot"]
+ByPixel = Annotated[Mapping[str, Array], "", "rounded"]
+
+
 @dataclass(frozen=True, kw_only=True)
 class SearchedRays(Table):
     """Laser rays that were searched, a row for each.
@@ -804,29 +766,26 @@ class SearchedRays(Table):
     ----------
     y_mm : ndarray of shape (N,)
         The ray's position along the line.
-    incidence_cold_mm, incidence_hot_mm : ndarray of shape (N, 3)
+    incidence_mm : ndarrays of shape (N, 3)
         A and B: where the ray meets the part, world.
-    pixel_cold, pixel_hot : ndarray of shape (N, 2)
+    pixel : ndarrays of shape (N, 2)
         Pixels that see these points, by Newton's search, px.
-    status_cold, status_hot : ndarray of str of shape (N,)
+    status : ndarrays of str of shape (N,)
         How that search ended.
     """
 
     y_mm: Array
-    incidence_cold_mm: Array
-    incidence_hot_mm: Array | None = None
-    pixel_cold: Array
-    pixel_hot: Array | None = None
-    status_cold: Texts
-    status_hot: Texts | None = None
+    incidence_mm: ByState
+    pixel: ByState
+    status: TextByState
 
 
-def _searched(name: str, found: FoundPixels) -> dict[str, Any]:
-    """Columns of `SearchedRays` of one state."""
+def _searched(found: Mapping[str, FoundPixels]) -> dict[str, Any]:
+    """Columns of `SearchedRays`, by the states' names."""
     return {
-        f"incidence_{name}_mm": found.laser_point_mm,
-        f"pixel_{name}": found.pixel,
-        f"status_{name}": status_names(found.status, SearchStatus),
+        "incidence_mm": {name: each.laser_point_mm for name, each in found.items()},
+        "pixel": {name: each.pixel for name, each in found.items()},
+        "status": {name: status_names(each.status, SearchStatus) for name, each in found.items()},
     }
 
 
@@ -836,92 +795,56 @@ class ProbeTable(SearchedRays):
 
     Attributes
     ----------
-    paper_pixel_cold, paper_pixel_hot : ndarray of shape (N, 2)
+    paper_pixel : ndarrays of shape (N, 2)
         Pixels that see the points, by the paper's search, px.
-    paper_distance_cold_um, paper_distance_hot_um : ndarray of shape (N,)
+    paper_distance_um : ndarrays of shape (N,)
         How near that search came, parallel to the sensor.
-    paper_status_cold, paper_status_hot : ndarray of str of shape (N,)
+    paper_status : ndarrays of str of shape (N,)
         How it ended.
-    incidence_shift_um, incidence_shift_rounded_um : ndarray of shape (N, 3)
+    incidence_shift_um : ndarrays of shape (N, 3)
         B - A: hot air moves the point that is lit.
-    incidence_shift_um_norm, incidence_shift_rounded_um_norm : ndarray of shape (N,)
-        Its length.
-    hot_error_um, hot_error_rounded_um : ndarray of shape (N, 3)
+    hot_error_um : ndarrays of shape (N, 3)
         B - B_m: lit minus measured point in hot air.
-    hot_error_um_norm, hot_error_rounded_um_norm : ndarray of shape (N,)
-        Its length.
-    measured_shift_um, measured_shift_rounded_um : ndarray of shape (N, 3)
+    measured_shift_um : ndarrays of shape (N, 3)
         B_m - A_m: hot air moves the measured point.
-    measured_shift_um_norm, measured_shift_rounded_um_norm : ndarray of shape (N,)
-        Its length.
-    cold_error_um, cold_error_rounded_um : ndarray of shape (N, 3)
+    cold_error_um : ndarrays of shape (N, 3)
         A - A_m: lit minus measured point in cold air.
-    cold_error_um_norm, cold_error_rounded_um_norm : ndarray of shape (N,)
-        Its length.
-    pixel_shift_px, pixel_shift_rounded_px : ndarray of shape (N, 2)
+    pixel_shift_px : ndarrays of shape (N, 2)
         Hot minus cold pixel.
-    pixel_shift_px_norm, pixel_shift_rounded_px_norm : ndarray of shape (N,)
-        Its length.
     laser_path_px : ndarray of shape (N, 2)
         The part of the pixel's shift that the laser's bent path makes: B and A, both seen straight.
     camera_path_px : ndarray of shape (N, 2)
         The part that the camera's bent line of sight makes.
     """
 
-    paper_pixel_cold: Array
-    paper_pixel_hot: Array | None = None
-    paper_distance_cold_um: Array
-    paper_distance_hot_um: Array | None = None
-    paper_status_cold: Texts
-    paper_status_hot: Texts | None = None
-    incidence_shift_um: Array | None = None
-    incidence_shift_um_norm: Array | None = None
-    hot_error_um: Array | None = None
-    hot_error_um_norm: Array | None = None
-    measured_shift_um: Array | None = None
-    measured_shift_um_norm: Array | None = None
-    cold_error_um: Array
-    cold_error_um_norm: Array
-    pixel_shift_px: Array | None = None
-    pixel_shift_px_norm: Array | None = None
-    incidence_shift_rounded_um: Array | None = None
-    incidence_shift_rounded_um_norm: Array | None = None
-    hot_error_rounded_um: Array | None = None
-    hot_error_rounded_um_norm: Array | None = None
-    measured_shift_rounded_um: Array | None = None
-    measured_shift_rounded_um_norm: Array | None = None
-    cold_error_rounded_um: Array
-    cold_error_rounded_um_norm: Array
-    pixel_shift_rounded_px: Array | None = None
-    pixel_shift_rounded_px_norm: Array | None = None
+    paper_pixel: ByState
+    paper_distance_um: ByState
+    paper_status: TextByState
+    incidence_shift_um: ByPixel = field(metadata=WITH_NORM)
+    hot_error_um: ByPixel = field(metadata=WITH_NORM)
+    measured_shift_um: ByPixel = field(metadata=WITH_NORM)
+    cold_error_um: ByPixel = field(metadata=WITH_NORM)
+    pixel_shift_px: ByPixel = field(metadata=WITH_NORM)
     laser_path_px: Array | None = None
     camera_path_px: Array | None = None
 
 
 def probe_table(result: Measurement) -> ProbeTable:
     """The probe rays of a measurement."""
-    columns: dict[str, Any] = {}
-    for name, state in result.states.items():
-        columns |= _searched(name, state.newton)
-        columns |= {
-            f"paper_pixel_{name}": state.paper.pixel,
-            f"paper_distance_{name}_um": state.paper.distance_um,
-            f"paper_status_{name}": status_names(state.paper.status, SearchStatus),
-        }
-    for suffix, step_px in (("", None), ("_rounded", ROUNDED_PX)):
-        d = probe_deviations(result, step_px)
-        differences = {f"cold_error{suffix}_um": d.cold_um}
-        if result.hot:
-            differences |= {
-                f"incidence_shift{suffix}_um": d.incidence_um,
-                f"hot_error{suffix}_um": d.hot_um,
-                f"measured_shift{suffix}_um": d.measured_um,
-                f"pixel_shift{suffix}_px": d.pixel_px,
-            }
-        for name, values in differences.items():
-            columns |= {name: values, f"{name}_norm": euclidean(values)}
+    paper = {name: state.paper for name, state in result.states.items()}
+    newton = {name: state.newton for name, state in result.states.items()}
+    found = _searched(paper)
+    columns = _searched(newton) | {
+        "paper_pixel": found["pixel"],
+        "paper_distance_um": {name: each.distance_um for name, each in paper.items()},
+        "paper_status": found["status"],
+    }
+    exact, rounded = probe_deviations(result), probe_deviations(result, ROUNDED_PX)
+    for each in fields(Deviation):
+        both = {"": getattr(exact, each.name), "rounded": getattr(rounded, each.name)}
+        columns[each.name] = both if result.hot or each.name == "cold_error_um" else {}
     if result.hot:
-        A, B = result.cold.newton, result.hot.newton
+        A, B = newton.values()
         camera = result.hot.scene.sensor.camera
         paths = separate_paths(camera, A.laser_point_mm, B.laser_point_mm, A.pixel, B.pixel)
         columns["laser_path_px"] = paths.laser_to_object_px
@@ -935,9 +858,9 @@ class DenseTable(SearchedRays):
 
     Attributes
     ----------
-    measured_cold_mm, measured_hot_mm : ndarray of shape (N, 3)
+    measured_mm : ndarrays of shape (N, 3)
         A_m and B_m: the points measured from the pixels, world.
-    section_error_cold_um, section_error_hot_um : ndarray of shape (N,)
+    section_error_um : ndarrays of shape (N,)
         Their distances from the true section: positive outside; none at the part's edges.
     laser_path_um : ndarray of shape (N,)
         What the hot distance would be if only the laser's light were bent.
@@ -945,22 +868,20 @@ class DenseTable(SearchedRays):
         What the bent line of sight adds to it.
     """
 
-    measured_cold_mm: Array
-    measured_hot_mm: Array | None = None
-    section_error_cold_um: Array
-    section_error_hot_um: Array | None = None
+    measured_mm: ByState
+    section_error_um: ByState
     laser_path_um: Array | None = None
     camera_path_um: Array | None = None
 
 
 def dense_table(result: Measurement) -> DenseTable:
     """The searched rays of a measurement."""
-    columns: dict[str, Any] = {}
-    for name, state in result.states.items():
-        columns |= _searched(name, state.dense)
-        columns[f"measured_{name}_mm"] = state.searched_mm
-        columns[f"section_error_{name}_um"] = state.searched_error_um
-    if hot := result.hot:
-        columns["laser_path_um"] = hot.laser_path_um
-        columns["camera_path_um"] = hot.searched_error_um - hot.laser_path_um
-    return DenseTable(y_mm=result.dense_y_mm, **columns)
+    states, hot = result.states.items(), result.hot
+    return DenseTable(
+        y_mm=result.dense_y_mm,
+        **_searched({name: state.dense for name, state in states}),
+        measured_mm={name: state.searched_mm for name, state in states},
+        section_error_um={name: state.searched_error_um for name, state in states},
+        laser_path_um=hot.laser_path_um if hot else None,
+        camera_path_um=hot.camera_path_um if hot else None,
+    )

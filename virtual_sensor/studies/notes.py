@@ -84,7 +84,7 @@ def frame_notes(
     notes = []
     if report.reason:
         notes.append(
-            f"the frame was {report.transport}: {report.reason}; {report.folded} pixels of"
+            f"the frame was {report.transport}: {report.reason}; {report.folded_pixels} pixels of"
             " folded light are black"
         )
     if report.march_px > FINE_PX:

@@ -97,6 +97,20 @@ def true_section(scene: Scene) -> Section:
     return Section(laser, points[found], joined[found])
 
 
+def longest_gap(line_mm: Array, measured_mm: Array) -> tuple[float, float]:
+    """Ends of the longest stretch of a line, through places on it, on which none is measured.
+
+    NaN where no place on the line is known.
+    """
+    line, measured = (each[np.isfinite(each)] for each in (line_mm, measured_mm))
+    if not line.size:
+        return np.nan, np.nan
+    first, last = line.min(), line.max()
+    ends = np.sort(np.concatenate([measured.clip(first, last), [first, last]]))
+    at = int(np.diff(ends).argmax())
+    return float(ends[at]), float(ends[at + 1])
+
+
 @dataclass(frozen=True)
 class SectionErrors(Record):
     """How far the measured section is from the true one: positive outside the part.
@@ -139,5 +153,5 @@ def section_errors(section: Section, points_mm: Array) -> SectionErrors:
         float(distance.mean()),
         rms(distance),
         float(distance[at]),
-        float(y[at]),
+        round(float(y[at]), 6) + 0.0,  # no -0, and nothing below the nanometre
     )

@@ -179,7 +179,7 @@ def _bent(
     tried = scene_on(scene, "tabulated", step, table_px)
     made = lit_pixels(tried).report
     if made.transport == "tabulated":
-        estimate["tables"] = made.error_px
+        estimate["tables"] = made.map_error_px
     else:
         why.append(f"no tables: {made.reason}")
     left_px = tolerance_px - sum(estimate.values())

@@ -173,22 +173,22 @@ class Curve:
         axes = camera.pose.rotation
         found = self.method == SEARCHED
         pixels: dict[str, Any] = {
-            "pixel_shift_px": d.pixel_px,
+            "pixel_shift_px": d.pixel_shift_px,
             "laser_to_object_px": to_object,
             "object_to_camera_px": to_camera,
-            "laser_to_camera_px": d.pixel_px,
-            "paths_minus_whole_px": to_object + to_camera - d.pixel_px,
-            "rounding_px": d.pixel_px - (self.pixel_hot - self.pixel_cold),
+            "laser_to_camera_px": d.pixel_shift_px,
+            "paths_minus_whole_px": to_object + to_camera - d.pixel_shift_px,
+            "rounding_px": d.pixel_shift_px - (self.pixel_hot - self.pixel_cold),
             "pixel_cold": start,
             "pixel_straight": straight,
             "pixel_hot": hot,
         }
         points: dict[str, Any] = {
-            "incidence_shift_um": d.incidence_um if found else np.full_like(A, np.nan),
-            "hot_error_um": d.hot_um,
-            "measured_minus_real_um": -d.hot_um,
-            "measured_shift_um": d.measured_um,
-            "cold_error_um": d.cold_um,
+            "incidence_shift_um": d.incidence_shift_um if found else np.full_like(A, np.nan),
+            "hot_error_um": d.hot_error_um,
+            "measured_minus_real_um": -d.hot_error_um,
+            "measured_shift_um": d.measured_shift_um,
+            "cold_error_um": d.cold_error_um,
         }
         if self.method == LINE:  # unknown is u, and all world axes that u has a part in
             pixels = {k: np.where([True, False], np.nan, v) for k, v in pixels.items()}
