@@ -12,14 +12,13 @@ from matplotlib.figure import Figure
 from swaying_plume import FILM, swaying_scene
 
 from virtual_sensor.errors import NothingFoundError
+from virtual_sensor.files import folder_written_whole
 from virtual_sensor.reporting import burst as module
 from virtual_sensor.reporting.burst import (
     FILES,
     FrameFiles,
-    Tables,
     draw,
     draw_views,
-    fill,
     lead,
     save,
     table,
@@ -44,15 +43,16 @@ def result(folder):
 
 
 @pytest.fixture(scope="module")
-def tables(result, folder):
-    """What is written of it."""
-    return fill(result, folder, "virtual-sensor burst '<script>'")
+def written(result, folder):
+    """The folder, with all files in it."""
+    save(result, folder, "virtual-sensor burst '<script>'")
+    return folder
 
 
 @pytest.fixture(scope="module")
-def pictures(result, tables):
+def pictures(result):
     """Its pictures: the figures, and some frames."""
-    return draw(result, tables), draw_views(result)
+    return draw(result), draw_views(result)
 
 
 @pytest.fixture
@@ -68,22 +68,22 @@ def rows_of(path):
         return list(csv.DictReader(file))
 
 
-def test_every_file_is_written_and_listed(folder, tables, faults_of):
+def test_every_file_is_written_and_listed(written, faults_of):
     """Rationale: what no dictionary lists is guessed at, and a page must have no faults."""
-    names = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+    names = {str(p.relative_to(written)) for p in written.rglob("*") if p.is_file()}
     assert {name for name in names if not name.startswith("frames/")} == {
         *("sway.csv", "probe_rays.csv", "frames.csv", "sway.ply"),
         *("report.png", "report.html", "summary.json"),
     }
-    assert undocumented(folder, FILES) == []
-    assert faults_of(folder / "report.html") == []
-    assert "<script>" not in (folder / "report.html").read_text(encoding="utf-8").lower()
+    assert undocumented(written, FILES) == []
+    assert faults_of(written / "report.html") == []
+    assert "<script>" not in (written / "report.html").read_text(encoding="utf-8").lower()
 
 
-def test_frames_are_named_by_their_instants_and_hold_the_frame(folder, tables, result):
+def test_frames_are_named_by_their_instants_and_hold_the_frame(written, result):
     """Rationale: of 100 frames one is looked for by its time; PNG and EXR show the same light."""
     stems = [f"{i:04d}_{t:.6f}s" for i, t in enumerate(result.time_s)]
-    images = folder / "frames"
+    images = written / "frames"
     assert {p.name for p in images.iterdir()} == {f"{s}.{e}" for s in stems for e in ("exr", "png")}
     whites = []
     for stem in stems:
@@ -98,26 +98,27 @@ def test_frames_are_named_by_their_instants_and_hold_the_frame(folder, tables, r
     np.testing.assert_allclose(whites, whites[0], rtol=1e-4)
 
 
-def test_the_tables_are_the_files(folder, tables):
+def test_the_tables_are_the_files(written, result):
     """Rationale: what is drawn and what is written are the same numbers."""
-    written = rows_of(folder / "sway.csv")
-    for name, values in tables.line.columns().items():
+    rows = rows_of(written / "sway.csv")
+    for name, values in result.sway_table.columns().items():
         if values.dtype.kind == "f":
-            cells = np.array([float(row[name] or "nan") for row in written])
+            cells = np.array([float(row[name] or "nan") for row in rows])
             np.testing.assert_allclose(cells, values, rtol=1e-9)
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    summary = json.loads((written / "summary.json").read_text(encoding="utf-8"))
     assert summary["frames"] == FRAMES
-    assert summary["line"]["height_um"]["largest"] == tables.summary.line.height_um.largest
+    assert summary["line"]["height_um"]["largest"] == result.summary.line.height_um.largest
 
 
-def test_the_lead_names_the_largest_sway_and_where(tables):
+def test_the_lead_names_the_largest_sway_and_where(result):
     """Rationale: the one figure that a user runs a burst for, beside the error that stays."""
-    at = int(np.nanargmax(tables.line.std_height_um))
-    words = lead(tables.summary)
-    assert f"up to {tables.line.std_height_um[at]:.3g} µm" in words
-    assert f"at y = {tables.line.y_mm[at]:.3g} mm" in words
-    assert f"is {tables.line.static_error_um[at]:.3g} µm there" in words
-    assert [row[0] for row in table(tables.summary).rows][2] == "line: measured height, µm"
+    line = result.sway_table
+    at = int(np.nanargmax(line.std_height_um))
+    words = lead(result.summary)
+    assert f"up to {line.std_height_um[at]:.3g} µm" in words
+    assert f"at y = {line.y_mm[at]:.3g} mm" in words
+    assert f"is {line.static_error_um[at]:.3g} µm there" in words
+    assert [row[0] for row in table(result.summary).rows][2] == "line: measured height, µm"
 
 
 def test_the_largest_sway_is_drawn_whether_or_not_every_frame_has_it():
@@ -148,8 +149,8 @@ def test_an_interrupted_burst_leaves_nothing(result, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(module, "draw", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        save(result, tmp_path / "sway", "c")
+    with pytest.raises(KeyboardInterrupt), folder_written_whole(tmp_path / "sway") as place:
+        save(result, place, "c")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -171,7 +172,7 @@ def test_the_command_passes_on_what_is_asked_for(result, drawn, tmp_path, monkey
     status, out, err = command(*words, *options)
     assert (status, err) == (0, "")
     assert asked == [(file, 5.5, 0.5, 5, [-1.0, 2.0], [])]
-    assert lead(Tables.of(result).summary) in out
+    assert lead(result.summary) in out
     assert (place / "sway.csv").exists()
     status, _, err = command(*words)
     assert (status, len(asked)) == (2, 1)

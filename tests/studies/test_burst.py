@@ -24,16 +24,7 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import ray_search
-from virtual_sensor.studies.burst import (
-    MIN_FRAMES,
-    burst,
-    frame_table,
-    instants,
-    ray_table,
-    spread,
-    summary,
-    sway_table,
-)
+from virtual_sensor.studies.burst import MIN_FRAMES, burst, instants, spread
 
 FRAMES = 5
 RAYS_MM = np.linspace(0.0, -10.0, 9)
@@ -110,14 +101,14 @@ def test_the_probe_rays_sway_as_in_the_formulas_air(result, oracle):
     assert seen.all()
     np.testing.assert_allclose(pixel.std, expected, atol=2e-4)
     points = [triangulate(oracle[0].sensor, found.pixel) for found in searched]
-    measured = spread(result.with_height(result.measured_mm))
-    np.testing.assert_allclose(
-        measured.std[:, :3], np.std(points, axis=0, ddof=1), rtol=0.01, atol=2e-5
-    )
     heights = np.array(points) @ result.up
-    np.testing.assert_allclose(
-        measured.std[:, 3], np.std(heights, axis=0, ddof=1), rtol=0.01, atol=2e-5
-    )
+    table = result.ray_table
+    for std_um, values in (
+        (table.std_measured_um, points),
+        (table.std_measured_height_um, heights),
+    ):
+        expected_um = 1e3 * np.std(values, axis=0, ddof=1)
+        np.testing.assert_allclose(std_um, expected_um, rtol=0.01, atol=0.02)
 
 
 def test_still_air_does_not_sway(tmp_path):
@@ -157,7 +148,7 @@ def test_a_deviation_needs_three_frames():
 @pytest.fixture(scope="module")
 def tables(result):
     """The sway of the line and of the rays, and all frames."""
-    return sway_table(result), ray_table(result), frame_table(result)
+    return result.sway_table, result.ray_table, result.frame_table
 
 
 def test_the_tables_hold_the_sway(tables, result):
@@ -192,8 +183,8 @@ def test_what_stays_is_the_mean_points_distance_from_the_part(tables):
 
 def test_the_summary_says_what_was_measured_and_where_it_sways_most(tables, result):
     """Rationale: figures without the instants and the field they are of are worth nothing."""
-    sway, rays, _ = tables
-    figures = summary(result, sway, rays).to_dict()
+    sway = tables[0]
+    figures = result.summary.to_dict()
     assert (figures["first_frame_s"], figures["last_frame_s"]) == (5.5, 6.0)
     assert figures["field"]["instants"] == len(STORED_S)
     assert figures["frames"] == FRAMES

@@ -42,7 +42,7 @@ def burst(
     Exit status 3: a frame has no line centre; no results are written.
     """
     from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.reporting.burst import FrameFiles, fill, lead, table
+    from virtual_sensor.reporting.burst import FrameFiles, lead, save, table
     from virtual_sensor.studies.burst import burst as run
 
     shared.check_folder(output, overwrite)
@@ -61,6 +61,7 @@ def burst(
             **({"each_frame": FrameFiles(place, loaded)} if images else {}),
         )
         report("writing the results", 0.95)
-        figures = fill(result, place, shared.command_line()).summary
+        save(result, place, shared.command_line())
+    figures = result.summary
     shared.print_results([table(figures), lead(figures)], figures.notes)
     shared.print_end(output)

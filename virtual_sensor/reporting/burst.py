@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr, write_png
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import write_ply
@@ -29,11 +28,7 @@ from virtual_sensor.studies.burst import (
     RayTable,
     Sway,
     SwayTable,
-    frame_table,
-    ray_table,
     spread,
-    summary,
-    sway_table,
 )
 
 FRAMES, PICTURE = "frames", "report.png"
@@ -54,21 +49,6 @@ FILES = (
 )
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Tables:
-    """What is written and drawn of a burst."""
-
-    line: SwayTable
-    rays: RayTable
-    summary: BurstSummary
-
-    @staticmethod
-    def of(result: Burst) -> Tables:
-        """Those of a burst."""
-        line, rays = sway_table(result), ray_table(result)
-        return Tables(line, rays, summary(result, line, rays))
 
 
 class FrameFiles:
@@ -96,33 +76,25 @@ class FrameFiles:
         write_png(self._folder / f"{name}.png", frame.radiance, self._white)
 
 
-def save(result: Burst, folder: Path, command: str, overwrite: bool = False) -> Tables:
-    """Write a burst's files (`FILES`, but for the frames), all of them or none.
+def save(result: Burst, folder: Path, command: str) -> None:
+    """Write a burst's files (`FILES`, but for the frames) into a folder that is there.
 
     Raises
     ------
     InputError
-        If the folder exists (and `overwrite` is not set) or can't be written.
+        If they can't be written.
     """
-    with folder_written_whole(folder, overwrite) as place:
-        return fill(result, place, command)
-
-
-def fill(result: Burst, folder: Path, command: str) -> Tables:
-    """Write a burst's files into a folder that is there."""
-    tables = Tables.of(result)
-    picture = draw(result, tables)
-    write_ply(folder / "sway.ply", tables.line.mean_mm, tables.line.std_height_um)
+    picture, line = draw(result), result.sway_table
+    write_ply(folder / "sway.ply", line.mean_mm, line.std_height_um)
     contents = {
-        "sway.csv": tables.line,
-        "probe_rays.csv": tables.rays,
-        "frames.csv": frame_table(result),
+        "sway.csv": line,
+        "probe_rays.csv": result.ray_table,
+        "frames.csv": result.frame_table,
         PICTURE: picture,
-        PAGE: page(result, tables, picture, command),
-        RESULTS_SIGN: tables.summary,
+        PAGE: page(result, picture, command),
+        RESULTS_SIGN: result.summary,
     }
     write_results(folder, FILES, contents)
-    return tables
 
 
 def table(figures: BurstSummary) -> TextTable:
@@ -172,9 +144,9 @@ def lead(figures: BurstSummary) -> str:
     )
 
 
-def page(result: Burst, tables: Tables, picture: Picture, command: str) -> Page:
+def page(result: Burst, picture: Picture, command: str) -> Page:
     """The page of a burst."""
-    figures = tables.summary
+    figures = result.summary
     name = result.scene.path.stem
     of_field = (
         f"Field: {figures.field.file}, {figures.field.source or 'of unknown source'};"
@@ -203,46 +175,49 @@ def page(result: Burst, tables: Tables, picture: Picture, command: str) -> Page:
 # The picture.
 
 
-def draw(result: Burst, tables: Tables) -> Picture:
+def draw(result: Burst) -> Picture:
     """Draw the line's sway over time, in the image and of the points, and the error that stays."""
-    line, rays, figures = tables.line, tables.rays, tables.summary
-    first, last = result.time_s[[0, -1]]
-    v, height = figures.line.v_px, figures.line.height_um
+    line, rays, figures = result.sway_table, result.ray_table, result.summary
     panels = [
         Panel(
             "The line's centre minus its mean, over time",
-            lambda axes: _over_time(axes, result),
+            partial(_over_time, result=result),
             "A map of the line's centre minus its mean, over column and time",
             width=2,
         ),
         Panel(
             "Sway of the measured height",
-            lambda axes: _std(axes, line, line.y_mm, line.std_height_um, "µm", "y in mm"),
-            f"Standard deviation of the measured height over y, {_words(height, 'µm')}",
+            partial(
+                _std, line=line, x=line.y_mm, std=line.std_height_um, unit="µm", label="y in mm"
+            ),
+            "Standard deviation of the measured height over y,"
+            f" {_words(figures.line.height_um, 'µm')}",
         ),
         Panel(
             "Sway of the line in the image",
-            lambda axes: _std(axes, line, line.column, line.std_v_px, "px", "u in px"),
-            f"Standard deviation of the line's row over the column, {_words(v, 'px')}",
+            partial(_std, line=line, x=line.column, std=line.std_v_px, unit="px", label="u in px"),
+            "Standard deviation of the line's row over the column,"
+            f" {_words(figures.line.v_px, 'px')}",
         ),
         Panel(
             "The error that stays, and the sway about it",
-            lambda axes: _static(axes, line),
+            partial(_static, line=line),
             "Distance of the mean points from the true section over y,"
             f" {in_words(figures.static_error.rms_um, '{:.3g}')} µm rms",
         ),
         Panel(
             "Probe rays: measured above lit point",
-            lambda axes: _ray_heights(axes, rays),
+            partial(_ray_heights, rays=rays),
             "Mean and standard deviation of the probe rays' measured height over the true one",
         ),
         Panel(
             "Sway of the probe rays' pixels",
-            lambda axes: _ray_pixels(axes, rays),
+            partial(_ray_pixels, rays=rays),
             f"Standard deviation of the probe rays' pixels, {_words(figures.rays.v_px, 'px')}",
             width=2,
         ),
     ]
+    first, last = figures.first_frame_s, figures.last_frame_s
     name = drawable(result.scene.path.stem)
     title = f"{name}: {figures.frames} frames of moving air, {first:.4g} to {last:.4g} s"
     return draw_picture(title, panels)
@@ -337,49 +312,31 @@ def draw_views(result: Burst) -> Picture:
     """Draw some frames, each above its difference to the mean of all."""
     views = result.views
     peak = float(views.mean.max()) or 1.0
-    apart = {time: (image - views.mean) / peak for time, image in views.radiance.items()}
-    largest = max(float(np.abs(each).max()) for each in apart.values()) or 1.0
+    percent = {t: 100.0 * (each - views.mean) / peak for t, each in views.radiance.items()}
+    most = {time: float(np.abs(each).max()) for time, each in percent.items()}
+    largest = max(most.values()) or 100.0
+    (height, width), left, top = views.mean.shape, views.first_column - 0.5, views.first_row - 0.5
+    box: dict[str, Any] = {"aspect": "auto", "extent": (left, left + width, top + height, top)}
 
-    def draw(time: float) -> Callable[[Figure], None]:
-        def drawn(figure: Figure) -> None:
-            above, below = figure.subplots(2, 1, sharex=True)
-            height, width = views.mean.shape
-            box: dict[str, Any] = {
-                "aspect": "auto",
-                "extent": (
-                    views.first_column - 0.5,
-                    views.first_column + width - 0.5,
-                    views.first_row + height - 0.5,
-                    views.first_row - 0.5,
-                ),
-            }
-            above.imshow(views.radiance[time] / peak, cmap="gray", vmin=0.0, vmax=1.0, **box)
-            shown = below.imshow(
-                100.0 * apart[time],
-                cmap="RdBu_r",
-                vmin=-100.0 * largest,
-                vmax=100.0 * largest,
-                **box,
-            )
-            figure.colorbar(shown, ax=below, label="% of peak", pad=0.01)
-            for axes in (above, below):
-                axes.grid(False)
-                axes.set_ylabel("v in px")
-            below.set_xlabel("u in px")
+    def draw(figure: Figure, time: float) -> None:
+        above, below = figure.subplots(2, 1, sharex=True)
+        above.imshow(views.radiance[time] / peak, cmap="gray", vmin=0.0, vmax=1.0, **box)
+        shown = below.imshow(percent[time], cmap="RdBu_r", vmin=-largest, vmax=largest, **box)
+        figure.colorbar(shown, ax=below, label="% of peak", pad=0.01)
+        for axes in (above, below):
+            axes.grid(False)
+            axes.set_ylabel("v in px")
+        below.set_xlabel("u in px")
 
-        return drawn
-
-    return draw_picture(
-        "",
-        [
-            Panel(
-                f"At {time:.4g} s, and minus the mean",
-                draw(time),
-                f"The frame at {time:.4g} s and its difference to the mean of all, at most"
-                f" {100.0 * float(np.abs(apart[time]).max()):.2g} % of the peak",
-                width=2,
-                axes=False,
-            )
-            for time in views.radiance
-        ],
-    )
+    panels = [
+        Panel(
+            f"At {time:.4g} s, and minus the mean",
+            partial(draw, time=time),
+            f"The frame at {time:.4g} s and its difference to the mean of all, at most"
+            f" {most[time]:.2g} % of the peak",
+            width=2,
+            axes=False,
+        )
+        for time in views.radiance
+    ]
+    return draw_picture("", panels)

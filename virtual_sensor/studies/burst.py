@@ -1,5 +1,7 @@
 """A burst of frames of air that moves: how much the line and the points measured on it sway."""
 
+from __future__ import annotations
+
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -26,7 +28,7 @@ from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.probes import probe_rays
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
-from virtual_sensor.studies.section import SectionErrors, section_errors, true_section
+from virtual_sensor.studies.section import Section, SectionErrors, section_errors, true_section
 
 MIN_FRAMES = 3
 """With fewer frames a standard deviation says nothing: it is NaN."""
@@ -76,75 +78,6 @@ class Views:
     first_column: int
     mean: Image
     radiance: dict[float, Image]
-
-
-@dataclass(frozen=True)
-class Burst:
-    """Frames at F equally spaced instants.
-
-    Attributes
-    ----------
-    scene : Scene
-    time_s : ndarray of shape (F,)
-        Flow time of the frames, s.
-    stored_s : ndarray of shape (S,)
-        Flow time of the instants in the field's file.
-    lines : tuple of F LineCentres
-        The rendered line in every column.
-    rays : tuple of F FoundPixels
-        The probe rays, by Newton's search.
-    probe_y_mm : ndarray of shape (N,)
-        Their positions along the line.
-    views : Views
-    notes : tuple of str
-        What the user should know.
-    stage_s : dict
-        Time spent on field, render, centres and search, over all frames, s.
-    """
-
-    scene: Scene
-    time_s: Array
-    stored_s: Array
-    lines: tuple[LineCentres, ...]
-    rays: tuple[FoundPixels, ...]
-    probe_y_mm: Array
-    views: Views
-    notes: tuple[str, ...]
-    stage_s: dict[str, float]
-
-    @property
-    def up(self) -> Array:
-        """Unit vector (3,), world, against the laser's axis: in it heights are measured."""
-        return -self.scene.sensor.laser.pose.rotation[:, 2]
-
-    @property
-    def centres_px(self) -> Array:
-        """(u, v) of the line in every column of every frame; shape (F, W, 2)."""
-        return np.stack([line.pixel for line in self.lines])
-
-    @cached_property
-    def points_mm(self) -> Array:
-        """Triangulated from them, world, mm; shape (F, W, 3)."""
-        return triangulate(self.scene.sensor, self.centres_px)
-
-    @property
-    def rays_px(self) -> Array:
-        """Pixels that see the probe rays; shape (F, N, 2)."""
-        return np.stack([found.pixel for found in self.rays])
-
-    @property
-    def incidence_mm(self) -> Array:
-        """The probe rays' points B on the part, world, mm; shape (F, N, 3)."""
-        return np.stack([found.laser_point_mm for found in self.rays])
-
-    @property
-    def measured_mm(self) -> Array:
-        """The probe rays' measured points B_m, world, mm; shape (F, N, 3)."""
-        return triangulate(self.scene.sensor, self.rays_px)
-
-    def with_height(self, points_mm: Array) -> Array:
-        """Points (F, N, 3) with their height, along `up`, as a fourth component; mm."""
-        return np.concatenate([points_mm, (points_mm @ self.up)[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -387,6 +320,150 @@ class BurstSummary(SceneFacts):
     time_per_frame_s: float
 
 
+@dataclass(frozen=True)
+class Burst:
+    """Frames at F equally spaced instants.
+
+    Attributes
+    ----------
+    scene : Scene
+    time_s : ndarray of shape (F,)
+        Flow time of the frames, s.
+    stored_s : ndarray of shape (S,)
+        Flow time of the instants in the field's file.
+    lines : tuple of F LineCentres
+        The rendered line in every column.
+    rays : tuple of F FoundPixels
+        The probe rays, by Newton's search.
+    probe_y_mm : ndarray of shape (N,)
+        Their positions along the line.
+    views : Views
+    notes : tuple of str
+        What the user should know.
+    stage_s : dict
+        Time spent on field, render, centres and search, over all frames, s.
+    """
+
+    scene: Scene
+    time_s: Array
+    stored_s: Array
+    lines: tuple[LineCentres, ...]
+    rays: tuple[FoundPixels, ...]
+    probe_y_mm: Array
+    views: Views
+    notes: tuple[str, ...]
+    stage_s: dict[str, float]
+
+    @property
+    def up(self) -> Array:
+        """Unit vector (3,), world, against the laser's axis: in it heights are measured."""
+        return -self.scene.sensor.laser.pose.rotation[:, 2]
+
+    @property
+    def centres_px(self) -> Array:
+        """(u, v) of the line in every column of every frame; shape (F, W, 2)."""
+        return np.stack([line.pixel for line in self.lines])
+
+    @cached_property
+    def points_mm(self) -> Array:
+        """Triangulated from them, world, mm; shape (F, W, 3)."""
+        return triangulate(self.scene.sensor, self.centres_px)
+
+    @property
+    def rays_px(self) -> Array:
+        """Pixels that see the probe rays; shape (F, N, 2)."""
+        return np.stack([found.pixel for found in self.rays])
+
+    @cached_property
+    def sway_table(self) -> SwayTable:
+        """The line's sway in every column."""
+        line, points = spread(self.centres_px), _of_points("", self.points_mm, self.up)
+        return SwayTable(
+            column=self.lines[0].column,
+            frames=line.frames,
+            mean_v_px=line.mean[:, 1],
+            std_v_px=line.std[:, 1],
+            y_mm=self._section.along_mm(points["mean_mm"]),
+            **points,
+            static_error_um=self._section.distance_um(points["mean_mm"]),
+            status=_commonest(np.stack([line.status for line in self.lines]), Status),
+        )
+
+    @cached_property
+    def ray_table(self) -> RayTable:
+        """The sway of the probe rays."""
+        pixel = spread(self.rays_px)
+        incidence_mm = np.stack([found.laser_point_mm for found in self.rays])
+        measured_mm = triangulate(self.scene.sensor, self.rays_px)
+        error = spread((measured_mm - incidence_mm) @ self.up[:, None] * UM_PER_MM)
+        return RayTable(
+            y_mm=self.probe_y_mm,
+            frames=pixel.frames,
+            mean_px=pixel.mean,
+            std_px=pixel.std,
+            **_of_points("incidence_", incidence_mm, self.up),
+            **_of_points("measured_", measured_mm, self.up),
+            mean_error_um=error.mean[:, 0],
+            std_error_um=error.std[:, 0],
+            status=_commonest(np.stack([found.status for found in self.rays]), SearchStatus),
+        )
+
+    @cached_property
+    def frame_table(self) -> FrameTable:
+        """All centres and points."""
+        columns = self.lines[0].column
+        status = np.concatenate([line.status for line in self.lines])
+        return FrameTable(
+            time_s=np.repeat(self.time_s, len(columns)),
+            column=np.tile(columns, len(self.lines)),
+            row=np.concatenate([line.row for line in self.lines]),
+            sigma=np.concatenate([line.sigma for line in self.lines]),
+            point_mm=self.points_mm.reshape(-1, 3),
+            status=status_names(status, Status),
+        )
+
+    @cached_property
+    def summary(self) -> BurstSummary:
+        """The figures of the burst, from its tables."""
+        line, rays, frames = self.sway_table, self.ray_table, len(self.time_s)
+        height = _sway(line, line.std_height_um)
+        at = np.flatnonzero(line.std_height_um == height.largest)
+        return BurstSummary(
+            **vars(scene_facts(self.scene, self.notes)),
+            field=BurstField(
+                file=str(self.scene.air.path),
+                source=self.scene.field.source if self.scene.field else "",
+                instants=len(self.stored_s),
+                first_s=float(self.stored_s[0]),
+                last_s=float(self.stored_s[-1]),
+            ),
+            frames=frames,
+            first_frame_s=float(self.time_s[0]),
+            last_frame_s=float(self.time_s[-1]),
+            columns=dict(Counter(line.status.tolist())),
+            columns_in_every_frame=int(np.sum(line.frames == frames)),
+            line=LineSway(
+                v_px=_sway(line, line.std_v_px),
+                y_um=_sway(line, line.std_um[:, 1]),
+                height_um=height,
+            ),
+            rays=RaySway(
+                u_px=_sway(rays, rays.std_px[:, 0]),
+                v_px=_sway(rays, rays.std_px[:, 1]),
+                measured_height_um=_sway(rays, rays.std_measured_height_um),
+                status=dict(Counter(rays.status.tolist())),
+            ),
+            static_error=section_errors(self._section, line.mean_mm),
+            static_error_at_largest_um=float(line.static_error_um[at[0]]) if at.size else np.nan,
+            stage_s={name: round(value, 2) for name, value in self.stage_s.items()},
+            time_per_frame_s=round(sum(self.stage_s.values()) / frames, 2),
+        )
+
+    @cached_property
+    def _section(self) -> Section:
+        return true_section(self.scene)
+
+
 def instants(
     scene: Scene, start_s: float | None = None, duration_s: float = 1.0, frames: int = 11
 ) -> tuple[Array, Array]:
@@ -477,7 +554,8 @@ def burst(
     notes = [*scene.notes, *unlit_rays(laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
     at_border: list[str] = []
-    seen = _Seen(np.unique(np.linspace(0, frames - 1, _VIEWS).round()).astype(int).tolist())
+    shown = np.linspace(0, frames - 1, _VIEWS).round()
+    total, some = np.zeros(scene.camera.size[::-1]), dict[float, Image]()
     for number, instant in enumerate(times.tolist()):
 
         def tell(part: float, number: int = number, instant: float = instant) -> None:
@@ -486,12 +564,14 @@ def burst(
         frame, line, found, border = _one_frame(scene, y, instant, tell, stage_s)
         lines.append(line)
         rays.append(found)
-        seen.add(number, instant, frame.radiance)
+        total += frame.radiance
+        if number in shown:
+            some[instant] = frame.radiance
         each_frame(number, instant, frame)
         # At one instant: at the others it is much the same.
         at_border = at_border or [f"at {instant:g} s: {text}" for text in border]
     notes += at_border
-    views = seen.views(frames)
+    views = _views(total / frames, some)
     return Burst(scene, times, stored, tuple(lines), tuple(rays), y, views, tuple(notes), stage_s)
 
 
@@ -518,32 +598,14 @@ def _one_frame(
     return frame, line, found, notes
 
 
-class _Seen:
-    """Some frames and the mean of all, cut to what is lit in the first one."""
-
-    def __init__(self, wanted: list[int]) -> None:
-        self._wanted = wanted
-        self._cut = (slice(None), slice(None))
-        self._sum = np.zeros(0)
-        self._radiance: dict[float, Image] = {}
-
-    def add(self, number: int, instant_s: float, radiance: Image) -> None:
-        """See a frame; the first one is number 0."""
-        if number == 0:
-            rows, columns = (
-                slice(max(int(lit.min()) - _MARGIN_PX, 0), int(lit.max()) + _MARGIN_PX + 1)
-                for lit in np.nonzero(radiance > 0.01 * radiance.max())
-            )
-            self._cut = rows, columns
-            self._sum = np.zeros(radiance[self._cut].shape)
-        self._sum += radiance[self._cut]
-        if number in self._wanted:
-            self._radiance[instant_s] = radiance[self._cut].copy()
-
-    def views(self, frames: int) -> Views:
-        """What was seen, in the end."""
-        mean = (self._sum / frames).astype(np.float32)
-        return Views(self._cut[0].start, self._cut[1].start, mean, self._radiance)
+def _views(mean: Array, some: dict[float, Image]) -> Views:
+    """Frames and the mean of all, cut to what is lit."""
+    rows, columns = (
+        slice(max(int(lit.min()) - _MARGIN_PX, 0), int(lit.max()) + _MARGIN_PX + 1)
+        for lit in np.nonzero(mean > 0.01 * mean.max())
+    )
+    cut = {instant_s: radiance[rows, columns] for instant_s, radiance in some.items()}
+    return Views(rows.start, columns.start, mean[rows, columns].astype(np.float32), cut)
 
 
 def spread(values: Array) -> Spread:
@@ -556,110 +618,26 @@ def spread(values: Array) -> Spread:
     return Spread(mean, np.sqrt(squares.sum(axis=0) / (divisor - 1.0)), frames[:, 0])
 
 
-def sway_table(result: Burst) -> SwayTable:
-    """The line's sway in every column."""
-    line = spread(result.centres_px)
-    points = spread(result.with_height(result.points_mm))
-    section = true_section(result.scene)
-    mean = points.mean[:, :3]
-    return SwayTable(
-        column=result.lines[0].column,
-        frames=line.frames,
-        mean_v_px=line.mean[:, 1],
-        std_v_px=line.std[:, 1],
-        y_mm=section.along_mm(mean),
-        mean_mm=mean,
-        mean_height_mm=points.mean[:, 3],
-        std_um=points.std[:, :3] * UM_PER_MM,
-        std_height_um=points.std[:, 3] * UM_PER_MM,
-        static_error_um=section.distance_um(mean),
-        status=_commonest(np.stack([line.status for line in result.lines]), Status),
-    )
+def _of_points(of: str, points_mm: Array, up: Array) -> dict[str, Array]:
+    """Columns of a table for points (F, N, 3): mean and deviation, of their height too."""
+    points = spread(np.concatenate([points_mm, (points_mm @ up)[..., None]], axis=-1))
+    std_um = points.std * UM_PER_MM
+    return {
+        f"mean_{of}mm": points.mean[:, :3],
+        f"mean_{of}height_mm": points.mean[:, 3],
+        f"std_{of}um": std_um[:, :3],
+        f"std_{of}height_um": std_um[:, 3],
+    }
 
 
-def ray_table(result: Burst) -> RayTable:
-    """The sway of the probe rays."""
-    pixel = spread(result.rays_px)
-    incidence = spread(result.with_height(result.incidence_mm))
-    measured = spread(result.with_height(result.measured_mm))
-    error = spread((result.measured_mm - result.incidence_mm) @ result.up[:, None] * UM_PER_MM)
-    return RayTable(
-        y_mm=result.probe_y_mm,
-        frames=pixel.frames,
-        mean_px=pixel.mean,
-        std_px=pixel.std,
-        mean_incidence_mm=incidence.mean[:, :3],
-        mean_incidence_height_mm=incidence.mean[:, 3],
-        std_incidence_um=incidence.std[:, :3] * UM_PER_MM,
-        std_incidence_height_um=incidence.std[:, 3] * UM_PER_MM,
-        mean_measured_mm=measured.mean[:, :3],
-        mean_measured_height_mm=measured.mean[:, 3],
-        std_measured_um=measured.std[:, :3] * UM_PER_MM,
-        std_measured_height_um=measured.std[:, 3] * UM_PER_MM,
-        mean_error_um=error.mean[:, 0],
-        std_error_um=error.std[:, 0],
-        status=_commonest(np.stack([found.status for found in result.rays]), SearchStatus),
-    )
-
-
-def frame_table(result: Burst) -> FrameTable:
-    """All centres and points."""
-    lines, columns = result.lines, result.lines[0].column
-    return FrameTable(
-        time_s=np.repeat(result.time_s, len(columns)),
-        column=np.tile(columns, len(lines)),
-        row=np.concatenate([line.row for line in lines]),
-        sigma=np.concatenate([line.sigma for line in lines]),
-        point_mm=result.points_mm.reshape(-1, 3),
-        status=status_names(np.concatenate([line.status for line in lines]), Status),
-    )
-
-
-def summary(result: Burst, line: SwayTable, rays: RayTable) -> BurstSummary:
-    """The figures of a burst, from its tables."""
-    scene, frames = result.scene, len(result.time_s)
-    stored, file = result.stored_s, scene.air.path
-    height = _sway(line.std_height_um, line.y_mm, line.frames)
-    at = np.flatnonzero(line.std_height_um == height.largest)
-    return BurstSummary(
-        **vars(scene_facts(scene, result.notes)),
-        field=BurstField(
-            file=str(file),
-            source=scene.field.source if scene.field else "",
-            instants=len(stored),
-            first_s=float(stored[0]),
-            last_s=float(stored[-1]),
-        ),
-        frames=frames,
-        first_frame_s=float(result.time_s[0]),
-        last_frame_s=float(result.time_s[-1]),
-        columns=dict(Counter(line.status.tolist())),
-        columns_in_every_frame=int(np.sum(line.frames == frames)),
-        line=LineSway(
-            v_px=_sway(line.std_v_px, line.y_mm, line.frames),
-            y_um=_sway(line.std_um[:, 1], line.y_mm, line.frames),
-            height_um=height,
-        ),
-        rays=RaySway(
-            u_px=_sway(rays.std_px[:, 0], rays.y_mm, rays.frames),
-            v_px=_sway(rays.std_px[:, 1], rays.y_mm, rays.frames),
-            measured_height_um=_sway(rays.std_measured_height_um, rays.y_mm, rays.frames),
-            status=dict(Counter(rays.status.tolist())),
-        ),
-        static_error=section_errors(true_section(scene), line.mean_mm),
-        static_error_at_largest_um=float(line.static_error_um[at[0]]) if at.size else float("nan"),
-        stage_s={name: round(value, 2) for name, value in result.stage_s.items()},
-        time_per_frame_s=round(sum(result.stage_s.values()) / frames, 2),
-    )
-
-
-def _sway(std: Array, y_mm: Array, frames: NDArray[np.int64]) -> Sway:
+def _sway(table: SwayTable | RayTable, std: Array) -> Sway:
     """Median and maximum of the finite ones, and where that is; NaN where there are none."""
     known = np.flatnonzero(np.isfinite(std))
     if not known.size:
         return Sway(np.nan, np.nan, np.nan, 0)
     at = known[np.argmax(std[known])]
-    return Sway(float(np.median(std[known])), float(std[at]), float(y_mm[at]), int(frames[at]))
+    median = float(np.median(std[known]))
+    return Sway(median, float(std[at]), float(table.y_mm[at]), int(table.frames[at]))
 
 
 def _coarse_instants(times: Array, stored: Array) -> list[str]:
