@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import PowerNorm
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
@@ -22,7 +21,7 @@ from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, write_vector
-from virtual_sensor.reporting.style import BLACK, colour, drawable
+from virtual_sensor.reporting.style import BLACK, colour, drawable, key
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed
 from virtual_sensor.studies.field_info import COARSE_PX, Border, FieldInfo, Grid, inside_part
@@ -39,6 +38,15 @@ FILES = (
 PICTURES = (".png", ".svg", ".pdf")
 """Formats of the picture."""
 
+_FINE_ENOUGH = {
+    Grid.FINE: f"fine enough for {FINE_PX:g} px",
+    Grid.FAIR: f"fine enough for {COARSE_PX:g} px but not for {FINE_PX:g} px",
+    Grid.TOO_COARSE: f"not fine enough for {COARSE_PX:g} px",
+}
+_UNJUDGED = {
+    Grid.TOO_FEW_NODES: "the grid has too few nodes to be judged",
+    Grid.UNKNOWN: "whether the grid is fine enough is unknown without a scene's light",
+}
 _COLUMNS = 3
 _LEAST_PX = 1e-4  # as far as a march is good for
 _LONG_TEXT = 300
@@ -90,16 +98,10 @@ def lead(info: FieldInfo) -> str:
             f" turns the light of {light.scene.stem} by up to {angle:.2g} mrad, which shifts what"
             f" the camera sees by up to {_pixels(light.largest_shift_px)} px"
         )
-    border = f"The border is {info.border.name.lower().replace('_', ' ')}"
-    grid = {
-        Grid.FINE: f"the grid is fine enough for {FINE_PX:g} px",
-        Grid.FAIR: f"the grid is fine enough for {COARSE_PX:g} px, not for {FINE_PX:g} px",
-        Grid.TOO_COARSE: f"the grid is not fine enough for {COARSE_PX:g} px",
-        Grid.TOO_FEW_NODES: "the grid has too few nodes to be judged",
-        Grid.UNKNOWN: "whether the grid is fine enough is unknown without a scene's light",
-    }[info.grid]
-    verdict = capital(grid) if info.border == Border.UNKNOWN else f"{border}; {grid}"
-    return f"{said}. {verdict}."
+    grid = _UNJUDGED.get(info.grid) or f"the grid is {_FINE_ENOUGH[info.grid]}"
+    if info.border == Border.UNKNOWN:
+        return f"{said}. {capital(grid)}."
+    return f"{said}. The border is {info.border.name.lower().replace('_', ' ')}; {grid}."
 
 
 def _air(info: FieldInfo) -> str:
@@ -137,11 +139,7 @@ def grid_words(info: FieldInfo) -> str:
     together = info.losses[-1].shift_px
     assert together  # of a grid that is judged
     error = f"interpolation between its nodes errs by {_pixels(together.present)} px"
-    words = {
-        Grid.FINE: f"Grid: fine enough for {FINE_PX:g} px; {error}.",
-        Grid.FAIR: f"Grid: fine enough for {COARSE_PX:g} px but not for {FINE_PX:g} px; {error}.",
-        Grid.TOO_COARSE: f"Grid: not fine enough for {COARSE_PX:g} px; {error}.",
-    }[info.grid]
+    words = f"Grid: {_FINE_ENOUGH[info.grid]}; {error}."
     if info.rough_axes:
         words += (
             f" Along {listed(info.rough_axes)} the error does not fall as the grid gets finer: the"
@@ -175,52 +173,36 @@ def facts(info: FieldInfo) -> TextTable:
         first, last = info.times_s[0], info.times_s[-1]
         times = f"{counted(len(info.times_s), 'instant')} from {first:g} to {last:g} s"
         times += f"; all figures are of {info.time_s:g} s"
-    rows = [
-        ("file", f"{info.file}, {info.size_mb:.3g} MB, holds {info.quantity}"),
-        ("times", times),
-        (
-            "grid",
-            f"{' x '.join(map(str, info.nodes))} nodes (x, y, z),"
-            f" {' x '.join(f'{s:g}' for s in info.spacing_mm)} mm apart",
-        ),
-        ("extent", extent + (f", mirrored at {listed(planes)} mm" if planes else "")),
-        (
-            "n - 1",
-            f"{info.lowest_refractivity:.4g} to {info.highest_refractivity:.4g} in the air, ambient"
-            f" {info.ambient_refractivity:.4g}, at {info.wavelength_nm:g} nm",
-        ),
-    ]
+    steps = " x ".join(f"{step:g}" for step in info.spacing_mm)
+    found = {
+        "file": f"{info.file}, {info.size_mb:.3g} MB, holds {info.quantity}",
+        "times": times,
+        "grid": f"{' x '.join(map(str, info.nodes))} nodes (x, y, z), {steps} mm apart",
+        "extent": extent + (f", mirrored at {listed(planes)} mm" if planes else ""),
+        "n - 1": f"{info.lowest_refractivity:.4g} to {info.highest_refractivity:.4g} in the air,"
+        f" ambient {info.ambient_refractivity:.4g}, at {info.wavelength_nm:g} nm",
+    }
     if not np.isnan(info.lowest_temperature_c):
-        rows.append(
-            (
-                "temperature",
-                f"{info.lowest_temperature_c:.0f} to {info.highest_temperature_c:.0f} °C (of an"
-                f" ideal gas at ambient pressure), ambient {info.ambient_temperature_c:g} °C",
-            )
+        found["temperature"] = (
+            f"{info.lowest_temperature_c:.0f} to {info.highest_temperature_c:.0f} °C (of an ideal"
+            f" gas at ambient pressure), ambient {info.ambient_temperature_c:g} °C"
         )
     if light := info.light:
-        rows += [
-            (
-                "shift",
-                f"up to {_pixels(light.largest_shift_px)} px, hot minus cold, of what the camera of"
-                f" {light.scene.stem} sees of the probe rays; at y = {light.largest_shift_y_mm:g}"
-                " mm",
-            ),
-            (
-                "angle",
-                f"the laser's light is turned by up to {light.laser_angle_mrad:.2g} mrad, the"
-                f" camera's lines of sight by up to {light.camera_angle_mrad:.2g} mrad",
-            ),
-        ]
-    return TextTable(("field", ""), tuple((name, printable(words)) for name, words in rows))
+        found["shift"] = (
+            f"up to {_pixels(light.largest_shift_px)} px, hot minus cold, of what the camera of"
+            f" {light.scene.stem} sees of the probe rays; at y = {light.largest_shift_y_mm:g} mm"
+        )
+        found["angle"] = (
+            f"the laser's light is turned by up to {light.laser_angle_mrad:.2g} mrad, the camera's"
+            f" lines of sight by up to {light.camera_angle_mrad:.2g} mrad"
+        )
+    return pair_table(("field", ""), found)
 
 
 def attributes(info: FieldInfo) -> TextTable:
     """The file's own texts; long ones are cut."""
-    rows = tuple(
-        (printable(name), printable(_cut(words))) for name, words in info.attributes.items()
-    )
-    return TextTable(("attribute", "text in the file"), rows)
+    texts = {printable(name): _cut(words) for name, words in info.attributes.items()}
+    return pair_table(("attribute", "text in the file"), texts)
 
 
 def _cut(words: str) -> str:
@@ -232,13 +214,13 @@ def border_table(info: FieldInfo) -> TextTable:
     """Jump of n at each face of the border, and by how much light that crosses it moves."""
     rows = []
     for face in info.faces:
-        crossing = {
-            "laser": (face.laser_jump, face.laser_shift_px),
-            "camera": (face.camera_jump, face.camera_shift_px),
-        }
-        met = {of: figures for of, figures in crossing.items() if not np.isnan(figures[0])}
-        jumps = ", ".join(f"{jump:.1e}" for jump, _ in met.values())
-        shifts = ", ".join(f"{of} {_pixels(shift)} px" for of, (_, shift) in met.items())
+        crossing = (
+            ("laser", face.laser_jump, face.laser_shift_px),
+            ("camera", face.camera_jump, face.camera_shift_px),
+        )
+        met = [each for each in crossing if not np.isnan(each[1])]
+        jumps = ", ".join(f"{jump:.1e}" for _, jump, _ in met)
+        shifts = ", ".join(f"{of} {_pixels(shift)} px" for of, _, shift in met)
         rows.append((face.name, f"{face.largest_jump:.1e}", jumps, shifts))
     head = ("face", "largest jump of n", "where light enters", "moves the image by")
     return TextTable(head, tuple(rows), "Jump of n at the field's border")
@@ -271,12 +253,9 @@ def grid_table(info: FieldInfo) -> TextTable:
     for loss in info.losses:
         found = loss.shift_px if in_px else loss.rms_refractivity
         assert found  # with light, there is a shift
-        shape = _pixels if in_px else lambda value: in_words(value, "{:.1e}", "")
-        names = ("every_2nd", "every_4th", "present")
-        rows.append(
-            {"axes": loss.axes, "order": found.order}
-            | {name: shape(getattr(found, name)) for name in names}
-        )
+        shown = _pixels if in_px else lambda value: in_words(value, "{:.1e}", "")
+        figures = {name: shown(value) for name, value in vars(found).items()}
+        rows.append(figures | {"axes": loss.axes, "order": found.order})
     columns = (
         Column("axes", "nodes along"),
         Column("every_2nd", "every 2nd"),
@@ -361,8 +340,8 @@ class Cut:
 
     Attributes
     ----------
-    across, up, normal : int
-        Axes of the field that run along the picture's edges and out of it.
+    normal : int
+        The axis of the field that the plane is square to.
     place_mm : float
         Along the normal.
     side_mm, rise_mm : ndarray of shape (W,) and (H,)
@@ -371,8 +350,7 @@ class Cut:
     solid : ndarray of bool of shape (H, W)
     """
 
-    across: int
-    up: int
+    normal: int
     place_mm: float
     side_mm: Array
     rise_mm: Array
@@ -380,33 +358,28 @@ class Cut:
     solid: NDArray[np.bool_]
 
     @property
-    def normal(self) -> int:
-        """The axis that the plane is square to."""
-        return 3 - self.across - self.up
+    def edges(self) -> list[int]:
+        """Axes of the field that run along the picture's edges: across and up."""
+        return [axis for axis in range(3) if axis != self.normal]
 
 
 def panels_of(info: FieldInfo) -> list[Panel]:
     """Cuts x = 0, y = 0 (or through the middle) and a level one; the shift of the probe rays."""
     low, high = info.box_mm
     middle = np.where((low < 0.0) & (high > 0.0), 0.0, 0.5 * (low + high))
-    cuts = [
-        make_cut(info, 1, 2, middle[0]),
-        make_cut(info, 0, 2, middle[1]),
-        make_cut(info, 0, 1, level_mm(info)),
-    ]
     celsius = info.quantity != "refractivity" and not np.isnan(info.lowest_temperature_c)
     of = "temperature" if celsius else "n - 1"
     panels = []
-    for cut in cuts:
-        name = "xyz"[cut.normal]
-        place = f"{name} = {cut.place_mm:.3g} mm"
+    for normal, place_mm in enumerate((middle[0], middle[1], level_mm(info))):
+        place = f"{'xyz'[normal]} = {place_mm:.3g} mm"
+        cut = make_cut(info, normal, place_mm)
         panels.append(
             Panel(
                 f"{capital(of) if celsius else of} at {place}",
                 partial(_draw_cut, info=info, cut=cut, celsius=celsius),
                 f"Cut through the field at {place}, coloured by {of}: {_air(info)}"
                 + (", with the laser's light and the camera's lines of sight." * bool(info.line)),
-                height=2 if cut.normal != 2 else 1,
+                height=1 if normal == 2 else 2,
             )
         )
     if light := info.light:
@@ -436,19 +409,17 @@ def level_mm(info: FieldInfo) -> float:
     return float(floor + 0.25 * (top - floor))
 
 
-def make_cut(info: FieldInfo, across: int, up: int, place_mm: float) -> Cut:
+def make_cut(info: FieldInfo, normal: int, place_mm: float) -> Cut:
     """Evaluate a field in a plane across its whole box, mirror images included."""
     low, high = info.box_mm
     step = (high - low).max() / _CUT_PX
-    side, rise = (
-        np.linspace(low[i], high[i], int((high[i] - low[i]) / step) + 2) for i in (across, up)
-    )
-    points = np.full((len(rise), len(side), 3), place_mm)
-    points[..., across], points[..., up] = side, rise[:, None]
-    flat = points.reshape(-1, 3)
-    n, solid = info.field.refractivity(info.field.to_world(flat)), _solid(info, flat)
-    shape = points.shape[:2]
-    return Cut(across, up, place_mm, side, rise, n.reshape(shape), solid.reshape(shape))
+    axes = [np.linspace(a, b, int((b - a) / step) + 2) for a, b in zip(low, high, strict=True)]
+    axes[normal] = np.array([place_mm])
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    across, up = (axis for i, axis in enumerate(axes) if i != normal)
+    n, solid = info.field.refractivity(info.field.to_world(points)), _solid(info, points)
+    shape = len(across), len(up)
+    return Cut(normal, place_mm, across, up, n.reshape(shape).T, solid.reshape(shape).T)
 
 
 def _solid(info: FieldInfo, points_mm: Array) -> NDArray[np.bool_]:
@@ -465,7 +436,6 @@ def _solid(info: FieldInfo, points_mm: Array) -> NDArray[np.bool_]:
 
 def _draw_cut(axes: Axes, info: FieldInfo, cut: Cut, celsius: bool) -> None:
     """A cut in colours, with the solid, the field's border, and straight light."""
-    low, high = info.box_mm
 
     def shown(refractivity: Array) -> Array:
         return info.temperature_c(refractivity) if celsius else 1e5 * refractivity
@@ -482,28 +452,25 @@ def _draw_cut(axes: Axes, info: FieldInfo, cut: Cut, celsius: bool) -> None:
         rasterized=True,
     )
     ticks = norm.inverse(np.linspace(0.0, 1.0, 5))
-    flat = cut.normal == 2
-    bar = axes.figure.colorbar(
-        drawn, ax=axes, ticks=ticks, location="bottom" if flat else "right", shrink=0.8
-    )
+    where = "bottom" if cut.normal == 2 else "right"
+    bar = axes.figure.colorbar(drawn, ax=axes, ticks=ticks, location=where, shrink=0.8)
     bar.set_ticklabels([f"{tick:.0f}" if celsius else f"{tick:.4g}" for tick in ticks])
     bar.set_label("°C" if celsius else "$10^5\\,(n-1)$")
-    keys: list[Any] = [Line2D([], [], color=_BORDER, ls="--", lw=1.5, label="border")]
+    keys: list[Any] = [key("border", color=_BORDER, ls="--", lw=1.5)]
     if cut.solid.any():
-        where = cut.side_mm, cut.rise_mm, cut.solid
-        axes.contourf(*where, levels=[0.5, 1.5], colors=["0.75"], hatches=["////"])
-        axes.contour(*where, levels=[0.5], colors="k", linewidths=1.0)
+        plane = cut.side_mm, cut.rise_mm, cut.solid
+        axes.contourf(*plane, levels=[0.5, 1.5], colors=["0.75"], hatches=["////"])
+        axes.contour(*plane, levels=[0.5], colors="k", linewidths=1.0)
         keys.append(Patch(fc="0.75", ec="k", hatch="////", label="solid"))
-    edges = [cut.across, cut.up]
-    box = (float(low[cut.across]), float(low[cut.up])), *map(float, (high - low)[edges])
-    axes.add_patch(Rectangle(*box, fill=False, ls="--", ec=_BORDER, lw=1.5))
+    low, high = info.box_mm[:, cut.edges]
+    axes.add_patch(Rectangle(low, *(high - low), fill=False, ls="--", ec=_BORDER, lw=1.5))
     keys += _draw_light(axes, info, cut)
-    margin = _MARGIN * (high - low).max()
-    axes.set_xlim(low[cut.across] - margin, high[cut.across] + margin)
-    axes.set_ylim(low[cut.up] - margin, high[cut.up] + margin)
-    axes.set_aspect("equal")
+    margin = _MARGIN * np.ptp(info.box_mm, axis=0).max()
+    (left, floor), (right, top) = low - margin, high + margin
+    axes.set(xlim=(left, right), ylim=(floor, top), aspect="equal")
     axes.grid(visible=False)
-    axes.set(xlabel=f"{'xyz'[cut.across]} in mm", ylabel=f"{'xyz'[cut.up]} in mm")
+    across, up = (f"{'xyz'[axis]} in mm" for axis in cut.edges)
+    axes.set(xlabel=across, ylabel=up)
     axes.figure.legend(handles=keys, loc="outside lower center", ncols=4)
 
 
@@ -511,21 +478,21 @@ def _draw_light(axes: Axes, info: FieldInfo, cut: Cut) -> list[Any]:
     """Straight light to the lit line, as seen along the cut's normal; gives its key."""
     if not (info.scene and info.line):
         return []
-    sensor, line = info.scene.sensor, info.line
+    sensor, line, level = info.scene.sensor, info.line, cut.normal == 2
     chosen = np.unique(np.linspace(0, len(line.y_mm) - 1, _LIGHT_RAYS).astype(int))
     ends = line.points_mm[chosen]
+    keys = []
     for of, family in (("laser", sensor.laser.family), ("camera", sensor.camera)):
-        paths = np.stack([info.field.to_local(place) for place in (family.origins(ends), ends)])
+        start, end = (info.field.to_local(place) for place in (family.origins(ends), ends))
+        paths = np.stack([start, end])[..., cut.edges]
         for shade, width in (("white", 2.4), (colour(of), 1.3)):  # seen on bright and dark
-            axes.plot(paths[..., cut.across], paths[..., cut.up], color=shade, lw=width)
-        if cut.normal == 2:
-            along = paths[1] - paths[0]
-            share = (cut.place_mm - paths[0, :, 2]) / along[:, 2]
-            through = paths[0] + share[:, None] * along
+            axes.plot(paths[..., 0], paths[..., 1], color=shade, lw=width)
+        if level:  # where it passes
+            share = (cut.place_mm - start[:, 2]) / (end - start)[:, 2]
+            through = start + share[:, None] * (end - start)
             axes.plot(through[:, 0], through[:, 1], "o", ms=5, mec="white", color=colour(of))
-    mark = {"marker": "o", "ms": 5} if cut.normal == 2 else {}  # where it passes this level
-    words = {"laser": "laser, straight", "camera": "camera, straight"}
-    return [Line2D([], [], color=colour(of), label=text, **mark) for of, text in words.items()]
+        keys.append(key(f"{of}, straight", color=colour(of), marker="o" if level else "", ms=5))
+    return keys
 
 
 def _draw_shift(axes: Axes, info: FieldInfo) -> None:

@@ -179,43 +179,49 @@ def pixel_loss(
     `solid` are the nodes that come from the air around, if any; `pixels` gives the pixels (N, 2) of
     the rays through a field.
     """
-    steps, common = _thinning(field)
-    solid = None if solid is None else solid[common]
-    every = _thinned(field, solid, common, [1, 1, 1])
-    same = (every.interpolation, every.dimensions) == (field.interpolation, field.dimensions)
+    every = _thinner(field, solid)
+    whole = every(1)
+    assert whole
+    same = (whole.interpolation, whole.dimensions) == (field.interpolation, field.dimensions)
     # The field itself is prepared for rays already.
-    whole = pixels(field if same and np.array_equal(every.nodes, field.nodes) else every)
+    through_whole = pixels(field if same and np.array_equal(whole.nodes, field.nodes) else whole)
 
     def shift(k: int) -> float:
-        if max(steps[k]) < k:
-            return np.nan
-        moved = pixels(_thinned(field, solid, common, steps[k])) - whole
-        return float(np.fmax.reduce(np.linalg.norm(moved, axis=1), initial=np.nan))
+        fewer = every(k)
+        return _furthest(pixels(fewer) - through_whole) if fewer else np.nan
 
     return Richardson(shift(2), shift(4))
 
 
-def _thinning(field: IndexField) -> tuple[dict[int, list[int]], tuple[slice, ...]]:
-    """Steps along the axes for every second and fourth node, and the nodes that all have in common.
+def _furthest(moved: Array) -> float:
+    """Largest of some shifts (N, 2); NaN if no ray is found."""
+    return float(np.fmax.reduce(np.linalg.norm(moved, axis=1), initial=np.nan))
 
-    Cut to whole cells of the widest grid, so that all the fields have the same box.
+
+def _thinner(field: IndexField, solid: Mask | None) -> Callable[..., IndexField | None]:
+    """A function that gives the field of every k-th node along some axes, None if they are too few.
+
+    Cut to whole cells of the widest grid, so that all the fields have the same box; `solid` are the
+    nodes that are filled again.
     """
-    steps = {k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (2, 4)}
-    widest = np.max(list(steps.values()), axis=0)
-    common = tuple(slice((n - 1) // k * k + 1) for n, k in zip(field.shape, widest, strict=True))
-    return steps, common
+    widest = {
+        k: [k if (n - 1) // k + 1 >= MIN_NODES else 1 for n in field.shape] for k in (1, 2, 4)
+    }
+    cells = np.max(list(widest.values()), axis=0)
+    common = tuple(slice((n - 1) // k * k + 1) for n, k in zip(field.shape, cells, strict=True))
 
+    def every(k: int, axes: str = "xyz") -> IndexField | None:
+        steps = [s if axis in axes else 1 for axis, s in zip("xyz", widest[k], strict=True)]
+        if max(steps) < k:
+            return None
+        some = tuple(slice(None, None, step) for step in steps)
+        return field.with_nodes(
+            field.nodes[common][some],
+            spacing_mm=field.spacing * steps,
+            solid=None if solid is None else solid[common][some],
+        )
 
-def _thinned(
-    field: IndexField, solid: Mask | None, common: tuple[slice, ...], step: list[int]
-) -> IndexField:
-    """The field of fewer nodes; `solid` are those of the common ones that are filled again."""
-    nodes = tuple(slice(None, None, k) for k in step)
-    return field.with_nodes(
-        field.nodes[common][nodes],
-        spacing_mm=field.spacing * step,
-        solid=None if solid is None else solid[nodes],
-    )
+    return every
 
 
 def grid_losses(
@@ -240,30 +246,24 @@ def grid_losses(
     report : callable
         Called with the fraction done.
     """
-    steps, common = _thinning(field)
-    solid = None if solid is None else solid[common]
-
-    def every(step: list[int]) -> IndexField:
-        return _thinned(field, solid if filled else None, common, step)
-
-    whole = every([1, 1, 1])
-    compared = beyond_wall(whole, solid)
-    points = whole.origin + np.argwhere(compared) * whole.spacing
+    every = _thinner(field, solid if filled else None)
+    whole = every(1)
+    assert whole
+    kept = tuple(map(slice, whole.shape))
+    compared = beyond_wall(whole, None if solid is None else solid[kept])
+    points = whole.to_world(whole.origin + np.argwhere(compared) * whole.spacing)
     values = whole.nodes[compared]
-    nothing = np.full((1, 2), np.nan)
-    pixels_of = pixels or (lambda other: nothing)
+    pixels_of = pixels or (lambda other: np.full((1, 2), np.nan))
     through_whole = pixels_of(whole)
 
     def change(axes: str, k: int) -> tuple[float, float, float]:
         """Return largest and rms change of n - 1, and the largest shift in px."""
-        step = [s if axis in axes else 1 for axis, s in zip("xyz", steps[k], strict=True)]
-        if max(step) < k:
+        fewer = every(k, axes)
+        if fewer is None:
             return np.nan, np.nan, np.nan
-        thinned = every(step)
-        delta = np.abs(thinned.refractivity(whole.to_world(points)) - values)
-        shift = np.linalg.norm(pixels_of(thinned) - through_whole, axis=1)
-        furthest = np.fmax.reduce(shift)  # NaN only if no ray is found
-        return float(delta.max()), float(np.sqrt(np.mean(delta**2))), float(furthest)
+        delta = np.abs(fewer.refractivity(points) - values)
+        shift = _furthest(pixels_of(fewer) - through_whole)
+        return float(delta.max()), float(np.sqrt(np.mean(delta**2))), shift
 
     losses = []
     for number, axes in enumerate(("x", "y", "z", "xyz")):

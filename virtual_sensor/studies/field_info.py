@@ -43,6 +43,7 @@ COARSE_PX = 0.1
 
 _ANGLE_STEP_MM = 2.0
 _INTERNAL = {"internal": True}
+_CROSSED = ("jump", "shift_px")
 
 
 class Border(IntEnum):
@@ -387,19 +388,18 @@ def _light(
     """What a field does to the light of a scene; some of the shifts (N, 2) are known."""
     size = np.linalg.norm(shift_px, axis=1)
     furthest = int(np.nanargmax(size))
-    angles = {}
+    angles: dict[str, float] = {}
     for of, family in (("laser", scene.sensor.laser.family), ("camera", scene.sensor.camera)):
         starts = family.origins(line.points_mm)
         paths = line.points_mm - starts
         length = np.linalg.norm(paths, axis=1)
         bent = trace(air, starts, paths, length, _ANGLE_STEP_MM, "leapfrog")
         turned = np.linalg.norm(bent.direction - paths / length[:, None], axis=1)
-        angles[of] = float(2e3 * np.arcsin(0.5 * turned.max()))
+        angles[f"{of}_angle_mrad"] = float(2e3 * np.arcsin(0.5 * turned.max()))
     return Light(
         scene=scene.path,
         parameters=dict(scene.parameters),
-        laser_angle_mrad=angles["laser"],
-        camera_angle_mrad=angles["camera"],
+        **angles,
         largest_shift_px=float(size[furthest]),
         largest_shift_y_mm=float(probe_y_mm[furthest]),
         probe_y_mm=probe_y_mm,
@@ -412,13 +412,12 @@ def _faces(air: IndexField, scene: Scene, line: LitLine | None) -> tuple[Face, .
     crossings = border_crossings(air, scene.sensor, line) if line else {}
     faces = []
     for index, (name, jump) in enumerate(zip(FACES, air.border_jump(), strict=True)):
-        figures = {"laser": (np.nan, np.nan), "camera": (np.nan, np.nan)}
+        figures = {f"{of}_{what}": np.nan for of in ("laser", "camera") for what in _CROSSED}
         for of, crossing in crossings.items():
             here = crossing.face == index
             if here.any():
-                figures[of] = float(crossing.jump[here].max()), float(crossing.shift_px[here].max())
-        laser, camera = figures["laser"], figures["camera"]
-        faces.append(Face(name, float(jump), laser[0], camera[0], laser[1], camera[1]))
+                figures |= {f"{of}_{w}": float(getattr(crossing, w)[here].max()) for w in _CROSSED}
+        faces.append(Face(name, float(jump), **figures))
     return tuple(faces)
 
 
