@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -23,15 +23,15 @@ class Column:
         Of the column or key in the data; dots lead into nested records.
     heading : str
         By default the name's own words with their unit.
-    shape : str
-        Format of its numbers.
+    shape : str or callable
+        Format of its numbers, or what makes words of them.
     nothing : str
         What stands where there is no answer.
     """
 
     name: str
     heading: str = ""
-    shape: str = "{:.3g}"
+    shape: str | Callable[[Any], str] = "{:.3g}"
     nothing: str = ""
 
     @property

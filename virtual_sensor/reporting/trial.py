@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,29 @@ _HOW = (
     " Frames are of the hot cylinder, rendered; their truth is where the laser's axis meets the"
     " surface.",
 )
+_SECTIONS = {
+    "speed": (
+        "Which detector to take",
+        "Rms error, the same over the Cramér-Rao bound, the error that the detector predicts, and"
+        " the time of a column. Emphasised: no other detector is both faster and more accurate. A"
+        " clean line is not all: the harder images below show what each makes of speckle and"
+        " ambient light.",
+    ),
+    "signal": (
+        "Error against signal",
+        "1 is the Cramér-Rao bound of one column: nothing unbiased that uses one column errs less."
+        " Where a curve ends, the detector finds no centre.",
+    ),
+    "phase": (
+        "Bias against sub-pixel phase",
+        "Without noise. Linear between -0.0001 and 0.0001 px, logarithmic beyond.",
+    ),
+    "troubles": (
+        "Harder images",
+        "Shares of the columns with a line; in words, the rms error of those that are right.",
+    ),
+}
+"""Titles and words of the pictures on the page."""
 
 
 @dataclass(frozen=True)
@@ -136,31 +160,23 @@ def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> T
 
     A narrow one, for the console, is without the predicted errors.
     """
-    ordered = sorted(scores, key=lambda s: (not np.isfinite(s.rms_px), s.rms_px))
-    best = {each.detector for each in front(scores)}
-    rows = [
-        {
-            "detector": each.detector,
-            "rms_px": each.rms_px,
-            "ratio": each.ratio,
-            "predicted_px": each.predicted_px,
-            "outliers": each.outlier_share,
-            "lost": each.lost_share,
-            "time": unbroken(time_in_words(1e-6 * each.time_us)),
-        }
-        for each in ordered
-    ]
-    predicted = Column("predicted_px", "predicted", "{:.4f}")
     columns = (
         Column("detector"),
         Column("rms_px", shape="{:.4f}"),
         Column("ratio", "/ bound", "{:.2f}"),
-        *([] if narrow else [predicted]),
-        Column("outliers", shape="{:.1%}"),
-        Column("lost", "no centre", "{:.1%}"),
-        Column("time", "time"),
+        Column("predicted_px", "predicted", "{:.4f}"),
+        Column("outlier_share", "outliers", "{:.1%}"),
+        Column("lost_share", "no centre", "{:.1%}"),
+        Column("time_us", "time", _time),
     )
-    return text_table(rows, columns, caption, [each.detector in best for each in ordered])
+    shown = [each for each in columns if not (narrow and each.name == "predicted_px")]
+    ordered = sorted(scores, key=lambda s: (not np.isfinite(s.rms_px), s.rms_px))
+    best = {each.detector for each in front(scores)}
+    return text_table(ordered, shown, caption, [each.detector in best for each in ordered])
+
+
+def _time(us: float) -> str:
+    return unbroken(time_in_words(1e-6 * us))
 
 
 def markdown(trial: Trial) -> str:
@@ -206,37 +222,17 @@ def lead(trial: Trial) -> str:
 
 def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
     """The page: the task first, then each quantity, then all tables."""
-    titles = {
-        "speed": "Which detector to take",
-        "signal": "Error against signal",
-        "phase": "Bias against sub-pixel phase",
-        "troubles": "Harder images",
-    }
-    words = {
-        "speed": "Rms error, the same over the Cramér-Rao bound, the error that the detector"
-        " predicts, and the time of a column. Emphasised: no other detector is both faster and more"
-        " accurate. A clean line is not all: the harder images below show what each makes of"
-        " speckle and ambient light.",
-        "signal": "1 is the Cramér-Rao bound of one column: nothing unbiased that uses one"
-        " column errs less. Where a curve ends, the detector finds no centre.",
-        "phase": "Without noise. Linear between -0.0001 and 0.0001 px, logarithmic beyond.",
-        "troubles": "Shares of the columns with a line; in words, the rms error of those that are"
-        " right.",
-    }
     sections = []
     for name, picture in pictures.items():
-        content: list[Any] = [words[name], picture]
-        if name == "speed":
-            content.insert(1, table(trial.of("task"), described(trial.task)))
-        sections.append(Section(titles[name], *content))
+        title, words = _SECTIONS[name]
+        task = [table(trial.of("task"), described(trial.task))] if name == "speed" else []
+        sections.append(Section(title, words, *task, picture))
     conditions = dict.fromkeys(each.condition for each in trial.scores)
-    tables = [
+    tables = tuple(
         table([each for each in trial.scores if each.condition == condition], described(condition))
         for condition in conditions
-    ]
-    sections.append(
-        Section("All scores", Details(f"Tables of {len(tables)} images", tuple(tables)))
     )
+    sections.append(Section("All scores", Details(f"Tables of {len(tables)} images", tables)))
     sections.append(Section("How it was done", *_HOW))
     return Page(
         title="A trial of line detectors",
@@ -282,6 +278,12 @@ class _Key:
             "label": self.names[detector],
         }
 
+    def name_rows(self, axes: Axes, scores: Sequence[Score]) -> None:
+        """Have rows of bars from above say which detectors they are of."""
+        axes.set_yticks(range(len(scores)), [self.names[each.detector] for each in scores])
+        axes.invert_yaxis()
+        axes.grid(visible=False)
+
 
 def _shortened(name: str) -> str:
     name = printable(name).replace("\n", " ")
@@ -293,13 +295,12 @@ def _shortened(name: str) -> str:
 def _speed(trial: Trial, key: _Key) -> Picture:
     """Error over the bound against time, and the same as bars."""
     task = [each for each in trial.of("task") if np.isfinite(each.rms_px)]
-    best = trial.recommended
     ordered = sorted(task, key=lambda each: each.ratio)
 
     def scatter(axes: Axes) -> None:
         for each in ordered:
             mark = key.line(each.detector) | {"ls": "none"}
-            axes.loglog(each.time_us, each.ratio, **mark, ms=12 if each is best else 7)
+            axes.loglog(each.time_us, each.ratio, **mark, ms=12 if each is trial.recommended else 7)
         axes.axhline(1.0, color=colour("bound"), ls="--", label="bound of one column")
         axes.margins(0.1)
         decimal_ticks(axes.xaxis, fine=True)
@@ -308,22 +309,15 @@ def _speed(trial: Trial, key: _Key) -> Picture:
         _key_beside(axes)
 
     def bars(axes: Axes) -> None:
-        place = np.arange(len(ordered))
-        shade = [key.colours[each.detector] for each in ordered]
-        ratios = np.array([each.ratio for each in ordered])
-        axes.barh(place, ratios, color=shade)
-        for number, each in enumerate(ordered):
+        for row, each in enumerate(ordered):
+            axes.barh(row, each.ratio, color=key.colours[each.detector])
             words = f"{each.ratio:.2f}  ({each.rms_px:.3g} px)"
             behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.5}
-            write_beside(axes, words, (each.ratio, number), (4, 0), bbox=behind)
-        names = [key.names[each.detector] for each in ordered]
-        axes.set_yticks(place, names)
+            write_beside(axes, words, (each.ratio, row), (4, 0), bbox=behind)
         axes.axvline(1.0, color=colour("bound"), ls="--")
-        axes.set(
-            xlabel="error over the bound of one column", xlim=(0.0, 1.45 * max(ratios, default=1))
-        )
-        axes.invert_yaxis()
-        axes.grid(visible=False)
+        most = max((each.ratio for each in ordered), default=1.0)
+        axes.set(xlabel="error over the bound of one column", xlim=(0.0, 1.45 * most))
+        key.name_rows(axes, ordered)
 
     listed = "; ".join(f"{e.detector} {e.ratio:.2f}" for e in ordered)
     panels = [
@@ -335,105 +329,89 @@ def _speed(trial: Trial, key: _Key) -> Picture:
 
 def _signal(trial: Trial, key: _Key) -> Picture:
     """The bound against the signal, then the detectors' error over it for each width."""
-    clean = trial.of("clean")
-    noise = min(each.read_noise_electrons for each in clean)
-    clean = [each for each in clean if each.read_noise_electrons == noise]
-    widths = sorted({each.width_px for each in clean})
-    label = "electrons of a column"
+    noise = min(each.read_noise_electrons for each in trial.of("clean"))
+    clean = [each for each in trial.of("clean") if each.read_noise_electrons == noise]
+    by_width = {
+        w: [e for e in clean if e.width_px == w] for w in sorted({e.width_px for e in clean})
+    }
+    known = np.array([each.ratio for each in clean if np.isfinite(each.ratio)])
+    limits = (0.8 * min(known.min(initial=0.9), 0.9), 1.25 * max(known.max(initial=2.0), 2.0))
 
     def bounds(axes: Axes) -> None:
-        for number, width in enumerate(widths):
-            bound = {e.column_electrons: e.bound_px for e in clean if e.width_px == width}
-            shade = 0.75 * (1.0 - number / max(len(widths) - 1, 1))
-            axes.loglog(*zip(*sorted(bound.items()), strict=True), "o-", color=str(shade))
-            last = max(bound)
-            write_beside(axes, f"{width:g} px", (last, bound[last]), (6, 0))
+        for number, (width, own) in enumerate(by_width.items()):
+            bound = sorted({(each.column_electrons, each.bound_px) for each in own})
+            shade = 0.75 * (1.0 - number / max(len(by_width) - 1, 1))
+            axes.loglog(*np.transpose(bound), "o-", color=str(shade))
+            write_beside(axes, f"{width:g} px", bound[-1], (6, 0))
         axes.margins(x=0.12)
         decimal_ticks(axes.xaxis)
         decimal_ticks(axes.yaxis)
-        axes.set(xlabel=label, ylabel="bound in px")
+        axes.set(xlabel="electrons of a column", ylabel="bound in px")
 
-    def ratios(width: float) -> Callable[[Axes], None]:
-        def draw(axes: Axes) -> None:
-            for name in key.detectors:
-                own = [e for e in clean if (e.detector, e.width_px) == (name, width)]
-                x, y = zip(*sorted((e.column_electrons, e.ratio) for e in own), strict=True)
-                axes.loglog(x, y, **key.line(name))
-            axes.axhline(1.0, color=colour("bound"), ls="--", lw=1.6, label="bound")
-            axes.set(xlabel=label, ylabel="error over the bound", ylim=limits)
-            decimal_ticks(axes.xaxis)
-            decimal_ticks(axes.yaxis, fine=True)
-            _key_beside(axes)
+    def ratios(own: Sequence[Score], axes: Axes) -> None:
+        for name in key.detectors:
+            points = sorted((e.column_electrons, e.ratio) for e in own if e.detector == name)
+            axes.loglog(*np.transpose(points), **key.line(name))
+        axes.axhline(1.0, color=colour("bound"), ls="--", lw=1.6, label="bound")
+        axes.set(xlabel="electrons of a column", ylabel="error over the bound", ylim=limits)
+        decimal_ticks(axes.xaxis)
+        decimal_ticks(axes.yaxis, fine=True)
+        _key_beside(axes)
 
-        return draw
-
-    known = np.array([each.ratio for each in clean if np.isfinite(each.ratio)])
-    limits = (0.8 * min(known.min(initial=0.9), 0.9), 1.25 * max(known.max(initial=2.0), 2.0))
-    panels = [Panel("The bound, for lines of each width", bounds, "Falls as the signal grows.")] + [
-        Panel(f"Line of sigma {w:g} px", ratios(w), _at_the_strongest(clean, w)) for w in widths
-    ]
+    panels = [Panel("The bound, for lines of each width", bounds, "Falls as the signal grows.")]
+    for width, own in by_width.items():
+        most = max(each.column_electrons for each in own)
+        said = [f"{e.detector} {e.ratio:.2g}" for e in own if e.column_electrons == most]
+        alt = f"Error over the bound with {most:g} electrons a column: {', '.join(said)}."
+        panels.append(Panel(f"Line of sigma {width:g} px", partial(ratios, own), alt))
     title = f"Error over the Cramér-Rao bound of one column, read noise {noise:g} e"
     return draw_picture(title, panels, 3)
-
-
-def _at_the_strongest(scores: Sequence[Score], width: float) -> str:
-    """The errors over the bound at the strongest signal, in words."""
-    here = [each for each in scores if each.width_px == width]
-    most = max(each.column_electrons for each in here)
-    said = [f"{e.detector} {e.ratio:.2g}" for e in here if e.column_electrons == most]
-    return f"Error over the bound with {most:g} electrons a column: {', '.join(said)}."
 
 
 def _phase(trial: Trial, key: _Key) -> Picture:
     """Bias of each detector over the sub-pixel phase, a panel for each width."""
 
-    def biases(width: float) -> Callable[[Axes], None]:
-        def draw(axes: Axes) -> None:
-            for name in key.detectors:
-                phase, bias = trial.phases.at(name, width)
-                axes.plot(phase, bias, **key.line(name), ms=3, markevery=4)
-            axes.set_yscale("symlog", linthresh=1e-4)
-            axes.set(xlabel="middle of the line from that of a pixel, px", ylabel="bias in px")
-            _key_beside(axes)
+    def biases(curves: Mapping[str, Any], axes: Axes) -> None:
+        for name, (phase, bias) in curves.items():
+            axes.plot(phase, bias, **key.line(name), ms=3, markevery=4)
+        axes.set_yscale("symlog", linthresh=1e-4)
+        axes.set(xlabel="middle of the line from that of a pixel, px", ylabel="bias in px")
+        _key_beside(axes)
 
-        return draw
-
-    widths = sorted(set(trial.phases.width_px))
     panels = []
-    for width in widths:
-        largest = {n: np.abs(trial.phases.at(n, width)[1]).max() for n in key.detectors}
-        said = ", ".join(f"{name} {value:.2g} px" for name, value in largest.items())
-        panels.append(Panel(f"Line of sigma {width:g} px", biases(width), f"Largest bias: {said}."))
+    for width in sorted(set(trial.phases.width_px)):
+        curves = {name: trial.phases.at(name, width) for name in key.detectors}
+        said = [f"{name} {np.abs(bias).max():.2g} px" for name, (_, bias) in curves.items()]
+        alt = f"Largest bias: {', '.join(said)}."
+        panels.append(Panel(f"Line of sigma {width:g} px", partial(biases, curves), alt))
     return draw_picture("Bias against sub-pixel phase, without noise", panels, 3)
 
 
 def _troubles(trial: Trial, key: _Key) -> Picture:
     """What becomes of the columns: right, outliers, without a centre; and the error."""
-    harder = [each for each in trial.scores if each.kind not in ("task", "clean")]
+
+    def shares(own: Sequence[Score], axes: Axes) -> None:
+        rows = np.arange(len(own))
+        share = np.array([[e.right_share, e.outlier_share, e.lost_share] for e in own])
+        start = np.cumsum(share, axis=1) - share
+        parts = (("right", "ok", 0.55), ("outlier", "failed", 1.0), ("no centre", "no_peak", 1.0))
+        for part, (label, name, alpha) in enumerate(parts):
+            style = {"color": colour(name), "alpha": alpha, "label": label}
+            axes.barh(rows, share[:, part], left=start[:, part], **style)
+        for row, each in enumerate(own):
+            words = f"{each.rms_px:.3g} px" if np.isfinite(each.rms_px) else "no centre"
+            axes.text(0.02, row, words, va="center", fontsize=9.5)
+        axes.set(xlim=(0.0, 1.0), xlabel="share of the columns")
+        key.name_rows(axes, own)
+        axes.figure.legend(loc="outside lower center", ncols=3)
+
     panels = []
-    for condition in dict.fromkeys(each.condition for each in harder):
-        own = [each for each in harder if each.condition == condition]
-
-        def draw(axes: Axes, own: list[Score] = own) -> None:
-            place = np.arange(len(own))
-            wrong = np.array([each.outlier_share for each in own])
-            lost = np.array([each.lost_share for each in own])
-            right = 1.0 - wrong - lost
-            axes.barh(place, right, color=colour("ok"), alpha=0.55, label="right")
-            axes.barh(place, wrong, left=right, color=colour("failed"), label="outlier")
-            axes.barh(place, lost, left=right + wrong, color=colour("no_peak"), label="no centre")
-            for number, each in enumerate(own):
-                words = f"{each.rms_px:.3g} px" if np.isfinite(each.rms_px) else "no centre"
-                axes.text(0.02, number, words, va="center", fontsize=9.5)
-            axes.set_yticks(place, [key.names[each.detector] for each in own])
-            axes.set(xlim=(0.0, 1.0), xlabel="share of the columns")
-            axes.invert_yaxis()
-            axes.grid(visible=False)
-            axes.figure.legend(loc="outside lower center", ncols=3)
-
-        said = ", ".join(f"{e.detector} {1 - e.outlier_share - e.lost_share:.0%}" for e in own)
-        title = f"{condition.kind}, {condition.width_px:g} px, {condition.peak_electrons:,.0f} e"
-        panels.append(Panel(title, draw, f"Right: {said}."))
+    harder = [each for each in trial.scores if each.kind not in ("task", "clean")]
+    for at in dict.fromkeys(each.condition for each in harder):
+        own = [each for each in harder if each.condition == at]
+        said = ", ".join(f"{each.detector} {each.right_share:.0%}" for each in own)
+        title = f"{at.kind}, {at.width_px:g} px, {at.peak_electrons:,.0f} e"
+        panels.append(Panel(title, partial(shares, own), f"Right: {said}."))
     title = "Columns right, wrong and lost, and the rms error of those that are right"
     return draw_picture(title, panels, 3)
 

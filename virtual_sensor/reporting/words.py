@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,9 @@ from virtual_sensor.records import unit_of
 _PREFIXES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 
-def in_words(value: object, shape: str = "{:.4f}", nothing: str = "none") -> str:
+def in_words(
+    value: object, shape: str | Callable[[Any], str] = "{:.4f}", nothing: str = "none"
+) -> str:
     """A figure as people read it; `nothing` where there is no answer (None or NaN).
 
     Texts stay as they are, True and False are yes and no.
@@ -23,7 +27,7 @@ def in_words(value: object, shape: str = "{:.4f}", nothing: str = "none") -> str
         return "yes" if value else "no"
     if value is None or (isinstance(value, float | np.floating) and np.isnan(value)):
         return nothing
-    return shape.format(value)
+    return shape.format(value) if isinstance(shape, str) else shape(value)
 
 
 def time_in_words(seconds: float | None) -> str:

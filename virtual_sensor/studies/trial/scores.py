@@ -69,6 +69,11 @@ class Score(Condition):
         """The error over its bound."""
         return self.rms_px / self.bound_px
 
+    @property
+    def right_share(self) -> float:
+        """Of the columns with a line: those whose centre is no outlier."""
+        return 1.0 - self.outlier_share - self.lost_share
+
 
 def score_drawn(
     detectors: list[str], condition: Condition, columns: int, seed: tuple[int, ...]
