@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
-from virtual_sensor.reporting.style import GREY, colour, decimal_ticks
+from virtual_sensor.reporting.style import GREY, colour, decimal_ticks, key
 from virtual_sensor.studies.reproduction.broadening_fit import Fit
 from virtual_sensor.studies.reproduction.curves import (
     DOTS,
@@ -55,6 +55,20 @@ _POINTS = {
     "pixel_straight": ("B (hot), if seen straight", "hot", "white"),
     "pixel_hot": ("B as the camera sees it", "hot", None),
 }
+_ENDS = {
+    "laser_to_object_px": ("pixel_cold", "pixel_straight"),
+    "object_to_camera_px": ("pixel_straight", "pixel_hot"),
+    "laser_to_camera_px": ("pixel_cold", "pixel_hot"),
+}
+"""The pixels that these displacements join."""
+_COMPONENTS = {1: "", 2: "uv", 3: "xyz"}
+_MARKER_OF = {"x": "o", "y": "s", "u": "s", "z": "^", "v": "^"}  # u runs along y
+_METHOD_MARKS: dict[str, dict[str, Any]] = {
+    SEARCHED: {"marker": ""},
+    DOTS: {"ls": "none", "mfc": "white"},
+    LINE: {"marker": "x", "ls": "none", "ms": 6.0},
+}
+"""The search is a line, rendered dots are markers of their curve, a rendered line is crosses."""
 _KEY_IN = 0.8  # below the axes, for their labels and the key
 _LEAST_PX = 0.1  # of the sensor around a displacement, however small
 _MAP_GREY = "#D9D9D9"
@@ -75,8 +89,8 @@ class Diagram:
         One, or those in which the series' norm is compared.
     step_px : float
         To which pixels are rounded.
-    ends : pair of str
-        Of an arrow on the sensor, which one ray is drawn as: the pixels that it joins.
+    arrow : bool
+        Whether one ray is drawn, as an arrow on the sensor.
     log : bool
         Whether the axis is logarithmic: where small curves stand beside a large one.
     """
@@ -86,14 +100,14 @@ class Diagram:
     series: str
     settings: tuple[tuple[float, float], ...] = FROM_ABOVE
     step_px: float = 0.0
-    ends: tuple[str, ...] = ()
+    arrow: bool = False
     log: bool = False
 
     def rays(self, curves: BySetting, air: str) -> Rays | None:
         """Its rays in an air, by all methods that know something of them; None if none does."""
         wanted = [(Setting(air, *at), method) for method in METHODS for at in self.settings]
         some = [curves[each] for each in wanted if each in curves]
-        rays = [(near(c, SEEN_RAY_MM) if self.ends else c).rays(self.step_px) for c in some]
+        rays = [(near(c, SEEN_RAY_MM) if self.arrow else c).rays(self.step_px) for c in some]
         known = [each for each in rays if np.isfinite(each.of(self.series)).any()]
         return together(known) if known else None
 
@@ -155,21 +169,9 @@ FIGURES = (
             Diagram("9a", "9(a): laser → object", "laser_to_object_px"),
             Diagram("9b", "9(b): object → camera", "object_to_camera_px"),
             Diagram("9c", "9(c): laser → camera", "laser_to_camera_px"),
-            Diagram(
-                "9d",
-                "9(d): laser → object",
-                "laser_to_object_px",
-                ends=("pixel_cold", "pixel_straight"),
-            ),
-            Diagram(
-                "9e",
-                "9(e): object → camera",
-                "object_to_camera_px",
-                ends=("pixel_straight", "pixel_hot"),
-            ),
-            Diagram(
-                "9f", "9(f): laser → camera", "laser_to_camera_px", ends=("pixel_cold", "pixel_hot")
-            ),
+            Diagram("9d", "9(d): laser → object", "laser_to_object_px", arrow=True),
+            Diagram("9e", "9(e): object → camera", "object_to_camera_px", arrow=True),
+            Diagram("9f", "9(f): laser → camera", "laser_to_camera_px", arrow=True),
         ),
     ),
     DiagramFigure(
@@ -222,21 +224,20 @@ def figure_columns(part: str, curves: Curves, air: str) -> dict[str, NDArray[Any
     for diagram in (d for figure in FIGURES for d in figure.diagrams if d.part == part):
         if rays := diagram.rays(curves.nine, air):
             setting = ("temperature_c", "beta_deg") if diagram.settings[1:] else ()
-            names = ("y_mm", "method", *setting, *diagram.ends, diagram.series)
-            columns |= rays.columns_of(*names)
+            ends = _ENDS[diagram.series] if diagram.arrow else ()
+            columns |= rays.columns_of("y_mm", "method", *setting, *ends, diagram.series)
     return columns
 
 
 def draw_figure(figure: DiagramFigure, curves: BySetting) -> Picture | None:
     """Diagrams below each other, beside each other the airs; None if there is nothing to draw."""
     panels = []
-    for diagram in figure.diagrams:
-        for air in AIRS:
-            rays = diagram.rays(curves, air)
-            if rays and not (diagram.ends and np.isnan(_norm(diagram, rays)).all()):
-                draw = partial(_draw_arrow if diagram.ends else _draw_rays, diagram, rays)
-                alt = _in_words(diagram, rays, air)
-                panels.append(Panel(f"{diagram.title}, {air}", draw, alt, layout=None))
+    for diagram, air in product(figure.diagrams, AIRS):
+        rays = diagram.rays(curves, air)
+        if rays and not (diagram.arrow and np.isnan(_norm(diagram, rays)).all()):
+            draw = partial(_draw_arrow if diagram.arrow else _draw_rays, diagram, rays)
+            alt = _in_words(diagram, rays, air)
+            panels.append(Panel(f"{diagram.title}, {air}", draw, alt, layout=None))
     return draw_picture(figure.title, panels, len(AIRS), CELL_IN) if panels else None
 
 
@@ -249,13 +250,6 @@ def draw_airs(curves: Curves) -> Picture:
         alt = f"{title} of the nine rays, at most {', '.join(sizes)} {_unit(diagram)}."
         panels.append(Panel(title, partial(_draw_airs, diagram, rays), alt, layout=None))
     return draw_picture("What the three airs do, seen from above at 1250 °C", panels)
-
-
-def _draw_airs(diagram: Diagram, rays: Mapping[str, Rays], axes: Axes) -> None:
-    keys = []
-    for marker, (air, each) in zip(_MARKERS, rays.items(), strict=False):
-        keys.append(_curve(axes, each, _norm(diagram, each), air, colour(air), marker))
-    _finish(axes, diagram, keys)
 
 
 def _norm(diagram: Diagram, rays: Rays) -> Array:
@@ -271,76 +265,75 @@ def _in_words(diagram: Diagram, rays: Rays, air: str) -> str:
     """Alternative text of a diagram."""
     norm = _norm(diagram, rays)
     most = f", up to {np.nanmax(norm):.3g} {_unit(diagram)}" if np.isfinite(norm).any() else ""
-    what = "one ray on the sensor" if diagram.ends else "over y"
+    what = "one ray on the sensor" if diagram.arrow else "over y"
     methods = ", ".join(dict.fromkeys(rays.method.tolist()))
     stated = "".join(f" The paper: {s.claim} {s.paper}." for s in diagram.stated)
     return f"{diagram.title} {what} in {air} air: {methods}{most}.{stated}"
 
 
+def _draw_airs(diagram: Diagram, rays: Mapping[str, Rays], axes: Axes) -> None:
+    curves = [
+        (each, _norm(diagram, each), air, colour(air), marker)
+        for marker, (air, each) in zip(_MARKERS, rays.items(), strict=False)
+    ]
+    _draw_curves(diagram, curves, axes)
+
+
 def _draw_rays(diagram: Diagram, rays: Rays, axes: Axes) -> None:
     """Components and norm in one setting, or the norm in several."""
-    keys, norm = [], _norm(diagram, rays)
+    values, norm, curves = rays.of(diagram.series), _norm(diagram, rays), []
     if diagram.settings[1:]:
         poses = diagram.settings in (TURNED, HOTTEST_TURNED)
         by, shades = (rays.beta_deg, _POSES) if poses else (rays.temperature_c, _TEMPERATURES)
         for (value, shade), marker in zip(shades.items(), _MARKERS, strict=True):
             label = f"β = {value:g}°" if poses else f"{value:g} °C"
-            of = np.where(by == value, norm, np.nan)
-            keys.append(_curve(axes, rays, of, label, shade, marker))
+            curves.append((rays, np.where(by == value, norm, np.nan), label, shade, marker))
     else:
-        values = rays.of(diagram.series)
-        components = {1: "", 2: "uv", 3: "xyz"}[values.size // len(values)]
+        components = _COMPONENTS[values.size // len(values)]
         for name, of in zip(components, values.T, strict=False):
-            marker = {"x": "o", "y": "s", "u": "s", "z": "^", "v": "^"}[name]  # u runs along y
-            keys.append(_curve(axes, rays, of, f"Δ{name}", colour(name), marker))
+            curves.append((rays, of, f"Δ{name}", colour(name), _MARKER_OF[name]))
         if diagram.part:
             last = "norm" if components else "distance"
-            keys.append(_curve(axes, rays, norm, last, colour("norm"), "D"))
-    _finish(axes, diagram, keys)
-    if not diagram.part:
-        axes.axvspan(*PAPERS_HALF_MM, color="0.95", zorder=0)
-        axes.set(xlim=(11.5, -11.5), xticks=[10, 5, 0, -5, -10])
+            curves.append((rays, norm, last, colour("norm"), "D"))
+    _draw_curves(diagram, curves, axes)
 
 
-def _curve(axes: Axes, rays: Rays, values: Array, label: str, shade: str, marker: str) -> Line2D:
-    """The search as a line, rendered dots as markers, a rendered line as crosses; its key."""
-    marks: dict[str, dict[str, Any]] = {
-        SEARCHED: {},
-        DOTS: {"marker": marker, "ls": "none", "mfc": "white"},
-        LINE: {"marker": "x", "ls": "none", "ms": 6.0},
-    }
-    for method, mark in marks.items():
-        mine = (rays.method == method) & np.isfinite(values)
-        axes.plot(rays.y_mm[mine], values[mine], color=shade, **mark)
-    seen = marker if (rays.method != SEARCHED).any() else ""
-    return Line2D([], [], color=shade, marker=seen, mfc="white", label=label)
-
-
-def _finish(axes: Axes, diagram: Diagram, keys: Sequence[Line2D]) -> None:
-    """The paper's numbers, axes and key."""
-    handles = list(keys)
+def _draw_curves(
+    diagram: Diagram, curves: Sequence[tuple[Rays, Array, str, str, str]], axes: Axes
+) -> None:
+    """Rays with their values, label, colour and marker; the paper's numbers, axes and key."""
+    keys = []
+    for rays, values, label, shade, marker in curves:
+        for method, mark in _METHOD_MARKS.items():
+            mine = (rays.method == method) & np.isfinite(values)
+            axes.plot(rays.y_mm[mine], values[mine], **{"color": shade, "marker": marker} | mark)
+        seen = marker if (rays.method != SEARCHED).any() else ""
+        keys.append(key(label, color=shade, marker=seen, mfc="white"))
     for statement in diagram.stated:
         axes.axhline(statement.stated, color=GREY, ls="--", lw=1.0, zorder=1)
     if diagram.stated:
         said = [f"{statement.stated:g}" for statement in diagram.stated]
         said = said if said[1:] else [statement.paper for statement in diagram.stated]
-        handles.append(Line2D([], [], color=GREY, ls="--", label=f"paper: {', '.join(said)}"))
+        keys.append(key(f"paper: {', '.join(said)}", color=GREY, ls="--"))
     if diagram.log:
         axes.set_yscale("log")
         decimal_ticks(axes.yaxis)
-    axes.set(xlim=(0.5, -10.5), xticks=[0.0, -2.5, -5.0, -7.5, -10.0])
+    if diagram.part:
+        axes.set(xlim=(0.5, -10.5), xticks=[0.0, -2.5, -5.0, -7.5, -10.0])
+    else:
+        axes.axvspan(*PAPERS_HALF_MM, color="0.95", zorder=0)
+        axes.set(xlim=(11.5, -11.5), xticks=[10, 5, 0, -5, -10])
     axes.set_xlabel("y of the laser ray in mm", labelpad=1)
     axes.set_ylabel(_unit(diagram), labelpad=1)
-    _key_below(axes, handles)
+    _key_below(axes, keys)
 
 
 def _key_below(axes: Axes, handles: Sequence[Any]) -> None:
     """The key in a strip of its own below the axes."""
     assert isinstance(axes.figure, Figure)
     axes.figure.subplots_adjust(bottom=_KEY_IN / axes.figure.get_figheight())
-    axes.figure.legend(
-        handles=handles, loc="lower center", ncols=len(handles), columnspacing=0.8, handlelength=1.3
-    )
+    style: dict[str, Any] = {"ncols": len(handles), "columnspacing": 0.8, "handlelength": 1.3}
+    axes.figure.legend(handles=handles, loc="lower center", **style)
 
 
 def _draw_arrow(diagram: Diagram, rays: Rays, axes: Axes) -> None:
@@ -348,7 +341,7 @@ def _draw_arrow(diagram: Diagram, rays: Rays, axes: Axes) -> None:
     known = np.flatnonzero(np.isfinite(_norm(diagram, rays)))
     row = int(known[-1])  # rendered, if there is such a one
     places = {name: getattr(rays, name)[row] for name in _POINTS}
-    start, end = (places[name] for name in diagram.ends)
+    start, end = (places[name] for name in _ENDS[diagram.series])
     arrow = {"arrowstyle": "-|>", "color": "black", "shrinkA": 0, "shrinkB": 0, "lw": 1.6}
     axes.annotate("", end, start, arrowprops=arrow)
     axes.plot([start[0], end[0], end[0]], [start[1], start[1], end[1]], color=GREY, lw=0.8, ls=":")
@@ -356,21 +349,18 @@ def _draw_arrow(diagram: Diagram, rays: Rays, axes: Axes) -> None:
     for name, (label, of, filling) in _POINTS.items():
         mark = {"color": colour(of), "mfc": filling or colour(of), "marker": "o", "ms": 6.0}
         axes.plot(*places[name], ls="none", **mark)
-        keys.append(Line2D([], [], ls="none", label=label.replace("B (hot), if", "B,"), **mark))
+        keys.append(key(label.replace("B (hot), if", "B,"), ls="none", **mark))
     corners = np.array(list(places.values()))
     half = 0.65 * max(float(np.ptp(corners, axis=0).max()), _LEAST_PX)
     u, v = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-    axes.set(
-        xlim=(u - half, u + half), ylim=(v + half, v - half), xlabel="u in px", ylabel="v in px"
-    )
+    axes.set(xlim=(u - half, u + half), ylim=(v + half, v - half))
+    axes.set(xlabel="u in px", ylabel="v in px")
     axes.set_box_aspect(1.0)
     axes.set_anchor("W")
     axes.locator_params(nbins=5)
     du, dv = end - start
-    axes.text(
-        1.05, 0.5, f"Δu = {du:.2f} px\nΔv = {dv:.2f} px\n\n{rays.method[row]}".replace("-", "−"),
-        transform=axes.transAxes, va="center",
-    )  # fmt: skip
+    words = f"Δu = {du:.2f} px\nΔv = {dv:.2f} px\n\n{rays.method[row]}".replace("-", "−")
+    axes.text(1.05, 0.5, words, transform=axes.transAxes, va="center")
     _key_below(axes, keys)
 
 
@@ -379,23 +369,21 @@ def draw_poses(poses: BySetting) -> Picture:
 
     Grey where a point was not found.
     """
-    maps: dict[str, tuple[Array, Array, Array]] = {}
-    for air in dict.fromkeys(setting.air for setting, _ in poses):
-        mine = [curve for (setting, _), curve in poses.items() if setting.air == air]
-        norms = np.array([euclidean(curve.rays().measured_shift_um) for curve in mine])
-        maps[air] = np.array([c.setting.beta_deg for c in mine]), mine[0].y_mm, norms
-    every = np.concatenate([size.ravel() for _, _, size in maps.values()])
+    norms = {at: euclidean(curve.rays().measured_shift_um) for at, curve in poses.items()}
+    every = np.concatenate(list(norms.values()))
     known = every[np.isfinite(every) & (every > 0.0)]
-    norm = LogNorm(*((known.min(), known.max()) if known.size else (1.0, 10.0)))
-    panels = [
-        Panel(
-            f"|Bₘ − Aₘ| from all poses, {air}",
-            partial(_draw_map, beta, y, size, norm),
+    shades = LogNorm(*((known.min(), known.max()) if known.size else (1.0, 10.0)))
+    panels = []
+    for air in dict.fromkeys(setting.air for setting, _ in poses):
+        mine = [at for at in poses if at[0].air == air]
+        beta, y = np.array([setting.beta_deg for setting, _ in mine]), poses[mine[0]].y_mm
+        size = np.array([norms[at] for at in mine])
+        alt = (
             f"Map over beta from 0 to 90° and y from -11 to 11 mm in {air} air: largest from above"
-            f" ({_most(size[0])} µm), least from the side ({_most(size[-1])} µm at most).",
+            f" ({_most(size[0])} µm), least from the side ({_most(size[-1])} µm at most)."
         )
-        for air, (beta, y, size) in maps.items()
-    ]
+        draw = partial(_draw_map, beta, y, size, shades)
+        panels.append(Panel(f"|Bₘ − Aₘ| from all poses, {air}", draw, alt))
     levels = ", ".join(f"{level:g}" for level in _levels())
     title = f"From every side, 1250 °C. Lines: {levels} µm, which the paper states. Grey: not found"
     return draw_picture(title, panels, 3, CELL_IN)
@@ -449,19 +437,15 @@ def draw_reconstruction(results: Mapping[Setting, Reconstruction]) -> Picture:
     for air in dict.fromkeys(setting.air for setting in results):
         mine = [setting for setting in results if setting.air == air]
         shown = max(mine, key=lambda setting: (-setting.beta_deg, setting.temperature_c))
-        spread = results[shown].residual_std_um[-1, 1]
-        panels.append(
-            Panel(
-                f"Residual of the fit, {air}",
-                partial(_draw_residual, results[shown]),
-                f"Distance of the measured points from the fitted cylinder over y: {shown};"
-                f" standard deviation {spread:.3g} µm when hot.",
-                layout=None,
-            )
+        draw = partial(_draw_residual, results[shown])
+        alt = (
+            f"Distance of the measured points from the fitted cylinder over y: {shown}; standard"
+            f" deviation {results[shown].residual_std_um[-1, 1]:.3g} µm when hot."
         )
+        panels.append(Panel(f"Residual of the fit, {air}", draw, alt, layout=None))
     alt = "Error of the hot radius with its 95 % interval, by setting and arc: see the table."
-    draw = partial(_draw_radii, results)
-    errors = Panel("Error of the radius, hot", draw, alt, height=len(panels))
+    radii = partial(_draw_radii, results)
+    errors = Panel("Error of the radius, hot", radii, alt, height=len(panels))
     title = "Does a hot cylinder measure too small? Fits to its scans"
     return draw_picture(title, [errors, *panels], 2, CELL_IN)
 
