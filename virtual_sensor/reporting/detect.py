@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
@@ -53,6 +55,8 @@ Window = tuple[int, int, int, int]
 MOST_WHOLE_PICTURES = 20
 """Of more images than that, the page shows one panel each; the picture files have all."""
 
+_ON_PAGES = {"size", "median_width_px", "time_s"}
+"""Columns for which the console has no room."""
 _PEAKS = (GREEN, SKY, ORANGE, PURPLE, YELLOW)
 _POINTS = 72.0  # of an inch
 _MARGIN_PX, _CLOSE_UP_PX = 12, (48, 30)
@@ -184,25 +188,23 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     rows, many = [], page and len(summary.images) > 1
     for number, (name, image) in enumerate(summary.images.items(), 1):
         others = {s: n for s, n in image.statuses.items() if s != "ok"}
-        rows.append(
-            plain(image)
-            | {
-                "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
-                "size": unbroken(f"{image.columns} x {image.rows} px"),
-                "others": _most(others, len(others) if page else 2),
-                "time": unbroken(time_in_words(image.time_s)),
-            }
-        )
+        more = {
+            "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
+            "size": unbroken(f"{image.columns} x {image.rows} px"),
+            "others": _most(others, len(others) if page else 2),
+        }
+        rows.append(plain(image) | more)
     columns = [
         Column("name", "image"),
+        Column("size"),
         Column("centres", shape="{}"),
         Column("median_sigma_px", "sigma in px", nothing="none"),
+        Column("median_width_px", "width in px", "{:.2f}", nothing="none"),
         Column("others", "without a centre"),
+        Column("time_s", "detector's time", lambda seconds: unbroken(time_in_words(seconds))),
     ]
-    if page:
-        columns[1:1] = [Column("size")]
-        columns[4:4] = [Column("median_width_px", "width in px", "{:.2f}", nothing="none")]
-        columns.append(Column("time", "detector's time"))
+    if not page:
+        columns = [each for each in columns if each.name not in _ON_PAGES]
     return text_table(rows, columns, caption=f"{described(summary.settings)}; medians")
 
 
@@ -245,11 +247,8 @@ def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
 def lead(summary: Summary) -> str:
     """What a reader wants to know first: how many centres there are, how good, and why not more."""
     images = summary.images.values()
-    lines = sum(sum(each.statuses.values()) for each in images)
-    reasons: dict[str, int] = {}
-    for each in images:
-        for status, number in each.statuses.items():
-            reasons[status] = reasons.get(status, 0) + number
+    reasons = sum((Counter(each.statuses) for each in images), Counter[str]())
+    lines = reasons.total()
     reasons.pop("ok", None)
     why = _most(reasons, 3)
     if not summary.centres:
@@ -268,52 +267,52 @@ def draw(found: Detected, name: str, settings: Settings) -> Picture:
     """The picture of an image: its centres, close up too, their statuses and predicted errors."""
     line, summary, view = found.line, found.summary, _View(found)
     stretch, window = view.along()
-    square = "square pixels"
-    place, name_of_each = ("v in px", "row") if view.upright else ("u in px", "column")
+    shape = "square pixels" if stretch == 1.0 else _stretched(stretch)
+    name_of_each = "row" if view.upright else "column"
     if settings.detector == STEGER:
         name_of_each = "point"
+    by_peak = ", peak by peak" if settings.peaks > 1 else ""
     counted_ok = counted(summary.centres, "centre")
     statuses = ", ".join(f"{n} {_words(s)}" for s, n in summary.statuses.items())
     whole = Panel(
-        f"Whole image ({square})",
-        lambda axes: view.draw(axes, view.whole),
+        "Whole image (square pixels)",
+        partial(view.draw, window=view.whole),
         f"The whole image with {counted_ok} on it.",
     )
+    along = Panel(
+        f"Along the line ({shape})",
+        partial(view.draw, window=window, stretch=stretch),
+        f"The part of the image that holds the line, with {counted_ok} on it.",
+    )
+    close = Panel(
+        "Close-up of the line's middle (square pixels)",
+        partial(view.draw, window=view.close_up(), close=True),
+        "Pixels about the middle of the line, with the centres and their predicted errors.",
+    )
     status = Panel(
-        f"Status of each {name_of_each}{', peak by peak' if settings.peaks > 1 else ''}",
-        lambda axes: _draw_statuses(axes, view, place),
+        f"Status of each {name_of_each}{by_peak}",
+        partial(_draw_statuses, view),
         f"Which have a centre, and why others have none: {statuses}.",
     )
-    panels = [whole, status]
-    if summary.centres:
-        panels = [
-            whole,
-            Panel(
-                f"Along the line ({square if stretch == 1.0 else _stretched(stretch)})",
-                lambda axes: view.draw(axes, window, stretch),
-                f"The part of the image that holds the line, with {counted_ok} on it.",
+    figures = [
+        Panel(
+            title,
+            partial(_draw_over, view, values, label),
+            f"Standard deviation {words}, median {in_words(median, '{:.3g} px', 'not known')}.",
+            layout=None,
+        )
+        for title, values, label, words, median in (
+            (
+                *("Predicted error of the centres", line.sigma, "sigma in px"),
+                *("that the detector predicts for each centre", summary.median_sigma_px),
             ),
-            Panel(
-                f"Close-up of the line's middle ({square})",
-                lambda axes: view.draw(axes, view.close_up(), close=True),
-                "Pixels about the middle of the line, with the centres and their predicted errors.",
+            (
+                *("Width of the line", line.width, "width (sigma) in px"),
+                *("of the line's profile", summary.median_width_px),
             ),
-            status,
-            Panel(
-                "Predicted error of the centres",
-                lambda axes: _draw_over(axes, view, line.sigma, place, "sigma in px"),
-                "Standard deviation that the detector predicts for each centre, median"
-                f" {in_words(summary.median_sigma_px, '{:.3g} px', 'not known')}.",
-                layout=None,
-            ),
-            Panel(
-                "Width of the line",
-                lambda axes: _draw_over(axes, view, line.width, place, "width (sigma) in px"),
-                "Standard deviation of the line's profile, median"
-                f" {in_words(summary.median_width_px, '{:.3g} px', 'not known')}.",
-                layout=None,
-            ),
-        ]
+        )
+    ]
+    panels = [whole, along, close, status, *figures] if summary.centres else [whole, status]
     title = f"{drawable(name)}: {counted_ok}; {drawable(described(settings))}"
     return draw_picture(title, panels, columns=2)
 
@@ -334,16 +333,17 @@ class _View:
         height, width = found.image.shape
         self.whole = (0, width, 0, height)
         self.limits = (-0.5, (height if self.upright else width) - 0.5)
+        self.label = "v in px" if self.upright else "u in px"
+        self.good = self.pixel[np.isfinite(self.pixel[..., 0])]
 
     def along(self) -> tuple[float, Window]:
         """By how much the image is stretched across the line to fill a panel, and which part."""
-        good = self.pixel[np.isfinite(self.pixel[..., 0])]
-        if not good.size:
+        if not self.good.size:
             return 1.0, self.whole
-        height, width = self.image.shape
-        low, high = np.floor(good.min(axis=0)) - _MARGIN_PX, np.ceil(good.max(axis=0)) + _MARGIN_PX
-        left, right = max(int(low[0]), 0), min(int(high[0]) + 1, width)
-        top, bottom = max(int(low[1]), 0), min(int(high[1]) + 1, height)
+        size = self.image.shape[::-1]
+        low = np.maximum(np.floor(self.good.min(axis=0)) - _MARGIN_PX, 0)
+        high = np.minimum(np.ceil(self.good.max(axis=0)) + _MARGIN_PX + 1, size)
+        (left, top), (right, bottom) = low.astype(int), high.astype(int)
         shape = (bottom - top) / (right - left)
         stretch = float(np.clip(_PANEL_SHAPE / shape, 1.0 / _MOST_STRETCH, _MOST_STRETCH))
         if 1.0 / _LEAST_STRETCH < stretch < _LEAST_STRETCH:
@@ -352,19 +352,19 @@ class _View:
 
     def close_up(self) -> Window:
         """A few pixels about the centre that is in the middle of those along the line."""
-        good = self.pixel[np.isfinite(self.pixel[..., 0])]
-        height, width = self.image.shape
-        middle = np.array([width, height]) / 2.0
+        size, good = np.array(self.image.shape[::-1]), self.good
+        middle = size / 2.0
         if good.size:
             middle = good[np.argsort(good[:, 1 if self.upright else 0])[len(good) // 2]]
-        left, right = _about(middle[0], _CLOSE_UP_PX[0], width)
-        top, bottom = _about(middle[1], _CLOSE_UP_PX[1], height)
+        part = np.minimum(_CLOSE_UP_PX, size)
+        (left, top) = first = np.clip(np.round(middle - part / 2), 0, size - part).astype(int)
+        right, bottom = first + part
         return left, right, top, bottom
 
     def draw(
         self,
         axes: Axes,
-        window: tuple[int, int, int, int],
+        window: Window,
         stretch: float = 1.0,
         close: bool = False,
     ) -> None:
@@ -390,7 +390,7 @@ class _View:
             axes.figure.legend(loc="outside lower center", ncols=5, markerscale=1 if close else 5)
 
 
-def _draw_statuses(axes: Axes, view: _View, label: str) -> None:
+def _draw_statuses(view: _View, axes: Axes) -> None:
     """A row for each status that occurs, with a mark where a column, row or point has it."""
     present = [s for s in Status if np.any(view.status == s)]
     peaks = len(view.status)
@@ -405,18 +405,16 @@ def _draw_statuses(axes: Axes, view: _View, label: str) -> None:
             axes.text(np.mean(view.limits), number, "place not known", ha="center", va="center")
     names = [f"{_words(s.name.lower())}: {int(np.sum(view.status == s))}" for s in present]
     axes.set_yticks(range(len(present)), names)
-    axes.set(xlabel=label, xlim=view.limits, ylim=(max(len(present), 6) - 0.5, -0.5))
+    axes.set(xlabel=view.label, xlim=view.limits, ylim=(max(len(present), 6) - 0.5, -0.5))
     axes.grid(visible=False)
 
 
-def _draw_over(
-    axes: Axes, view: _View, values: NDArray[np.float64], label: str, ylabel: str
-) -> None:
+def _draw_over(view: _View, values: NDArray[np.float64], label: str, axes: Axes) -> None:
     """A figure of each centre over its place along the line, but for the largest hundredth."""
     known = values[np.isfinite(values)]
     for rank, row in enumerate(values.reshape(view.status.shape)):
         axes.plot(view.place[rank], row, ".", ms=2.5, color=_PEAKS[rank % len(_PEAKS)])
-    axes.set(xlabel=label, ylabel=ylabel, xlim=view.limits)
+    axes.set(xlabel=view.label, ylabel=label, xlim=view.limits)
     if not known.size:
         axes.set(ylim=(0.0, 1.0), yticks=[])
         axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes)
@@ -440,12 +438,6 @@ def _coarser(image: NDArray) -> tuple[NDArray[np.float32], tuple[int, int]]:
     rows, columns = padded.shape
     blocks = padded.reshape(rows // block[0], block[0], columns // block[1], block[1])
     return np.fmax.reduce(np.fmax.reduce(blocks, axis=3), axis=1), (block[0], block[1])
-
-
-def _about(middle: float, size: int, most: int) -> tuple[int, int]:
-    """First pixel, and that behind the last, of so many about a place within an image."""
-    first = int(np.clip(round(middle - size / 2), 0, max(most - size, 0)))
-    return first, min(first + size, most)
 
 
 def _stretched(stretch: float) -> str:

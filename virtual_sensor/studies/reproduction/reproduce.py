@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import Record
@@ -78,6 +78,7 @@ SCANS = (
     *(Setting(air, TEMPERATURES_C[-1], 0.0) for air in (BLURRED, WIDENED)),
 )
 """What is reconstructed densely."""
+_STORED = (np.ndarray, float, str)  # of the values of what is found
 
 
 @dataclass(frozen=True)
@@ -216,17 +217,20 @@ def reproduce(
     scenes.pose(0.0)  # what can't be loaded is refused before anything is written
     own_folder(folder, MARK, _MARK_TEXT)
     searches = Searches(folder.absolute() / "searches", scenes)
-
-    def part(first: float, last: float) -> Report:
-        return lambda stage, fraction: report(stage, first + (last - first) * fraction)
+    part = partial(_share, report)
 
     fits = searches.fits(part(0.0, 0.1))
     airs = {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in fits.items()}
     finished = _measure(folder / "measurements", save, given, airs, scheduler, part(0.1, 0.88))
-    nine = searches.curves("nine_rays", airs, settings, part(0.88, 0.92), whole_line=False)
-    whole = searches.curves("line", airs, settings, part(0.92, 0.95))
-    poses = searches.curves("all_poses", airs, all_poses, part(0.95, 0.97))
-    scans = searches.reconstructions(airs, SCANS, part(0.97, 1.0))
+    every = [setting for air in airs for setting in settings(air)]
+    turned = [setting for air in airs for setting in all_poses(air)]
+    nine = searches.curves("nine_rays", every, airs, _nine_rays, part(0.88, 0.92))
+    whole = searches.curves("line", every, airs, _whole_line, part(0.92, 0.95))
+    poses = searches.curves("line", turned, airs, _whole_line, part(0.95, 0.97))
+    scanned = searches.each(
+        "scan", SCANS, airs, lambda scene, _: reconstruct(scene), part(0.97, 1.0)
+    )
+    scans = {setting: Reconstruction(**found) for setting, found in scanned}
     curves = Curves(_with_rendered(nine, finished), whole, poses)
     verdicts = judge(curves)
     measured = table(list(finished.values()), folder / "measurements")
@@ -321,10 +325,7 @@ def _measure(
         | (dots if method == DOTS else {})
         for setting, method in wanted
     ]
-    names = [
-        f"{s.air}_{s.temperature_c:g}C_beta{s.beta_deg:g}_{method.removeprefix('rendered ')}"
-        for s, method in wanted
-    ]
+    names = [f"{setting.name}_{method.removeprefix('rendered ')}" for setting, method in wanted]
     planned = cases(SCENE, parameters, names, NINE_RAYS_MM.tolist())
     finished = run(planned, folder, save, scheduler, report)
     if failed := [end for end in finished if end.status is not CaseStatus.OK]:
@@ -360,9 +361,6 @@ def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) 
     return FittedCylinders(*zip(*rows, strict=True))
 
 
-_ARRAYS = [each.name for each in fields(Curve) if each.type == "Array"]
-
-
 @dataclass(frozen=True)
 class Searches:
     """What is searched, each finished one stored under a hash of all that it depends on.
@@ -382,8 +380,8 @@ class Searches:
         """Arrays, numbers and texts of an object, by name: made and written, or read again."""
 
         def write(folder: Path) -> None:
-            made = vars(make())
-            arrays: dict[str, Any] = {key: np.asarray(value) for key, value in made.items()}
+            made = vars(make()).items()
+            arrays: dict[str, Any] = {k: np.asarray(v) for k, v in made if isinstance(v, _STORED)}
             with (folder / "found.npz").open("wb") as file:
                 np.savez(file, **arrays)
 
@@ -396,63 +394,56 @@ class Searches:
     def fits(self, report: Report) -> dict[str, Fit]:
         """The broadenings that come nearest to the paper's numbers, by air."""
         found = {}
-        for number, air in enumerate(FAMILIES):
-            make = partial(fit_broadening, self.scenes, air, _part(report, number, len(FAMILIES)))
+        for number, air in enumerate(FAMILIES, 1):
+            share = _share(report, (number - 1) / len(FAMILIES), number / len(FAMILIES))
+            make = partial(fit_broadening, self.scenes, air, share)
             found[air] = Fit(**self.stored(f"fit_{air}", {}, make))
         return found
+
+    def each(
+        self,
+        name: str,
+        wanted: Sequence[Setting],
+        airs: Mapping[str, Broadening],
+        find: Callable[[Scene, Setting], Any],
+        report: Report,
+    ) -> Iterator[tuple[Setting, dict[str, Any]]]:
+        """What is found in the scenes of some settings, as it is stored."""
+        for number, setting in enumerate(wanted):
+            report(f"searching {name.replace('_', ' ')}, {setting}", number / len(wanted))
+            air = airs[setting.air]
+            inputs = {"setting": str(setting), "broadening": str(air)}
+
+            def make(setting: Setting = setting, air: Broadening = air) -> Any:
+                scene = self.scenes.scene(setting.temperature_c, setting.beta_deg, air)
+                return find(scene, setting)
+
+            yield setting, self.stored(f"{name}_{setting.name}", inputs, make)
 
     def curves(
         self,
         name: str,
+        wanted: Sequence[Setting],
         airs: Mapping[str, Broadening],
-        settings: Callable[[str], Sequence[Setting]],
+        find: Callable[[Scene, Setting], Curve],
         report: Report,
-        whole_line: bool = True,
     ) -> dict[tuple[Setting, str], Curve]:
-        """Rays of the whole line in the settings of each air; or the nine, by both searches."""
+        """The same of searched rays."""
         curves = {}
-        for number, (air, broadening) in enumerate(airs.items()):
-            part = _part(report, number, len(airs))
-            make = partial(self._search, settings(air), broadening, whole_line, part)
-            found = self.stored(f"{name}_{air}", {"broadening": str(broadening)}, make)
-            for place, setting in enumerate(settings(air)):
-                sensor = self.scenes.pose(setting.beta_deg).sensor
-                arrays = {each: found[each][place] for each in _ARRAYS}
-                curves[setting, SEARCHED] = Curve(setting, SEARCHED, sensor, **arrays)
+        for setting, found in self.each(name, wanted, airs, find, report):
+            sensor = self.scenes.pose(setting.beta_deg).sensor
+            curves[setting, SEARCHED] = Curve(setting=setting, sensor=sensor, **found)
         return curves
 
-    def _search(
-        self, wanted: Sequence[Setting], broadening: Broadening, whole_line: bool, report: Report
-    ) -> SimpleNamespace:
-        """The arrays of curves, each with a first axis for the settings."""
-        found = []
-        for number, setting in enumerate(wanted):
-            report(f"searching, {setting}", number / len(wanted))
-            scene = self.scenes.scene(setting.temperature_c, setting.beta_deg, broadening)
-            if whole_line:
-                found.append(searched(scene, setting, LINE_MM, SCAN, paper=False))
-            else:
-                found.append(searched(scene, setting, NINE_RAYS_MM))
-        arrays = {name: np.stack([getattr(curve, name) for curve in found]) for name in _ARRAYS}
-        return SimpleNamespace(**arrays)
 
-    def reconstructions(
-        self, airs: Mapping[str, Broadening], wanted: Sequence[Setting], report: Report
-    ) -> dict[Setting, Reconstruction]:
-        """Scans of the cylinder, cold and hot, with the cylinders fitted to them."""
-        found = {}
-        for number, setting in enumerate(wanted):
-            report(f"reconstructing, {setting}", number / len(wanted))
-            air, temperature_c, beta_deg = vars(setting).values()
-            name = f"scan_{air}_{temperature_c:g}C_beta{beta_deg:g}"
-            inputs = {"setting": str(setting), "broadening": str(airs[air])}
-            make = partial(self._scan, temperature_c, beta_deg, airs[air])
-            found[setting] = Reconstruction(**self.stored(name, inputs, make))
-        return found
-
-    def _scan(self, *its: Any) -> Reconstruction:
-        return reconstruct(self.scenes.scene(*its))
+def _whole_line(scene: Scene, setting: Setting) -> Curve:
+    return searched(scene, setting, LINE_MM, SCAN, paper=False)
 
 
-def _part(report: Report, number: int, count: int) -> Report:
-    return lambda stage, fraction: report(stage, (number + fraction) / count)
+def _nine_rays(scene: Scene, setting: Setting) -> Curve:
+    return searched(scene, setting, NINE_RAYS_MM)
+
+
+def _share(report: Report, first: float, last: float) -> Report:
+    """What reports a part of the whole."""
+    return lambda stage, fraction: report(stage, first + (last - first) * fraction)

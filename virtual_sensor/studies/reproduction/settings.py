@@ -59,6 +59,11 @@ class Setting:
     temperature_c: float = TEMPERATURES_C[-1]
     beta_deg: float = 0.0
 
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"{self.air}_{self.temperature_c:g}C_beta{self.beta_deg:g}"
+
     def __str__(self) -> str:
         return f"{self.air}, {self.temperature_c:g} °C, β = {self.beta_deg:g}°"
 
