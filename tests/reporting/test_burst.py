@@ -8,6 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 from command_line import command
+from data_dictionary import undocumented
 from matplotlib.figure import Figure
 from swaying_plume import FILM, swaying_scene
 
@@ -23,7 +24,6 @@ from virtual_sensor.reporting.burst import (
     save,
     table,
 )
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.studies.burst import burst
 
 FRAMES = 4

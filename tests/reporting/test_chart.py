@@ -10,6 +10,7 @@ import invented_charts
 import numpy as np
 import pytest
 from command_line import command
+from data_dictionary import undocumented
 from invented_charts import NASTY, measured
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -28,7 +29,6 @@ from virtual_sensor.reporting.chart import (
     numbered,
     save,
 )
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.style import MARKERS
 from virtual_sensor.studies.chart import chart as charting
 from virtual_sensor.studies.chart.benchmark import enough, with_fronts

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 from command_line import command
+from data_dictionary import undocumented
 from invented_convergence import invented
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.reporting import convergence as reporting
-from virtual_sensor.reporting.files import undocumented
 
 
 @pytest.fixture(scope="module")

@@ -1,19 +1,8 @@
 """The data dictionary lists what the program writes, as the program's own words say it."""
 
-import importlib.util
-from pathlib import Path
+from data_dictionary import maker
 
 from virtual_sensor.records import documented
-
-DOCS = Path(__file__).parents[2] / "docs"
-
-
-def maker():
-    """The program that writes the page."""
-    spec = importlib.util.spec_from_file_location("maker", DOCS / "make_data_dictionary.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def test_the_page_is_as_the_program_makes_it():

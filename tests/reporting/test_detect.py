@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from artificial import line_image, paper_sensor
+from data_dictionary import undocumented
 from image_makers import ROW, picture, write_exr
 from typer.testing import CliRunner
 
@@ -19,7 +20,6 @@ from virtual_sensor.imaging.image_files import find_images
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.detectors import NAMES
 from virtual_sensor.reporting import detect as reporting
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.pictures import draw_picture
 from virtual_sensor.studies.detect import Settings, detect
 

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from command_line import command
+from data_dictionary import undocumented
 from fields_of_air import AMBIENT, HIGH, LOW, air, swaying_quantity, warm_sheet
 from matplotlib.colors import to_rgb
 
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.reporting import field as reporting
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.style import colour
 from virtual_sensor.studies.field_info import field_info
 

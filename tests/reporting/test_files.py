@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 
 import numpy as np
+from data_dictionary import maker, undocumented
 
 from virtual_sensor.records import (
     Described,
@@ -15,9 +16,7 @@ from virtual_sensor.records import (
 )
 from virtual_sensor.reporting.files import (
     FileOf,
-    dictionary,
     file_table,
-    undocumented,
     write_results,
 )
 from virtual_sensor.reporting.page import Page, Section
@@ -146,7 +145,7 @@ def test_each_result_is_written_as_what_it_is_and_the_page_lists_them_all(tmp_pa
 
 def test_the_dictionary_lists_names_units_and_words():
     """Rationale: a reader finds the column of a CSV by its name."""
-    text = dictionary({"measure": FILES})
+    text = maker().dictionary({"measure": FILES})
     for line in (
         "## measure",
         "### points_\\*.csv",

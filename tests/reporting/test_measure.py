@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 from command_line import command
+from data_dictionary import undocumented
 from matplotlib.figure import Figure
 
 from virtual_sensor.engine import activate
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.reporting import measure as reporting
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.studies.measure import DotAgreement, measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}

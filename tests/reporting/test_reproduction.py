@@ -7,12 +7,12 @@ import json
 
 import numpy as np
 import pytest
+from data_dictionary import undocumented
 from invented_curves import NINE_MM, RADIUS_MM, invented_curves, only
 from PIL import Image
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.reporting import reproduction as reporting
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.pictures import Panel, draw_picture
 from virtual_sensor.reporting.reproduction import (
     FILES,
@@ -35,19 +35,17 @@ from virtual_sensor.reporting.reproduction_pictures import (
 from virtual_sensor.reporting.style import colour
 from virtual_sensor.studies.reproduction.broadening_fit import Fit
 from virtual_sensor.studies.reproduction.curves import DOTS, LINE, METHODS, SEARCHED
-from virtual_sensor.studies.reproduction.paper import FITTED, judge
+from virtual_sensor.studies.reproduction.paper import FITTED
 from virtual_sensor.studies.reproduction.reconstruction import (
     FittedCylinders,
     Reconstruction,
-    fitted_cylinders,
 )
-from virtual_sensor.studies.reproduction.reproduce import Reproduction, summarise
+from virtual_sensor.studies.reproduction.reproduce import Reproduction
 from virtual_sensor.studies.reproduction.settings import (
     AIRS,
     BLURRED,
     RESOLVED,
     WIDENED,
-    Broadening,
     Setting,
 )
 from virtual_sensor.studies.sweep_table import SweepTable
@@ -441,7 +439,6 @@ def saved(tmp_path_factory):
     }
     nine = {**curves.nine, **{(setting, SEARCHED): curve for setting, curve in wide.items()}}
     curves = dataclasses.replace(curves, nine=nine)
-    airs = {RESOLVED: Broadening(), BLURRED: Broadening(6.8), WIDENED: Broadening(7.2, 2.75)}
     unknown = np.full(2, np.nan)
     names = [each.name for each in dataclasses.fields(SweepTable) if each.name != "parameters"]
     measured = dict.fromkeys(names, unknown) | {
@@ -455,17 +452,14 @@ def saved(tmp_path_factory):
         for axis in "uv":
             measured[f"{state}_dots_largest_{axis}_px"] = np.array([np.nan, 0.002])
     measured = SweepTable(**measured)
-    verdicts = judge(curves)
     result = Reproduction(
-        airs,
         {BLURRED: fit(np.zeros(6)), WIDENED: fit(np.zeros(6), WIDENED)},
         curves,
         SCANS,
-        fitted_cylinders(SCANS),
         FittedCylinders(*([value] for value in (RESOLVED, 900.0, 0.0, "hot", 9, *np.ones(5)))),
         measured,
-        verdicts,
-        summarise(airs, curves, measured, verdicts, 1, 2.0),
+        made_now=1,
+        time_s=2.0,
     )
     folder = tmp_path_factory.mktemp("reproduced")
     with pytest.MonkeyPatch.context() as patch:  # the pictures are drawn in other tests

@@ -7,10 +7,10 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from data_dictionary import undocumented
 from matplotlib.figure import Figure
 
 from virtual_sensor.reporting import sweep as module
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.sweep import FILES, draw, lead, page, save, table, unit_of
 from virtual_sensor.reporting.tables import Link
 from virtual_sensor.studies.provenance import made_with

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from data_dictionary import undocumented
 from typer.testing import CliRunner
 
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.reporting import trial as reporting
-from virtual_sensor.reporting.files import undocumented
 from virtual_sensor.reporting.style import colours
 from virtual_sensor.studies.machine import machine
 from virtual_sensor.studies.trial.images import STATED, Condition

@@ -1,4 +1,4 @@
-"""The files of results, and the data dictionary: what each file's columns and keys mean.
+"""The files of results, with what the data dictionary says of their columns and keys.
 
 Each module of this room that writes files lists them as `FILES`; the words are those of the
 records and tables that the files hold.
@@ -6,23 +6,19 @@ records and tables that the files hold.
 
 from __future__ import annotations
 
-import csv
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from types import UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import Any
 from urllib.parse import quote
 
 from virtual_sensor.files import written_whole
-from virtual_sensor.records import Described, Record, documented, write_csv, write_json
+from virtual_sensor.records import Described, documented, write_csv, write_json
 from virtual_sensor.reporting.page import PAGE, Page, Section, write_page
 from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.tables import Link, TextTable
 
-_AXES = {f"_{axis}" for axis in (*"xyzuv", "norm")}
 _MOST_NAMED = 3  # files of a pattern that a page names one by one
 
 
@@ -88,36 +84,11 @@ def write_results(folder: Path, files: Sequence[FileOf], contents: Mapping[str, 
             (write_csv if path.suffix == ".csv" else write_json)(path, content)
 
 
-def dictionary(files: Mapping[str, Sequence[FileOf]]) -> str:
-    """The data dictionary in Markdown: command by command, then the objects within JSON files."""
-    parts = [
-        "# Data dictionary\n\nEvery file that a command writes, with its columns, keys and layers."
-        " Names end with their unit. CSV columns of vectors end with their axis: `point_mm` is"
-        " `point_mm_x`, `point_mm_y`, `point_mm_z`, and `pixel` is `pixel_u`, `pixel_v`. What has"
-        " no answer is an empty cell, or `null`. Objects within an object are listed"
-        " [at the end](#objects), each once.\n"
-    ]
-    objects: dict[str, type] = {}
-    for command, written in files.items():
-        parts.append(f"## {command}\n")
-        for each in written:
-            parts.append(f"### {each.pattern}\n\n{each.words}\n".replace("*", "\\*"))
-            parts += _listed(each.fields, objects)
-    parts.append("## Objects\n")
-    done: set[str] = set()
-    while waiting := sorted(objects.keys() - done):
-        name = waiting[0]
-        done.add(name)
-        words = (objects[name].__doc__ or "").splitlines()[0]
-        parts += [f"### {name}\n\n{words}\n", *_listed(documented(objects[name]), objects)]
-    return "\n".join(parts)
-
-
 def file_table(files: Sequence[FileOf], names: Sequence[str]) -> TextTable:
     """Files beside a page, with links and words; of many alike their pattern, with its folder."""
     found: dict[FileOf, list[str]] = {each: [] for each in files}
     for name in names:
-        if name != PAGE and (file := _file_of(files, name)):
+        if name != PAGE and (file := file_of(files, name)):
             found[file].append(name)
     rows: list[tuple[str | Link, str]] = []
     for file, alike in found.items():
@@ -127,65 +98,6 @@ def file_table(files: Sequence[FileOf], names: Sequence[str]) -> TextTable:
     return TextTable(("file", "what it holds"), tuple(rows))
 
 
-def _file_of(files: Sequence[FileOf], name: str) -> FileOf | None:
+def file_of(files: Sequence[FileOf], name: str) -> FileOf | None:
     """The first whose pattern a name has."""
     return next((each for each in files if fnmatchcase(name, each.pattern)), None)
-
-
-def _listed(fields: Sequence[Described], objects: dict[str, type]) -> list[str]:
-    """A table of fields, if there are any; records within them are added to `objects`."""
-    if not fields:
-        return []
-    rows = []
-    for each in fields:
-        objects |= {kind.__name__: kind for kind in each.records}
-        links = ", ".join(f"[{kind.__name__}](#{kind.__name__.lower()})" for kind in each.records)
-        rows.append((f"`{each.name}`", each.unit, f"{each.words} {links}".strip()))
-    return [TextTable(("name", "unit", "what it is"), tuple(rows)).markdown().replace("\\`", "`")]
-
-
-def undocumented(folder: Path, files: Sequence[FileOf]) -> list[str]:
-    """What a folder of results holds and no dictionary lists: files, columns, keys."""
-    found = []
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        name = path.relative_to(folder).as_posix()
-        file = _file_of(files, name)
-        if file is None:
-            found.append(name)
-        elif isinstance(file.kind, type) and path.suffix == ".csv":
-            known = _column_names(file.fields)
-            found += [f"{name}: {each}" for each in _csv_names(path) if each not in known]
-        elif isinstance(file.kind, type) and path.suffix == ".json":
-            value = json.loads(path.read_text(encoding="utf-8"))
-            found += [f"{name}: {each}" for each in _unknown(value, file.kind, "")]
-    return found
-
-
-def _column_names(fields: Sequence[Described]) -> set[str]:
-    names = {each.name for each in fields}
-    return names | {name + axis for name in names for axis in _AXES}
-
-
-def _csv_names(path: Path) -> list[str]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return next(csv.reader(file))
-
-
-def _unknown(value: Any, hint: Any, above: str) -> Iterator[str]:
-    """Keys of an object that no record of its type has, with dots."""
-    arguments = [kind for kind in get_args(hint) if kind not in (type(None), Ellipsis)]
-    if isinstance(hint, type) and issubclass(hint, Record) and isinstance(value, dict):
-        hints = get_type_hints(hint)
-        for key, each in value.items():
-            if key in hints:
-                yield from _unknown(each, hints[key], f"{above}{key}.")
-            else:
-                yield f"{above}{key}"
-    elif isinstance(hint, UnionType) or get_origin(hint) is Union:
-        yield from min((list(_unknown(value, kind, above)) for kind in arguments), key=len)
-    elif isinstance(value, dict) and arguments:
-        for key, each in value.items():
-            yield from _unknown(each, arguments[-1], f"{above}{key}.")
-    elif isinstance(value, list) and arguments:
-        for each in value:
-            yield from _unknown(each, arguments[0], above)

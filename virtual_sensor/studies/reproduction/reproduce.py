@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -150,32 +150,83 @@ class Reproduction:
 
     Attributes
     ----------
-    airs : dict
-        The broadening of each air.
     fits : dict
-        How it was found, by air.
+        How the broadening of the airs was found, by air.
     curves : Curves
     reconstructions : dict
         Dense scans of the cylinder, searched, by setting.
-    cylinders : FittedCylinders
-        What was fitted to them.
     sections : FittedCylinders
         Those through each rendered line.
     measured : SweepTable
         The sweep's table: one row for each rendered case.
-    verdicts : list of Verdict
-    summary : Summary
+    made_now : int
+        Cases that were measured now; the others were finished before.
+    time_s : float
+        That it took.
     """
 
-    airs: dict[str, Broadening]
     fits: dict[str, Fit]
     curves: Curves
     reconstructions: dict[Setting, Reconstruction]
-    cylinders: FittedCylinders
     sections: FittedCylinders
     measured: SweepTable
-    verdicts: list[Verdict]
-    summary: Summary
+    made_now: int
+    time_s: float
+
+    @property
+    def airs(self) -> dict[str, Broadening]:
+        """The broadening of each air."""
+        return broadenings(self.fits)
+
+    @property
+    def cylinders(self) -> FittedCylinders:
+        """What was fitted to the dense scans."""
+        return fitted_cylinders(self.reconstructions)
+
+    @cached_property
+    def verdicts(self) -> list[Verdict]:
+        """Whether the curves bear the paper's statements out."""
+        return judge(self.curves)
+
+    @cached_property
+    def summary(self) -> Summary:
+        """What it comes to."""
+
+        def worst(*names: str) -> float:
+            values = [getattr(self.measured, name) for name in names]
+            return float(np.fmax.reduce(np.concatenate(values)))
+
+        nine, verdicts = self.curves.nine, self.verdicts
+        searched = {setting: c for (setting, method), c in nine.items() if method == SEARCHED}
+        apart = [
+            np.abs(getattr(curve, name) - getattr(searched[setting], name)).max()
+            for (setting, method), curve in nine.items()
+            for name in ("pixel_cold", "pixel_hot")
+            if method == DOTS
+        ]
+        paths = [np.abs(each.rays().paths_minus_whole_px).max() for each in searched.values()]
+        not_met = {
+            air: [v.statement.claim for v in verdicts if not v.found[air].met] for air in self.airs
+        }
+        messages = zip(self.measured.folder, self.measured.message, strict=True)
+        return Summary(
+            statements=len(verdicts),
+            met={air: len(verdicts) - len(others) for air, others in not_met.items()},
+            not_met=not_met,
+            airs={air: str(broadening) for air, broadening in self.airs.items()},
+            rendered_minus_searched=Agreement(
+                line_rms_px=worst("cold_line_rms_px", "hot_line_rms_px"),
+                dots_u_px=worst("cold_dots_largest_u_px", "hot_dots_largest_u_px"),
+                dots_v_px=worst("cold_dots_largest_v_px", "hot_dots_largest_v_px"),
+                figures_dots_px=float(max(apart)),
+            ),
+            paths_minus_whole_px=float(max(paths)),
+            made_now=self.made_now,
+            cases=len(self.measured.status),
+            time_s=self.time_s,
+            notes=tuple(f"{Path(at).name}: {message}" for at, message in messages if message),
+            made_with=made_with(),
+        )
 
 
 def reproduce(
@@ -220,7 +271,7 @@ def reproduce(
     part = partial(_share, report)
 
     fits = searches.fits(part(0.0, 0.1))
-    airs = {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in fits.items()}
+    airs = broadenings(fits)
     finished = _measure(folder / "measurements", save, given, airs, scheduler, part(0.1, 0.88))
     every = [setting for air in airs for setting in settings(air)]
     turned = [setting for air in airs for setting in all_poses(air)]
@@ -232,70 +283,21 @@ def reproduce(
     )
     scans = {setting: Reconstruction(**found) for setting, found in scanned}
     curves = Curves(_with_rendered(nine, finished), whole, poses)
-    verdicts = judge(curves)
+    sections = _sections(finished, scenes)
     measured = table(list(finished.values()), folder / "measurements")
     made_now = sum(not end.already_there for end in finished.values())
-    return Reproduction(
-        airs,
-        fits,
-        curves,
-        scans,
-        fitted_cylinders(scans),
-        _sections(finished, scenes),
-        measured,
-        verdicts,
-        summarise(airs, curves, measured, verdicts, made_now, time.perf_counter() - started),
-    )
+    took_s = time.perf_counter() - started
+    return Reproduction(fits, curves, scans, sections, measured, made_now, took_s)
+
+
+def broadenings(fits: Mapping[str, Fit]) -> dict[str, Broadening]:
+    """The broadening of each air: none of the air as simulated."""
+    return {RESOLVED: Broadening()} | {air: fit.broadening for air, fit in fits.items()}
 
 
 def all_poses(air: str) -> list[Setting]:
     """The hottest cylinder from above to the side, for which the paper has three poses."""
     return [Setting(air, TEMPERATURES_C[-1], float(beta)) for beta in ALL_BETAS_DEG]
-
-
-def summarise(
-    airs: Mapping[str, Broadening],
-    curves: Curves,
-    measured: SweepTable,
-    verdicts: Sequence[Verdict],
-    made_now: int,
-    time_s: float,
-) -> Summary:
-    """What the reproduction comes to."""
-
-    def worst(*names: str) -> float:
-        return float(np.fmax.reduce(np.concatenate([getattr(measured, name) for name in names])))
-
-    apart = [
-        np.abs(getattr(curve, name) - getattr(curves.nine[setting, SEARCHED], name)).max()
-        for (setting, method), curve in curves.nine.items()
-        for name in ("pixel_cold", "pixel_hot")
-        if method == DOTS
-    ]
-    found = [curve for (_, method), curve in curves.nine.items() if method == SEARCHED]
-    not_met = {air: [v.statement.claim for v in verdicts if not v.found[air].met] for air in airs}
-    return Summary(
-        statements=len(verdicts),
-        met={air: len(verdicts) - len(not_met[air]) for air in airs},
-        not_met=not_met,
-        airs={air: str(broadening) for air, broadening in airs.items()},
-        rendered_minus_searched=Agreement(
-            line_rms_px=worst("cold_line_rms_px", "hot_line_rms_px"),
-            dots_u_px=worst("cold_dots_largest_u_px", "hot_dots_largest_u_px"),
-            dots_v_px=worst("cold_dots_largest_v_px", "hot_dots_largest_v_px"),
-            figures_dots_px=float(max(apart)),
-        ),
-        paths_minus_whole_px=float(max(np.abs(c.rays().paths_minus_whole_px).max() for c in found)),
-        made_now=made_now,
-        cases=len(measured.status),
-        time_s=time_s,
-        notes=tuple(
-            f"{Path(folder).name}: {message}"
-            for folder, message in zip(measured.folder, measured.message, strict=True)
-            if message
-        ),
-        made_with=made_with(),
-    )
 
 
 def rendered_cases() -> list[tuple[Setting, str]]:
