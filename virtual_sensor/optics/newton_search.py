@@ -19,6 +19,7 @@ from virtual_sensor.optics.sight import (
     misses,
     seen_points,
 )
+from virtual_sensor.optics.surfaces import SceneSurface
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,9 +27,8 @@ Mask = NDArray[np.bool_]
 MANY = 2000
 """So many laser rays lie close enough for the short cut."""
 
-_LADDER_MM = (2.0, 0.5)  # long steps, 2e-3 and 1e-5 px off on the shipped field
-_NODES = (2001, 301)  # where it is seen by how much the next finer ones differ
-_DOUBLED = 2  # times at most that there are too few of them
+_LADDER = ((2.0, 2001), (0.5, 301))  # long steps, mm: 2e-3 and 1e-5 px off on the shipped field;
+# and at how many nodes it is seen by how much they err
 _GAIN = 4.0  # at least so much less do cubics err when their nodes are doubled
 _ALLOWED_PX = 1e-6  # estimate of what is interpolated wrongly
 _NEAR_MM = 0.01  # a point farther from where it is expected lies behind an edge, or is hidden
@@ -101,44 +101,81 @@ def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) 
     return np.where(found[:, None], pixel, np.nan)
 
 
-def newton_along_line(scene: SearchScene, b: Array) -> Roots:
+def newton_along_line(
+    scene: SearchScene, b: Array, ladder: tuple[tuple[float, int], ...] = _LADDER
+) -> Roots:
     """Search by Newton's method with `REFERENCE`, with fine marches at some places b only.
 
     Every ray is marched with long steps, to the surface and back, from where its neighbours predict
     that its pixel is: what is seen is off by some 1e-5 px, and one of Newton's steps, without a
-    march, puts the pixel right.  By how much long steps err is interpolated between nodes.  Rays
-    where that is not good to 1e-6 px by an estimate, or that meet no smooth surface, or see
-    something else than their point, are searched with `newton`.
+    march, puts the pixel right.  By how much long steps err is interpolated between nodes, which
+    are searched likewise with shorter ones (`ladder`).  Rays where that is not good to 1e-6 px by
+    an estimate, or that see something else than their point, are searched with `newton`; and so
+    are all where hits are rounded to float32.
     """
-    if len(b) < MANY or scene.field is None or not np.isfinite(b).all() or np.ptp(b) == 0.0:
+    rounded = isinstance(scene.surface, SceneSurface)  # the hits: they err by more than long steps
+    few = len(b) < MANY or not np.isfinite(b).all() or np.ptp(b) == 0.0
+    if scene.field is None or rounded or few:
         return newton(scene, b, REFERENCE)
-    camera = scene.camera
-    table: _Table | None = None
-    for step_mm, nodes in reversed(list(zip(_LADDER_MM, _NODES, strict=True))):
-        table = _good_table(scene, np.linspace(b.min(), b.max(), nodes), step_mm, table, len(b))
-    assert table is not None
-    known = table.at(b)
-    long = _steps_of(_LADDER_MM[0])
+    (step_mm, nodes), *finer = ladder
+    camera, long = scene.camera, _steps_of(step_mm)
+    at = np.linspace(b.min(), b.max(), nodes)
+    table, settled = _long_steps(scene, at, long, tuple(finer))
+    interval = np.clip(np.searchsorted(at, b) - 1, 0, len(settled) - 1)
+    known = np.where(settled[interval, None], _interpolated(at, table, b), np.nan)
+    expected, bent_px, slopes, target_off, pixel_off = np.split(known, [3, 5, 9, 12], axis=1)
+    slopes = slopes.reshape(-1, 2, 2)
     target = incidence_points(scene, b, long)
-    start = camera.project(target) + known.bent_px
+    start = camera.project(target) + bent_px
     seen = seen_points(scene, start, long)
 
     away = (target - seen) @ camera.pose.rotation
     sight = camera.lines_of_sight(np.nan_to_num(start)) @ camera.pose.rotation
-    change = _step(known.slopes, away[:, :2] - sight[:, :2] * (away[:, 2] / sight[:, 2])[:, None])
+    change = _step(slopes, away[:, :2] - sight[:, :2] * (away[:, 2] / sight[:, 2])[:, None])
     linear = np.abs(change).max(axis=1) <= _LINEAR_PX
-    near = np.linalg.norm(np.stack([away, target - known.target]), axis=2).max(axis=0) <= _NEAR_MM
+    near = np.linalg.norm(np.stack([away, target - expected]), axis=2).max(axis=0) <= _NEAR_MM
     off = ~(linear & near)  # NaN too
-    found = Roots(
-        target + known.target_off,
-        start + change + known.pixel_off,
-        known.slopes,
-        seen + known.target_off,
-        np.zeros(len(b), int),
-    )
+    pixel, marches = start + change + pixel_off, np.zeros(len(b), int)
+    found = Roots(target + target_off, pixel, slopes, seen + target_off, marches)
     if off.any():
         found.put(off, newton(scene, b[off], REFERENCE))
     return found
+
+
+def _long_steps(
+    scene: SearchScene, b: Array, long: March, finer: tuple[tuple[float, int], ...]
+) -> tuple[Array, Mask]:
+    """What long steps find of rays at b (N,), and by how much they err.
+
+    Returns
+    -------
+    rows : ndarray of shape (N, 14)
+        Where the laser goes by long steps (3), how far the pixel is from the straight projection
+        (2), the slopes (4); what the target (3) and the pixel (2) lack.
+    settled : ndarray of shape (N - 1,)
+        Between which nodes cubics through these rows hold.
+    """
+    target = incidence_points(scene, b, long)
+    if finer:
+        fine = newton_along_line(scene, b, finer)
+        fine_target, fine_pixel, slopes = fine.target, fine.pixel, fine.slopes
+    else:
+        fine_target = incidence_points(scene, b, REFERENCE)
+        fine_pixel, slopes = _rough_roots(scene, fine_target, _rough(long))
+        for march in (long, REFERENCE):
+            fine_pixel, _ = _chords(scene, fine_target, fine_pixel, slopes, march, most=1)
+    pixel, _ = _chords(scene, target, fine_pixel, slopes, long, most=1)
+    target_off, pixel_off = fine_target - target, fine_pixel - pixel
+    # Every other node predicts the one between: cubics through all of them err less.
+    mm_per_px = np.linalg.norm(slopes.reshape(-1, 4), axis=1) / np.sqrt(2.0)
+    both = np.concatenate([pixel_off, target_off / mm_per_px[:, None]], axis=1)
+    between = (9.0 * (both[2:-4] + both[4:-2]) - both[:-6] - both[6:]) / 16.0
+    wrong = np.abs(between - both[3:-3]).max(axis=1)
+    wrong = np.pad(wrong, 3, mode="edge") / _GAIN
+    settled = np.maximum(wrong[:-1], wrong[1:]) <= _ALLOWED_PX  # not so beside NaN
+    bent_px = pixel - scene.camera.project(target)
+    rows = target, bent_px, slopes.reshape(-1, 4), target_off, pixel_off
+    return np.concatenate(rows, axis=1), settled
 
 
 def _steps_of(step_mm: float) -> March:
@@ -148,7 +185,7 @@ def _steps_of(step_mm: float) -> March:
 
 def _rough(march: March) -> March:
     """The march with long steps."""
-    return replace(march, step_mm=max(march.step_mm, _LADDER_MM[0]))
+    return replace(march, step_mm=max(march.step_mm, _LADDER[0][0]))
 
 
 def _roots(scene: SearchScene, target: Array, march: March) -> tuple[Array, Array, int]:
@@ -191,94 +228,6 @@ def _step(slopes: Array, miss: Array) -> Array:
     """Solve slopes @ step = miss, (N, 2, 2) and (N, 2); NaN where it can't be."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.stack(solved(slopes.reshape(-1, 4).T, *miss.T), axis=-1)
-
-
-def _mm_per_px(slopes: Array) -> Array:
-    return np.linalg.norm(slopes.reshape(-1, 4), axis=1) / np.sqrt(2.0)
-
-
-# --------------------------------------------------------------------- what long steps err by
-
-
-@dataclass(frozen=True)
-class _Row:
-    """What is interpolated along the line; arrays of N rows.
-
-    Of long steps: where the laser goes (N, 3), how far from the straight projection the pixel is
-    (N, 2), the slopes (N, 2, 2).  Of the reference's steps: by how much the target (N, 3) and the
-    pixel (N, 2) differ.
-    """
-
-    target: Array
-    bent_px: Array
-    slopes: Array
-    target_off: Array
-    pixel_off: Array
-
-    @property
-    def array(self) -> Array:
-        return np.concatenate([v.reshape(len(self.target), -1) for v in vars(self).values()], 1)
-
-    @staticmethod
-    def of(array: Array) -> "_Row":
-        target, bent_px, slopes, target_off, pixel_off = np.split(array, [3, 5, 9, 12], axis=1)
-        return _Row(target, bent_px, slopes.reshape(-1, 2, 2), target_off, pixel_off)
-
-
-@dataclass(frozen=True)
-class _Table:
-    """Rows at places b (N,), and in which of the N - 1 intervals cubics hold between them."""
-
-    b: Array
-    rows: _Row
-    settled: Mask
-
-    def at(self, b: Array) -> _Row:
-        """Rows at other places; NaN in intervals that are not settled."""
-        rows = _interpolated(self.b, self.rows.array, b)
-        interval = np.clip(np.searchsorted(self.b, b) - 1, 0, len(self.settled) - 1)
-        return _Row.of(np.where(self.settled[interval, None], rows, np.nan))
-
-
-def _good_table(
-    scene: SearchScene, b: Array, step_mm: float, finer: _Table | None, rays: int
-) -> _Table:
-    """A table with nodes enough, if there may be so many."""
-    table = _table(scene, b, step_mm, finer)
-    for _ in range(_DOUBLED):
-        if table.settled.mean() > 0.9 or 8 * len(table.b) > rays:
-            break
-        b = np.linspace(b[0], b[-1], 2 * len(b) - 1)
-        table = _table(scene, b, step_mm, finer)
-    return table
-
-
-def _table(scene: SearchScene, b: Array, step_mm: float, finer: _Table | None) -> _Table:
-    """Search with long and with the next finer steps, and leave the rest to the finer table."""
-    long, fine = _steps_of(step_mm), REFERENCE
-    target = incidence_points(scene, b, long)
-    if finer is None:
-        start, slopes = _rough_roots(scene, target, _rough(long))
-        start, _ = _chords(scene, target, start, slopes, long, most=1)
-        rest = np.zeros((len(b), 3)), np.zeros((len(b), 2))
-    else:
-        known, fine = finer.at(b), _steps_of(_LADDER_MM[1])
-        start, slopes = scene.camera.project(target) + known.bent_px, known.slopes
-        rest = known.target_off, known.pixel_off
-    pixel, _ = _chords(scene, target, start, slopes, long, most=1)
-    next_target = incidence_points(scene, b, fine)
-    next_pixel, _ = _chords(scene, next_target, pixel, slopes, fine, most=1)
-    target_off, pixel_off = next_target - target, next_pixel - pixel
-
-    # Every other node predicts the one between: cubics through all of them err less.
-    both = np.concatenate([pixel_off, target_off / _mm_per_px(slopes)[:, None]], axis=1)
-    between = (9.0 * (both[2:-4] + both[4:-2]) - both[:-6] - both[6:]) / 16.0
-    wrong = np.abs(between - both[3:-3]).max(axis=1)
-    wrong = np.pad(wrong, 3, mode="edge") / _GAIN
-    settled = np.maximum(wrong[:-1], wrong[1:]) <= _ALLOWED_PX  # not so beside NaN
-    bent = pixel - scene.camera.project(target)
-    rows = _Row(target, bent, slopes, target_off + rest[0], pixel_off + rest[1])
-    return _Table(b, rows, settled)
 
 
 def _interpolated(x: Array, values: Array, at: Array) -> Array:
