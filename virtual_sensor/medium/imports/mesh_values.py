@@ -253,7 +253,7 @@ def _mean_slopes(cells: Any, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
     of_each.SetInputData(bare)
     of_each.SetVectorModeToComputeGradient()
     of_each.SetTensorModeToPassTensors()
-    with told_by_vtk(fatal=False):
+    with told_by_vtk(fatal=None):
         of_each.Update()
         slopes = pyvista().wrap(of_each.GetOutput()).cell_data["ScalarGradient"]
     slopes = np.nan_to_num(np.asarray(slopes, dtype=np.float64), posinf=0.0, neginf=0.0)

@@ -29,18 +29,27 @@ from virtual_sensor.medium.imports.vtk_arrays import (
     HIDDEN_CELL,
     REFINED,
     blank_points,
+    check_mesh,
     ghosts,
     joined_neighbours,
     left_out,
     scalars,
     with_only,
 )
-from virtual_sensor.medium.imports.vtk_claims import check_legacy, check_mesh, check_xml
 
 _Read = tuple[list[Variable], Grid | Cloud | Mesh, tuple[str, ...]]  # values, where, and notes
 
+DATA_SETS = {  # by the last letter of a suffix
+    "i": "ImageData",
+    "p": "PolyData",
+    "r": "RectilinearGrid",
+    "s": "StructuredGrid",
+    "u": "UnstructuredGrid",
+}
 SERIAL = (".vti", ".vtk", ".vtp", ".vtr", ".vts", ".vtu")
 PARALLEL = (".pvti", ".pvtr", ".pvts", ".pvtu")
+DAMAGED_CASE = "[Ee]rror"
+"""In what VTK says of an OpenFOAM case; that folders are absent is an "ERROR" too."""
 COLLATED = (
     "is decomposed in OpenFOAM's collated form (processorsN), which VTK doesn't read; run"
     " `reconstructPar` (of several regions `reconstructPar -allRegions`)"
@@ -98,19 +107,38 @@ def read_vtk(path: Path) -> Source:
     InputError
         If it is truncated or damaged, one of its parts is missing, or it holds no points.
     """
-    pv = pyvista()
-    (check_legacy if path.suffix.lower() == ".vtk" else check_xml)(path)
-    with told_by_vtk():
-        if path.suffix.lower() == ".pvts":  # PyVista knows no reader of these
-            from vtkmodules.vtkIOXML import vtkXMLPStructuredGridReader
+    from vtkmodules import vtkIOLegacy, vtkIOXML
 
-            reader = vtkXMLPStructuredGridReader()
-            reader.SetFileName(f"{path}")
-            reader.Update()
-            data = pv.wrap(reader.GetOutput())
-        else:
-            data = pv.get_reader(f"{path}").read()
+    pv, suffix = pyvista(), path.suffix.lower()
+    if suffix == ".vtk":
+        content = _legacy_content(path)
+        reader = vtkIOLegacy.vtkDataSetReader()
+        reader.ReadFromInputStringOn()
+        reader.SetBinaryInputString(content, len(content))
+        reader.ReadAllScalarsOn()
+        reader.ReadAllFieldsOn()
+    else:
+        parallel = "P" if suffix in PARALLEL else ""
+        reader = getattr(vtkIOXML, f"vtkXML{parallel}{DATA_SETS[suffix[-1]]}Reader")()
+        reader.SetFileName(f"{path}")
+    with told_by_vtk():
+        reader.Update()
+        data = pv.wrap(reader.GetOutput())
     return _source(data, "", _version(pv))
+
+
+def _legacy_content(path: Path) -> bytes:
+    """Read a .vtk file; refuse one that ends in what may be a part of a number."""
+    content = path.read_bytes()
+    if content[-1:].isspace() or not re.match(rb".*\n.*\n\s*ASCII\b", content, re.I):
+        return content
+    last = content[-4000:].split()[-33:]
+    if len(last) < 9 or len(last[-1]) < min(map(len, last[:-1])):
+        raise InputError(
+            f"ends with '{last[-1].decode('latin-1')[-40:]}' and without a line end: truncated?"
+            " Write or copy it again; if it is whole, end its last line"
+        )
+    return content + b"\n"  # behind its last number VTK would read on in the memory that follows
 
 
 def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -> Source:
@@ -152,7 +180,7 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
     if not control.is_file():
         raise InputError("is no OpenFOAM case: there is no system/controlDict in that folder")
     readers = {}
-    with told_by_vtk():
+    with told_by_vtk(DAMAGED_CASE):
         for kind in ("reconstructed", "decomposed"):
             if kind == "decomposed" and not (case / "processor0").is_dir():
                 continue
@@ -174,7 +202,7 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
         raise InputError(COLLATED if collated else "has no time folders; run the case first")
     wanted = pick_time(everything, time_s)
     kind = next(kind for kind, each in times.items() if wanted in each)
-    with told_by_vtk():
+    with told_by_vtk(DAMAGED_CASE):
         readers[kind].set_active_time_value(wanted)
         blocks = readers[kind].read()
     regions = [name for name in blocks.keys() if _mesh_of(blocks[name]) is not None]  # noqa: SIM118
@@ -228,8 +256,8 @@ def moved(cells: Any, points: np.ndarray) -> Any:
 
 
 @contextmanager
-def told_by_vtk(fatal: bool = True) -> Iterator[None]:
-    """Raise what VTK complains of, if that is fatal, in place of its prints."""
+def told_by_vtk(fatal: str | None = "[Ee]rror|ERROR") -> Iterator[None]:
+    """Raise what VTK complains of, in place of its prints, if these words are in it."""
     from vtkmodules.vtkCommonCore import vtkLogger
 
     verbosity, disabled = vtkLogger.GetCurrentVerbosityCutoff(), logging.root.manager.disable
@@ -239,8 +267,9 @@ def told_by_vtk(fatal: bool = True) -> Iterator[None]:
     try:
         with catcher:
             yield
-        bad = [f"{e}" for e in catcher.events if "rror" in f"{e}"]
-        if bad and fatal:
+        said = [f"{event}" for event in catcher.events]
+        bad = [e for e in said if fatal and re.search(fatal, e) and "Pipeline" not in e]
+        if bad:
             raise RuntimeError(bad[0])
     except (RuntimeError, OSError, ValueError) as error:
         cause = f"{error}".strip().splitlines()[-1].partition("): ")
@@ -259,9 +288,11 @@ def _version(pv: Any) -> str:
 def _source(data: Any, length_units: str, reader: str) -> Source:
     """Make a source of a PyVista data set: of its values at points, at cells, or both."""
     pv = pyvista()
-    if getattr(data, "n_points", 0) == 0 or not isinstance(data, pv.DataSet):
+    counts = [getattr(data, "n_points", 0), *getattr(data, "dimensions", ())]
+    if min(counts) < 1 or not isinstance(data, pv.DataSet):
         raise InputError(
-            "holds no points: it is truncated, of several blocks, or one of its parts is missing"
+            "holds no points: it is truncated, no grid or mesh, of several blocks, or one of its"
+            " parts is missing"
         )
     notes = left_out(data)
     if isinstance(data, (pv.PolyData, pv.UnstructuredGrid)):

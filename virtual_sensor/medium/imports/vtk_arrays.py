@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.medium.imports.sources import Variable, split_units
 
 HIDDEN_POINT = 2  # VTK's flags, of points and of cells
 DUPLICATE, REFINED, HIDDEN_CELL = 1, 8, 32
+ANY_ORDER = 40  # types of cells below it have a fixed number of corners, or any
 
 
 def left_out(data: Any) -> tuple[str, ...]:
@@ -77,3 +79,60 @@ def scalars(data: Any, at_cells: bool) -> list[Variable]:
         for name, array in data_of(data, at_cells).items()
         if array.ndim == 1 and array.dtype.kind in "fiu" and not name.startswith("vtk")
     ]
+
+
+def check_mesh(cells: Any) -> None:
+    """Refuse a mesh whose cells refer to points that are not there, or that is nowhere.
+
+    Parameters
+    ----------
+    cells : pyvista.UnstructuredGrid or pyvista.PolyData
+        As it was read.
+
+    Raises
+    ------
+    InputError
+        It names the cell or the point.
+    """
+    points = np.asarray(cells.points)
+    names = ("GetCells",) if hasattr(cells, "GetCells") else ("GetVerts", "GetLines", "GetPolys")
+    for name in names:
+        array = getattr(cells, name)()
+        if array is None or array.GetNumberOfCells() == 0:
+            continue
+        starts, corners = cell_corners(array)
+        if starts[0] != 0 or (np.diff(starts) < 0).any() or starts[-1] > len(corners):
+            raise InputError("is damaged: its cells' offsets do not ascend; write it again")
+        wrong = (corners < 0) | (corners >= len(points))
+        if wrong.any():
+            where = int(np.searchsorted(starts, np.flatnonzero(wrong)[0], "right")) - 1
+            raise InputError(
+                f"is damaged: cell {where} refers to point {corners[wrong][0]}, and there are"
+                f" {len(points)} points; write it again"
+            )
+        if name == "GetCells":
+            _check_corners(np.asarray(cells.celltypes), np.diff(starts))
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        raise InputError(
+            f"the coordinates of {bad.sum()} points are not finite, of point"
+            f" {np.flatnonzero(bad)[0]} for one; remove them"
+        )
+
+
+def _check_corners(kinds: np.ndarray, counts: np.ndarray) -> None:
+    """Refuse cells that have another number of corners than their type, or no type."""
+    from vtkmodules.vtkCommonDataModel import vtkGenericCell
+
+    wanted = np.zeros(256, dtype=np.int64)  # 0: any
+    for kind in np.unique(kinds[kinds < ANY_ORDER]).tolist():
+        cell = vtkGenericCell.InstantiateCell(kind)
+        wanted[kind] = cell.GetNumberOfPoints() if cell else 0
+    fixed = wanted[kinds]
+    wrong = (fixed > 0) & (fixed != counts) | (kinds == 0) | (counts == 0)
+    if wrong.any():
+        where = int(np.flatnonzero(wrong)[0])
+        raise InputError(
+            f"is damaged: cell {where}, of VTK's type {kinds[where]}, has {counts[where]} corners;"
+            " write it again"
+        )
