@@ -96,23 +96,25 @@ def test_a_measurement_that_is_worth_little_says_so_first(measured):
         else:
             state = replace(hot, line_minus_search=None, dots_minus_search=dots)
         figures = replace(good, states=good.states | {"hot": state})
-        [printed, *_] = reporting.on_console(figures)
-        assert str(printed).startswith("In hot air ")
-        return reporting.findings(figures)
+        first, headline = reporting.findings(figures).split(". ")
+        assert headline == "I" + reporting.headline(figures)[1:]
+        assert reporting.on_console(figures)[0] == f"{first[0].upper()}{first[1:]}."
+        return first
 
     few = said(expected=108, lost={"too_narrow": 98, "line_end": 2})
-    assert few.startswith(
-        "in hot air only 8 of 108 columns that see the whole line have a centre, "
+    assert few.startswith("of the columns that see the whole line, only 8 of 108 in hot air have a")
+    assert (
+        "none from y = \N{MINUS SIGN}9.5 to 2 mm; the others are too_narrow 98 and line_end 2"
+        in few
     )
-    assert "none from y = −9.5 to 2 mm; the others are too_narrow 98 and line_end 2: a finer" in few
-    assert few.endswith(reporting.headline(good)[1:])
-    assert "none from" in said(expected=100, lost={"saturated": 40})  # all of one side
-    assert "finer film" not in said(expected=100, lost={"saturated": 40})
+    assert few.endswith(": a finer film (width, height) or a wider line (line_radius) has more")
+    one_side = said(expected=100, lost={"saturated": 40})
+    assert "only 60 of 100 in hot air" in one_side
+    assert one_side.endswith("none from y = \N{MINUS SIGN}9.5 to 2 mm; the others are saturated 40")
     nothing = said(expected=0, lost={}, compared=0, cut_centres=12)
-    assert nothing.startswith("in hot air no centre could be compared with the search. In hot air")
-    one = said(dots=DotAgreement(0.1, 0.1, 0.1, 1, 3))
-    assert one.startswith("in hot air only 1 of 3 dots are found. In hot air")
-    [html] = [(folder.parent / "nothing/report.html").read_text(encoding="utf-8")]
+    assert nothing == "in hot air no centre could be compared"
+    assert said(DotAgreement(0.1, 0.1, 0.1, 1, 3)) == "only 1 of 3 dots in hot air are found"
+    html = (folder.parent / "nothing/report.html").read_text(encoding="utf-8")
     assert re.search(r"In hot air no point is measured: the columns are .*too_narrow \d+", html)
 
 

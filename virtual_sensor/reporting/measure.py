@@ -1,5 +1,6 @@
 """A measurement's results: its picture, page and tables, and all files that it writes."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import product
@@ -51,7 +52,7 @@ CALIBRATION = "calibration.yaml"
 NIL_UM = 1e-6
 """Below this, lengths are rounding: drawn as zero."""
 
-_UM = "µm"
+_U, _Y = "u along the line in px", "y along the line in mm"
 _MARGIN_PX = 12
 _ON_BLACK = ("#56B4E9", "#FF7A2F")  # colours of cold and hot, as light as a black ground needs
 _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
@@ -63,12 +64,30 @@ _LETTERS = {
     for name, letters in LETTERS.items()
 }
 _REMEDIES = {"too_narrow": ": a finer film (width, height) or a wider line (line_radius) has more"}
-_CHECKED = {
-    "line": {"rms_px": "rms, px", "largest_px": "largest, px"}
-    | {name: name for name in ("compared", "centres")},
-    "dots": {"rms_px": "rms, px", "largest_u_px": "largest in u, px"}
-    | {"largest_v_px": "largest in v, px", "found": "found", "dots": "dots"},
-}
+_UM, _PX, _COUNT = "µm", "{:.4f} px", "{}"
+_FIGURES = (  # key, words in the table of all, heading on the console ("" where not shown), format
+    ("section.rms_um", "Measured minus true section, rms", "rms, µm", _UM),
+    ("section.largest_um", "... the largest", "largest, µm", _UM),
+    ("section.largest_y_mm", "... at y, along the line", "at y, mm", "{:.3g} mm"),
+    ("section.points", "", "points", _COUNT),
+    ("dots_minus_search.rms_px", "Rendered dots minus ray search, rms", "rms, px", _PX),
+    ("dots_minus_search.largest_u_px", "... at most, along the line", "largest in u, px", _PX),
+    ("dots_minus_search.largest_v_px", "... at most, across the line", "largest in v, px", _PX),
+    ("dots_minus_search.found", "Dots found", "found", _COUNT),
+    ("dots_minus_search.dots", "", "dots", _COUNT),
+    ("line_minus_search.rms_px", "Rendered line minus ray search, rms", "rms, px", _PX),
+    ("line_minus_search.largest_px", "... at most, line ends included", "largest, px", _PX),
+    ("line_minus_search.centres", "Centres found", "centres", _COUNT),
+    ("line_minus_search.compared", "... compared with the search", "compared", _COUNT),
+    ("line_minus_search.cut_centres", "... left out, an edge cuts the line", "", _COUNT),
+    ("line_minus_search.stray_centres", "... left out, off the searched line", "", _COUNT),
+    ("line_minus_truth.wrong", "Centres that are ok and wrong by the frame's truth", "", _COUNT),
+    ("paper_search.largest_distance_um", "The paper's search: distance of {probes} rays", "", _UM),
+    ("newton_search.largest_distance_um", "Newton's search: the same", "", _UM),
+    ("newton_search.iterations", "Newton's search: marches a ray", "", _COUNT),
+    ("render_time_s", "Frame of {film} px, {spp} samples per pixel", "rendered in", "{:.2f} s"),
+    ("search_time_s", "Search of {rays} rays", "", "{:.2f} s"),
+)
 
 
 FILES = (
@@ -137,43 +156,18 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
 
 def table(result: Measurement, figures: Summary) -> TextTable:
     """Accuracy and speed of a measurement, as the README shows them."""
-    size, spp = result.scene.sensor.camera.size, figures.made_with.samples_per_pixel
-    line, dots, probes = "line_minus_search", "dots_minus_search", len(result.probe_y_mm)
-    of_dots = (
-        ("Rendered dots minus ray search, rms", f"{dots}.rms_px", "{:.4f} px"),
-        ("... at most, along the line", f"{dots}.largest_u_px", "{:.4f} px"),
-        ("... at most, across the line", f"{dots}.largest_v_px", "{:.4f} px"),
-        ("Dots found", f"{dots}.found", "{}"),
-    )
-    of_line = (
-        ("Rendered line minus ray search, rms", f"{line}.rms_px", "{:.4f} px"),
-        ("... at most, line ends included", f"{line}.largest_px", "{:.4f} px"),
-        ("Centres found", f"{line}.centres", "{}"),
-        ("... compared with the search", f"{line}.compared", "{}"),
-        ("... left out, an edge cuts the line", f"{line}.cut_centres", "{}"),
-        ("... left out, off the searched line", f"{line}.stray_centres", "{}"),
-        ("Centres that are ok and wrong by the frame's truth", "line_minus_truth.wrong", "{}"),
-    )
-    paper, newton = "paper_search", "newton_search"
-    shown = (
-        ("Measured minus true section, rms", "section.rms_um", _UM),
-        ("... the largest", "section.largest_um", _UM),
-        ("... at y, along the line", "section.largest_y_mm", "{:.3g} mm"),
-        *(of_dots if result.cold.dots else of_line),
-        (f"The paper's search: distance of {probes} rays", f"{paper}.largest_distance_um", _UM),
-        ("Newton's search: the same", f"{newton}.largest_distance_um", _UM),
-        ("Newton's search: marches a ray", f"{newton}.iterations", "{}"),
-        (
-            f"Frame of {size[0]} x {size[1]} px, {spp} samples per pixel",
-            "render_time_s",
-            "{:.1f} s",
-        ),
-        (f"Search of {result.rays} rays", "search_time_s", "{:.2f} s"),
-    )
+    facts = {
+        "film": " x ".join(map(str, result.scene.sensor.camera.size)),
+        "spp": figures.made_with.samples_per_pixel,
+        "probes": len(result.probe_y_mm),
+        "rays": result.rays,
+    }
+    other = "line_" if result.cold.dots else "dots_"
     states = figures.states
     rows = tuple(
-        (name, *(_cell(attrgetter(key)(state), shape) for state in states.values()))
-        for name, key, shape in shown
+        (words.format(**facts), *(_cell(attrgetter(key)(each), shape) for each in states.values()))
+        for key, words, _, shape in _FIGURES
+        if words and not key.startswith(other)
     )
     return TextTable(("", *states), rows, numeric=(False, *(True for _ in states)))
 
@@ -199,53 +193,53 @@ def on_console(figures: Summary) -> list[TextTable | str]:
 
 def section_table(figures: Summary) -> TextTable:
     """How wrong the measured section is."""
-    columns = (
-        Column("state", " "),
-        Column("section.rms_um", "rms, µm", nothing="none"),
-        Column("section.largest_um", "largest, µm", nothing="none"),
-        Column("section.largest_y_mm", "at y, mm", nothing="none"),
-        Column("section.points", "points", "{}"),
-        Column("render_time_s", "rendered in", "{:.2f} s"),
-    )
     caption = "Measured minus true section (positive: outside the part)"
-    return text_table(_states(figures), columns, caption)
+    return _on_console(figures, caption, "section", "render_time_s")
 
 
 def check_table(figures: Summary) -> TextTable:
     """Whether renderer and ray search agree."""
     what = "dots" if any(s.dots_minus_search for s in figures.states.values()) else "line"
+    return _on_console(figures, f"Check: rendered {what} minus ray search", f"{what}_minus_search")
+
+
+def _on_console(figures: Summary, caption: str, *keys: str) -> TextTable:
+    """Those of the figures that have a heading, and keys that begin so; a row for each state."""
     columns = [Column("state", " ")]
-    for key, heading in _CHECKED[what].items():
-        shape = "{:.4f}" if key.endswith("_px") else "{}"
-        columns.append(Column(f"{what}_minus_search.{key}", heading, shape, "none"))
-    return text_table(_states(figures), columns, f"Check: rendered {what} minus ray search")
-
-
-def _states(figures: Summary) -> list[dict[str, Any]]:
-    return [{"state": name, **vars(state)} for name, state in figures.states.items()]
+    for key, _, heading, shape in _FIGURES:
+        if heading and key.startswith(keys):
+            shape = {_UM: "{:.3g}", "{:.3g} mm": "{:.3g}", _PX: "{:.4f}"}.get(shape, shape)
+            columns.append(Column(key, heading, shape, "none"))
+    rows = [{"state": name, **vars(state)} for name, state in figures.states.items()]
+    return text_table(rows, columns, caption)
 
 
 def caveats(figures: Summary) -> list[str]:
     """Why a measurement is worth little: what was not found or not compared; [] of a good one."""
-    said = [_caveat(f"in {name} air", state) for name, state in reversed(figures.states.items())]
-    return [text for text in said if text]
-
-
-def _caveat(where: str, state: StateSummary) -> str:
-    line, dots = state.line_minus_search, state.dots_minus_search
-    if dots and 0 < dots.found < _FEW * dots.dots:
-        return f"{where} only {dots.found} of {counted(dots.dots, 'dot')} are found"
-    if not line or not line.centres:  # which the headline says
-        return ""
-    have = line.expected - sum(line.lost.values())
-    if have < _FEW * line.expected:
-        start, end = (_number(round(y, 1)) for y in state.gap_y_mm)
-        remedy = _REMEDIES.get(max(line.lost, key=line.lost.__getitem__), "")
-        return (
-            f"{where} only {have} of {line.expected} columns that see the whole line have a centre,"
-            f" none from y = {start} to {end} mm; the others are {_counts(line.lost)}{remedy}"
+    few_dots, few, lost, gaps, uncompared = [], [], Counter[str](), [], []
+    for name, state in reversed(figures.states.items()):
+        line, dots = state.line_minus_search, state.dots_minus_search
+        if dots and 0 < dots.found < _FEW * dots.dots:
+            few_dots.append(f"{dots.found} of {counted(dots.dots, 'dot')} in {name} air")
+        if not line or not line.centres:  # the headline says so
+            continue
+        have = line.expected - sum(line.lost.values())
+        if have < _FEW * line.expected:
+            few.append(f"{have} of {line.expected} in {name} air")
+            lost += Counter(line.lost)
+            gaps.append(state.gap_y_mm)
+        elif not line.compared:
+            uncompared.append(f"in {name} air")
+    said = [f"only {listed(few_dots)} are found"] * bool(few_dots)
+    if few:
+        start, end = np.max(gaps, axis=0)[0], np.min(gaps, axis=0)[1]
+        none = f", none from y = {_number(start, 1)} to {_number(end, 1)} mm" * bool(start < end)
+        remedy = _REMEDIES.get(max(lost, key=lost.__getitem__), "")
+        said.append(
+            f"of the columns that see the whole line, only {listed(few)} have a centre{none}; the"
+            f" others are {_counts(lost)}{remedy}"
         )
-    return "" if line.compared else f"{where} no centre could be compared with the search"
+    return said + [f"{listed(uncompared)} no centre could be compared"] * bool(uncompared)
 
 
 def _counts(statuses: Mapping[str, int]) -> str:
@@ -433,8 +427,8 @@ def micrometres(value_um: float | None) -> str:
     return "none" if value_um is None or np.isnan(value_um) else f"{_number(value_um)} µm"
 
 
-def _number(value: float) -> str:
-    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+def _number(value: float, decimals: int = 9) -> str:
+    return f"{round(value, decimals):.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:
@@ -480,7 +474,7 @@ def _section_panel(result: Measurement, figures: Summary) -> Panel:
         curves.append(_curve(y, error, "search", first, marker="o", mfc="none", ms=4, ls=""))
     return _curve_panel(
         "Measured minus true section",
-        "y along the line in mm",
+        _Y,
         "outside (+) or inside the part (−), µm",
         f"Error of the measured section along the line. {capital(findings(figures))}.",
         curves,
@@ -500,7 +494,7 @@ def _paths_panel(hot: State) -> Panel:
     )
     return _curve_panel(
         "Why: hot air bends both paths",
-        "y along the line in mm",
+        _Y,
         "error of the section, µm",
         "The section's error of the hot part, split into what the bent laser light alone makes and"
         " what the camera's bent lines of sight add.",
@@ -544,7 +538,7 @@ def _check_panel(result: Measurement) -> Panel:
     what = "dots" if result.cold.dots else "line"
     return _curve_panel(
         f"Check: rendered {what} minus search",
-        "u along the line in px",
+        _U,
         "difference in v, 0.001 px",
         f"The rendered {what} minus the ray search, px, along the line.",
         curves,
@@ -577,8 +571,7 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
             paint = _ON_BLACK[number]
             axes.plot(*drawn.centres_px.T, line, color=paint, lw=1.2, ms=8, label=label)
         axes.grid(False)
-        axes.set(xlim=extent[:2], ylim=extent[2:], ylabel="v in px")
-        axes.set_xlabel("u along the line in px")
+        axes.set(xlim=extent[:2], ylim=extent[2:], xlabel=_U, ylabel="v in px")
         key_above(axes)
 
     return Panel(

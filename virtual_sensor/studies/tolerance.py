@@ -9,7 +9,9 @@ each by a few rays or a few columns of the very scene:
 * samples: line centres of some columns by so many samples, beside those by many.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,6 +87,11 @@ class Configuration(Record):
             "tolerance": f"{self.table_px:g}",
         }
 
+    def knowing(self, words: str, estimate_px: Mapping[str, float] | None = None) -> Self:
+        """The same with what was found out, and parts of its error."""
+        estimate = {**self.estimate_px, **(estimate_px or {})}
+        return replace(self, estimate_px=estimate, why=[*self.why, words])
+
     def __str__(self) -> str:
         parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
         step = f", step {self.step_mm:g} mm" if self.transport != "straight" else ""
@@ -114,47 +121,32 @@ def choose(scene: Scene, tolerance_px: float) -> Configuration:
         raise InputError(f"tolerance {tolerance_px}: give a positive number of px")
     if scene.sensor.laser.dots_mm.size:
         raise InputError(f"{scene.path}: a tolerance is of a line's centres; the laser makes dots")
-    why: list[str] = []
     hot, cold = (search_line(s) for s in (scene, scene.cold()))
     whole = whole_columns(hot)
     if not whole.size:
         check_scene(scene)  # may know why
         raise InputError(f"{scene.path}: the laser's line fills no column of the image")
     column = groups(whole, np.linspace(0.0, 1.0, _GROUPS))
+    step_mm = scene.transport.march.step_mm
+    found = Configuration("straight", step_mm, SAMPLES[-1], tolerance_px, {}, [])
     if scene.field is None:
-        why = ["no field: light runs straight"]
-        configuration = _straight(scene, tolerance_px, column, {}, why)
+        found = found.knowing("no field: light runs straight")
     else:
         moved = _moved(hot, cold, scene.sensor.camera.size[0])
-        why.append(f"refraction moves the line by up to {moved:.2g} px")
-        if moved < tolerance_px:
-            left_out = {"refraction left out": moved}
-            configuration = _straight(scene, tolerance_px, column, left_out, why)
-            if configuration.error_px <= tolerance_px:
-                return configuration
-        configuration = _bent(scene, scene.field, hot, tolerance_px, column, why)
-    if configuration.error_px > tolerance_px:
+        words = f"refraction moves the line by up to {moved:.2g} px"
+        found = found.knowing(words, {"refraction left out": moved})
+    why = found.why
+    if found.error_px <= tolerance_px:
+        straight = scene_on(scene, "straight", step_mm, tolerance_px)
+        found = _with_samples(straight, found, tolerance_px, column)
+    if scene.field is not None and found.error_px > tolerance_px:
+        found = _bent(scene, scene.field, hot, tolerance_px, column, why)
+    if found.error_px > tolerance_px:
         raise InputError(
-            f"tolerance {tolerance_px:g} px: the best that was found is {configuration}; ask for"
-            " more, or set method, step and spp (-D) yourself"
+            f"tolerance {tolerance_px:g} px: the best that was found is {found}; ask for more, or"
+            " set method, step and spp (-D) yourself"
         )
-    return configuration
-
-
-def _straight(
-    scene: Scene,
-    tolerance_px: float,
-    column: Index,
-    left_out: dict[str, float],
-    why: list[str],
-) -> Configuration:
-    """Straight light, with the fewest samples that do."""
-    step_mm = scene.transport.march.step_mm
-    tried = scene_on(scene, "straight", step_mm, tolerance_px)
-    left_px = tolerance_px - sum(left_out.values())
-    spp, error, words = _samples(tried, column, left_px)
-    estimate = left_out | {"samples": error}
-    return Configuration("straight", step_mm, spp, tolerance_px, estimate, [*why, words])
+    return found
 
 
 def _bent(
@@ -166,25 +158,25 @@ def _bent(
     why: list[str],
 ) -> Configuration:
     """Bent light by tables, marched where there are none, with the fewest samples that do."""
-    estimate: dict[str, float] = {}
-    try:
-        step, estimate["march"] = _step(scene, field, hot, _SHARE["march"] * tolerance_px)
-        why.append(f"a step of {step:g} mm errs by {estimate['march']:.2g} px")
-    except NoMapError as no_rays:  # the march by samples has a status for each
-        step = min(STEPS_MM)
-        why.append(f"the march's error is not known, so its step is the shortest: {no_rays}")
     table_px = _SHARE["tables"] * tolerance_px
-    if estimate.get("march", 0.0) > tolerance_px:
-        return Configuration("tabulated", step, SAMPLES[-1], table_px, estimate, why)  # it won't do
-    tried = scene_on(scene, "tabulated", step, table_px)
+    found = Configuration("tabulated", min(STEPS_MM), SAMPLES[-1], table_px, {}, why)
+    try:
+        step, error = _step(scene, field, hot, _SHARE["march"] * tolerance_px)
+        words = f"a step of {step:g} mm errs by {error:.2g} px"
+        found = replace(found, step_mm=step).knowing(words, {"march": error})
+    except NoMapError as no_rays:  # the march by samples has a status for each
+        words = f"the march's error is not known, so its step is the shortest: {no_rays}"
+        found = found.knowing(words)
+    if found.error_px > tolerance_px:
+        return found  # it won't do
+    tried = scene_on(scene, "tabulated", found.step_mm, table_px)
     made = lit_pixels(tried).report
     if made.transport == "tabulated":
-        estimate["tables"] = made.map_error_px
+        words = f"the ray maps err by {made.map_error_px:.2g} px"
+        found = found.knowing(words, {"tables": made.map_error_px})
     else:
-        why.append(f"no tables: {made.reason}")
-    left_px = tolerance_px - sum(estimate.values())
-    spp, estimate["samples"], words = _samples(tried, column, left_px)
-    return Configuration(made.transport, step, spp, table_px, estimate, [*why, words])
+        found = replace(found, transport=made.transport).knowing(f"no tables: {made.reason}")
+    return _with_samples(tried, found, tolerance_px, column)
 
 
 def configured(scene: Scene, configuration: Configuration) -> Scene:
@@ -282,8 +274,10 @@ def _step(
     return step, error
 
 
-def _samples(scene: Scene, column: Index, tolerance_px: float) -> tuple[int, float, str]:
-    """The fewest samples per pixel that keep a tolerance, their error in px, and words."""
+def _with_samples(
+    scene: Scene, found: Configuration, tolerance_px: float, column: Index
+) -> Configuration:
+    """The configuration with the fewest samples per pixel that keep what is left of a tolerance."""
     best = TrueLine.of_rows(line_of(scene, column, _MANY_SAMPLES).row)
     if not best.columns().size:
         raise InputError(
@@ -292,10 +286,7 @@ def _samples(scene: Scene, column: Index, tolerance_px: float) -> tuple[int, flo
         )
     for spp in SAMPLES:
         error = largest_error(line_of(scene, column, spp), best)
-        if error <= tolerance_px:
+        if error <= tolerance_px - found.error_px:
             break
-    return spp, error, f"an error of {error:.2g} px by {_per_pixel(spp)}"
-
-
-def _per_pixel(spp: int) -> str:
-    return f"{spp} sample{'s' * (spp != 1)} per pixel"
+    words = f"an error of {error:.2g} px by {spp} sample{'s' * (spp != 1)} per pixel"
+    return replace(found, spp=spp).knowing(words, {"samples": error})
