@@ -120,17 +120,17 @@ def test_the_lit_pixels_are_those_of_rays_marched_at_every_pixel(temperature, na
     Each pixel's line of sight, by the camera's numbers, is marched to the part in float64, and the
     laser's ray there found by Newton.  Within 2 um of the beam's border it may be either.
     """
-    film = {"width": 192, "height": 192, "spp": 1, "line_radius": 0.4}
+    film = {"width": 128, "height": 128, "spp": 1, "line_radius": 0.6}
     scene = vs.load_scene(SCENE_OF[name], **film)
     scene = scene.cold() if temperature == "cold" else scene
     frame, laser, march = render_frame(scene), scene.source, March(1.0, "leapfrog", "double")
-    v, u = np.mgrid[:192, :192]
+    v, u = np.mgrid[:128, :128]
     heading = scene.camera.lines_of_sight(np.stack([u, v], axis=-1).reshape(-1, 2))
     start = np.broadcast_to(scene.camera.pose.origin_mm, heading.shape)
     ray = mi.Ray3f(mi.Point3f(to_vectors(start)), mi.Vector3f(to_vectors(heading)))
     tracer = Marched(scene.medium, SceneSurface(scene.mitsuba), (laser,), march)
     (light,) = tracer.sight(ray)[0].lights
-    s, t = (np.array(x, float).reshape(192, 192) for x in (light.s, light.t))
+    s, t = (np.array(x, float).reshape(128, 128) for x in (light.s, light.t))
     surely, maybe = (laser.reaches(s, t, (margin, margin)) for margin in (-2e-3, 2e-3))
     assert np.count_nonzero(surely) > 400
     np.testing.assert_array_equal(frame.lit & surely, surely)
@@ -265,7 +265,7 @@ def test_a_frame_is_the_same_to_the_bit_with_any_number_of_threads():
     25 samples per pixel do not fill up the blocks that threads take, so that two threads make a
     pixel's samples.
     """
-    scene = load("cold", spp=25, line_radius=1.0, width=1024, height=1024)
+    scene = load("cold", spp=25, line_radius=1.0, width=640, height=640)
     threads, frames = dr.thread_count(), []
     try:
         for count in (1, 2, 2, 4, 4):

@@ -13,7 +13,7 @@ from virtual_sensor.engine import mi
 from virtual_sensor.imaging import render as imaging
 from virtual_sensor.imaging.render import render_frame
 
-SMALL = {"width": 192, "height": 192, "spp": 4, "line_radius": 0.5}
+SMALL = {"width": 128, "height": 128, "spp": 4, "line_radius": 0.5}
 
 
 @pytest.fixture
@@ -81,7 +81,7 @@ def test_what_changes_a_scene_is_searched_again(load, prepared):
 
 def test_what_is_kept_is_bounded_and_goes_with_its_scene(load, prepared):
     """Rationale: frames of a sweep have a scene each; a film's worth of each would fill memory."""
-    scenes = [load(beta=beta) for beta in range(6)]
+    scenes = [load(beta=beta, spp=1) for beta in range(6)]
     for scene in scenes:
         vs.render(scene)
     vs.render(scenes[-1])

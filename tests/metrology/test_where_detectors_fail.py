@@ -3,6 +3,7 @@
 from itertools import product
 
 import numpy as np
+import pytest
 from artificial import line_image
 
 from virtual_sensor.metrology.centres import Status
@@ -62,6 +63,11 @@ TOLD = {
     },
 }
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood", "log_parabola")
+# Whether a column is doubted does not depend on the detector, but for what its own fit says.
+METHODS = [
+    ("centre_of_gravity", "weighted_gaussian"),
+    pytest.param(COLUMNWISE, marks=pytest.mark.slow),
+]
 UNRESOLVED = 1.5  # sigma apart, up to which two lines are one: see the last test
 
 
@@ -94,14 +100,15 @@ def statuses(line):
     return {Status(status) for status in np.unique(line.status)} - {Status.OK}
 
 
-def test_each_trouble_has_a_status_and_hides_no_wrong_centre():
+@pytest.mark.parametrize("methods", METHODS, ids=len)
+def test_each_trouble_has_a_status_and_hides_no_wrong_centre(methods):
     """From none to much: the worst is refused whole, and what is OK is right in between."""
     for what, allowed in TOLD.items():
         amounts = TROUBLES[what][0]
         for amount in amounts:
             image, truth = drawn(what, amount)
             saturation = 1.0 if what == "line saturated" else None
-            for method in COLUMNWISE:
+            for method in methods:
                 case = what, amount, method
                 line = line_centres(image, method, saturation=saturation)
                 found = line.status == Status.OK
@@ -115,11 +122,12 @@ def test_each_trouble_has_a_status_and_hides_no_wrong_centre():
                     np.testing.assert_array_equal(found, expected, err_msg=f"{case}")
 
 
-def test_two_lines_from_two_sigma_apart_are_no_line():
+@pytest.mark.parametrize("methods", METHODS, ids=len)
+def test_two_lines_from_two_sigma_apart_are_no_line(methods):
     """Merged they are SKEWED or flat; apart, of much the same height, either may be the line."""
     for ratio, apart in product((1.0, 0.9, 0.5), (2.0, 2.5, 3.0, 4.0, 6.0, 10.0)):
         image, truth = doubled(ratio, apart)
-        for method in COLUMNWISE:
+        for method in methods:
             case = ratio, apart, method
             line = line_centres(image, method)
             assert wrong(line, truth).mean() < 0.02, case
@@ -142,13 +150,14 @@ def test_a_weak_line_far_away_is_no_harm():
         )
 
 
-def test_noise_is_not_taken_for_trouble():
+@pytest.mark.parametrize("methods", METHODS, ids=len)
+def test_noise_is_not_taken_for_trouble(methods):
     """Of sound lines under 1 % are called skewed or doubled, however narrow."""
     for snr, sigma in product((20.0, 100.0), (0.7, 1.0, 2.0, 6.0)):
         rng = np.random.default_rng(9)
         centre = rng.uniform(63.0, 65.0, 1500)
         image = line_image(centre, sigma, height=128) + rng.normal(0.0, 1.0 / snr, (128, 1500))
-        for method in COLUMNWISE:
+        for method in methods:
             status = line_centres(image.astype(np.float32), method).status
             doubted = np.isin(status, (Status.SKEWED, Status.DOUBLED))
             assert np.mean(doubted) < 0.01, (snr, sigma, method)

@@ -155,7 +155,7 @@ def test_each_pair_of_two_cameras_and_two_lasers_does(pairs):
     """Rationale: a scene owns its parts; what needs one of them is given its name."""
     for case in product(("camera", "steep"), ("laser", "upright")):
         view, source = case
-        y = np.linspace(-10.0, 10.0, 401)
+        y = np.linspace(-10.0, 10.0, 101)
         found = vs.ray_search(pairs, y, "newton", camera=view, source=source)
         assert (found.status == 0).all(), case
         names = {"camera": view, "source": source}
@@ -195,17 +195,17 @@ def test_a_scene_that_is_moved_as_a_whole_sees_and_measures_the_same(scene):
 def test_several_coordinates_are_triangulated_at_once(scene):
     """Rationale: a pattern tells each pixel's own; straight, each has its plane."""
     family = scene.source.family
-    s = np.repeat([-2.0, 0.0, 1.5], 20)
-    starts, directions = family.rays(s, np.tile(np.linspace(-8.0, 8.0, 20), 3))
+    s = np.repeat([-2.0, 1.5], 20)
+    starts, directions = family.rays(s, np.tile(np.linspace(-8.0, 8.0, 20), 2))
     points = starts + 290.0 * directions
     pixel = vs.project(scene, points, through_medium=False)
     np.testing.assert_allclose(vs.triangulate(scene, pixel, coordinate=s), points, atol=1e-9)
     bent = vs.triangulate(
-        scene, pixel.reshape(3, 20, 2), medium=scene.medium, coordinate=s.reshape(3, 20)
+        scene, pixel.reshape(2, 20, 2), medium=scene.medium, coordinate=s.reshape(2, 20)
     )
     one_by_one = [
         vs.triangulate(scene, pixel[s == each], medium=scene.medium, coordinate=each)
-        for each in (-2.0, 0.0, 1.5)
+        for each in (-2.0, 1.5)
     ]
     np.testing.assert_allclose(bent, one_by_one, atol=2e-5)
 

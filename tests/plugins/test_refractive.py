@@ -109,8 +109,8 @@ def test_no_lit_pixel_is_overlooked(temperature):
     """
     scene = vs.load_scene("stepped_shaft", width=1024, height=1024, spp=4)
     scene = scene if temperature == "hot" else scene.cold()
-    size = (160, 128)
-    crop(scene, (250, 490), size)
+    size = (80, 128)
+    crop(scene, (330, 490), size)
     every, given = np.arange(size[0] * size[1], dtype=np.uint32), arrangement(scene)
     sight, _ = given.marched.sight(given.view.centres(every))
     lit = LitPixels(every, tuple(given.sources), given.marched, RenderReport("marched"), sight)

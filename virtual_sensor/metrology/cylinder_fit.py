@@ -10,7 +10,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
-from scipy.stats import norm, t
+from scipy.special import ndtri, stdtrit
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM
@@ -211,11 +211,11 @@ def radius_interval(
 
     n, blocks = len(used), len(used) / block
     tails = np.array([1.0 - level, 1.0 + level]) / 2.0
-    few = np.sqrt(blocks / (blocks - unknowns)) * t.ppf(tails[1], blocks - unknowns)
+    few = np.sqrt(blocks / (blocks - unknowns)) * stdtrit(blocks - unknowns, tails[1])
     starts = np.random.default_rng(seed).integers(n, size=(resamples, -(-n // block)))
     places = (starts[:, :, None] + np.arange(block)).reshape(resamples, -1)[:, :n] % n
     changes = (residual - residual.mean())[places] @ gain
-    low, high = fit.radius_mm + np.quantile(changes, tails) * few / norm.ppf(tails[1])
+    low, high = fit.radius_mm + np.quantile(changes, tails) * few / ndtri(tails[1])
     return float(low), float(high)
 
 
