@@ -13,9 +13,8 @@ PROGRESS = re.compile(r"^ *\d+% after \d+ s: .*\n", re.MULTILINE)
 """What a command prints to standard error every 10 s, on a slow machine earlier than on others."""
 
 
-def command(*arguments):
-    """Run the command in this process: exit status, standard output and error but for progress."""
-    out, err = io.StringIO(), io.StringIO()
+def status_of(arguments, out, err):
+    """Run the command in this process, with such streams; give its exit status."""
     with (
         mock.patch("sys.argv", ["virtual-sensor", *map(str, arguments)]),
         mock.patch("signal.signal"),
@@ -24,5 +23,12 @@ def command(*arguments):
         pytest.raises(SystemExit) as ended,
     ):
         cli.main()
+    return ended.value.code or 0
+
+
+def command(*arguments):
+    """Run the command in this process: exit status, standard output and error but for progress."""
+    out, err = io.StringIO(), io.StringIO()
+    status = status_of(arguments, out, err)
     plain = [re.sub(r"\x1b\[[\d;]*m", "", text.getvalue()) for text in (out, err)]
-    return ended.value.code or 0, plain[0], PROGRESS.sub("", plain[1])
+    return status, plain[0], PROGRESS.sub("", plain[1])

@@ -4,6 +4,7 @@ pytest-xdist's workers get whole files, so that what a module's fixtures make is
 worker computes with its share of the cores. A run of single files is done by this process.
 """
 
+import contextlib
 import os
 import signal
 from collections import Counter
@@ -38,13 +39,15 @@ def pytest_xdist_auto_num_workers(config):
     return min(CORES, MOST_WORKERS) if folders else 0
 
 
-@pytest.fixture(scope="module")
-def unpainted():
-    """Pictures whose panels are drawn but not painted: half the time of a command's files.
+@pytest.fixture(scope="session")
+def without_paint():
+    """Pictures in this context have their panels drawn but not painted: half a command's time.
 
     For tests of what is computed, saved and said; what pictures show, others look at.
     """
-    with pytest.MonkeyPatch.context() as patch:
+
+    @contextlib.contextmanager
+    def unpainted():
         import numpy as np
 
         from virtual_sensor.reporting import pictures
@@ -53,5 +56,22 @@ def unpainted():
             width, height = figure.canvas.get_width_height()
             return np.full((height, width, 3), 255, np.uint8)
 
-        patch.setattr(pictures, "_pixels", blank)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(pictures, "_pixels", blank)
+            yield
+
+    return unpainted
+
+
+@pytest.fixture(scope="module")
+def unpainted(without_paint):
+    """No picture of a module is painted."""
+    with without_paint():
+        yield
+
+
+@pytest.fixture
+def unpainted_test(without_paint):
+    """No picture of a test is painted."""
+    with without_paint():
         yield

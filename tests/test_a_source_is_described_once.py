@@ -142,7 +142,26 @@ SOURCES = {
 }
 
 
-@pytest.fixture(scope="module", params=SOURCES, ids=lambda name: name.replace(" ", "-"))
+def pytest_generate_tests(metafunc):
+    """All of each source; of the sheet past its focus with the slow tests but for its line."""
+    if "known" not in metafunc.fixturenames:
+        return
+    always = metafunc.function in (
+        test_its_rays_are_those_that_are_written_out,
+        test_the_rendered_line_is_the_searched_one,
+    )
+    sources = [
+        pytest.param(
+            name,
+            id=name.replace(" ", "-"),
+            marks=[] if always or name != "past its focus" else pytest.mark.slow,
+        )
+        for name in SOURCES
+    ]
+    metafunc.parametrize("known", sources, indirect=True, scope="module")
+
+
+@pytest.fixture(scope="module")
 def known(request):
     return SOURCES[request.param]
 
@@ -365,11 +384,22 @@ def moved(held, turn_deg, shift_mm):
     return replace(held, sensor=SensorModel(camera, laser.with_pose(pose)))
 
 
+@pytest.fixture(scope="module")
+def held(scene):
+    """The scene without Mitsuba's: its parts can be moved."""
+    return HeldScene(scene.sensor, scene.medium, scene.surface)
+
+
+@pytest.fixture(scope="module")
+def exact(held, t):
+    """All derivatives of the line."""
+    return line_sensitivity(held, t)
+
+
 @pytest.mark.parametrize("parameter", ["laser_x", "laser_z", "laser_turn_y", "laser_turn_z", "t"])
-def test_derivatives_are_those_of_central_differences(known, scene, t, parameter):
+def test_derivatives_are_those_of_central_differences(known, held, exact, t, parameter):
     """Rationale: they come from the family's own, carried through the air."""
-    held = HeldScene(scene.sensor, scene.medium, scene.surface)
-    exact, none = line_sensitivity(held, t), np.zeros(3)
+    none = np.zeros(3)
     axis = none if parameter == "t" else np.eye(3)["xyz".index(parameter[-1])]
     turns = "turn" in parameter
     e = 0.0005 if turns else 0.002 if parameter != "t" else 2e-4 * known.half_length

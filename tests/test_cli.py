@@ -352,13 +352,9 @@ cli.main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("blow", "status"),
-    [
-        pytest.param("SIGINT", 130, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", 143, marks=pytest.mark.slow),
-        ("SIGKILL", -signal.SIGKILL),
-    ],
+    ("blow", "status"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGKILL", -signal.SIGKILL)]
 )
 def test_a_killed_run_leaves_no_results_and_does_not_hinder_the_next(here, blow, status):
     """Rationale: Ctrl-C, a batch queue's limit, the out-of-memory killer: half is written then.

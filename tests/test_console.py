@@ -1,13 +1,16 @@
 """What the commands print can be read: on any terminal, in any encoding, whatever names hold."""
 
+import contextlib
 import io
 import os
 import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from command_line import command
+from command_line import command, status_of
 from rich.table import Table
 
 from virtual_sensor.cli import commands
@@ -35,6 +38,28 @@ def program(words, redirection="", **settings):
         ["bash", "-c", line, sys.executable], env=os.environ | settings, capture_output=True
     )
     return ended.returncode, ended.stdout.decode(), ended.stderr.decode()
+
+
+def as_program(words, encoding="utf-8", full=()):
+    """The command as a program: status, output, errors; streams that are full are given by 1, 2."""
+    redirections = " ".join(f"{number}> /dev/full" for number in full)
+    return program(words, redirections, PYTHONIOENCODING=encoding)
+
+
+def in_this_process(words, encoding="utf-8", full=()):
+    """The same, in this process."""
+    with contextlib.ExitStack() as opened:
+        files = [io.BytesIO(), io.BytesIO()]
+        for number in full:
+            files[number - 1] = opened.enter_context(Path("/dev/full").open("wb"))
+        streams = [io.TextIOWrapper(file, encoding=encoding) for file in files]
+        status = status_of(shlex.split(words), *streams)
+        return status, *("" if n in full else f.getvalue().decode() for n, f in enumerate(files, 1))
+
+
+runs = pytest.mark.parametrize(
+    "run", [in_this_process, pytest.param(as_program, marks=pytest.mark.slow)]
+)
 
 
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 200])
@@ -116,25 +141,27 @@ def test_without_a_command_the_help_is_shown_on_a_narrow_screen_too(monkeypatch)
     assert "virtual-sensor measure hot_cylinder" in command()[1]
 
 
-def test_a_terminal_that_knows_ascii_alone_is_written_to_in_ascii():
+@runs
+def test_a_terminal_that_knows_ascii_alone_is_written_to_in_ascii(run):
     """Rationale: batch systems and containers have no locale; µ and ° are in every result."""
-    status, out, err = program("search cold_cylinder -y 0", PYTHONIOENCODING="ascii")
+    status, out, err = run("search cold_cylinder -y 0", "ascii")
     assert (status, err) == (0, "")
     assert out.isascii()
     assert "distance, um" in out
-    status, out, err = program("measure 'µ\N{SNOWMAN}'", PYTHONIOENCODING="ascii")
+    status, out, err = run("measure 'µ\N{SNOWMAN}'", "ascii")
     assert (status, out) == (2, "")
     assert err.startswith("Error: u\\u2603: ")
 
 
-def test_an_output_that_is_full_costs_no_results_and_is_told_in_a_line(tmp_path):
+@runs
+def test_an_output_that_is_full_costs_no_results_and_is_told_in_a_line(tmp_path, run):
     """Rationale: the table goes to a full disk, and an hour's work must not."""
     file = tmp_path / "rays.csv"
-    status, out, err = program(f"search cold_cylinder -y 0 -o {file}", "> /dev/full")
+    status, out, err = run(f"search cold_cylinder -y 0 -o {file}", full=(1,))
     assert (status, out) == (1, "")
     assert re.fullmatch(r"Error: standard output: can't be written \(No space .*\n", err)
     assert file.exists()
-    assert program("measure nope", "2> /dev/full") == (2, "", "")
+    assert run("measure nope", full=(2,)) == (2, "", "")
 
 
 @pytest.mark.slow

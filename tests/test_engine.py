@@ -150,8 +150,15 @@ def test_drjit_imported_first_with_a_bad_library_is_an_error_with_a_remedy(refus
 
 
 @needs_llvm_15
-@pytest.mark.parametrize("named", [None, LLVM_15])
-@pytest.mark.parametrize("other", ["drjit", "mitsuba"])
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [
+        ("drjit", LLVM_15),
+        ("mitsuba", None),
+        pytest.param("drjit", None, marks=pytest.mark.slow),
+        pytest.param("mitsuba", LLVM_15, marks=pytest.mark.slow),
+    ],
+)
 def test_who_imports_mitsuba_after_us_gets_an_llvm_that_works(python, named, other):
     """Rationale: by itself Dr.Jit loads the system's newest, and LLVM 15 aborts at a minimum."""
     code = (

@@ -70,7 +70,9 @@ def test_an_image_is_a_table_a_picture_a_page_and_a_summary(tmp_path):
     assert "90 line centres of 90 columns" in page
 
 
-def test_exr_frames_of_ours_give_points_by_the_calibration_beside_them(tmp_path, undrawn):
+def test_exr_frames_of_ours_give_points_by_the_calibration_beside_them(
+    tmp_path, undrawn, unpainted_test
+):
     """Centres, undistorted and triangulated, as PLY; the depth is the laser plane's."""
     sensor = paper_sensor()
     image = np.zeros((2048, 2048), np.float32)
@@ -91,7 +93,7 @@ def test_exr_frames_of_ours_give_points_by_the_calibration_beside_them(tmp_path,
     assert undocumented(tmp_path / "out", reporting.FILES) == []
 
 
-def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(tmp_path):
+def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(tmp_path, unpainted_test):
     """Two lines that stand upright in two images, found by rows, two peaks each."""
     both = line_image(ROW, 2.0, 200.0) + line_image(np.full(90, 52.0), 2.0, 90.0)
     for name in ("a.png", "b.png"):
@@ -115,7 +117,9 @@ def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(tmp_path)
 
 
 @pytest.mark.parametrize("detector", ["steger", "numpy:nanargmax", "test_detect:brightest"])
-def test_any_detector_works_from_the_command_line(tmp_path, detector, monkeypatch, undrawn):
+def test_any_detector_works_from_the_command_line(
+    tmp_path, detector, monkeypatch, undrawn, unpainted_test
+):
     """Ours, and a user's own in the working folder; one that is unfit is refused."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -137,7 +141,7 @@ def test_the_help_names_every_detector():
     assert [name for name in NAMES if name not in shown] == []
 
 
-def test_images_without_a_line_are_written_and_end_with_status_3(tmp_path):
+def test_images_without_a_line_are_written_and_end_with_status_3(tmp_path, undrawn):
     """The table, the picture and the page say so; one image with a line among them is a success."""
     cv2.imwrite(str(tmp_path / "dark.png"), np.zeros((40, 50), np.uint8))
     cv2.imwrite(str(tmp_path / "line.png"), picture(255, np.uint8))
@@ -173,7 +177,9 @@ def test_a_calibration_of_another_size_is_refused(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_notes_are_said_once_for_all_images_and_stay_in_the_summary(tmp_path, undrawn):
+def test_notes_are_said_once_for_all_images_and_stay_in_the_summary(
+    tmp_path, undrawn, unpainted_test
+):
     """What each file's reader assumed, what a folder held besides, on the screen and in JSON."""
     folder = tmp_path / "shots"
     folder.mkdir()
@@ -191,7 +197,7 @@ def test_notes_are_said_once_for_all_images_and_stay_in_the_summary(tmp_path, un
         assert ended.output.count(f"Note: {note}") == 1
 
 
-def test_no_saturation_beyond_what_a_file_can_hold(tmp_path, undrawn):
+def test_no_saturation_beyond_what_a_file_can_hold(tmp_path, undrawn, unpainted_test):
     """8 bits clip at 255 whatever the camera is said to have; nan is no level at all."""
     clipped = np.minimum(2 * picture(255, np.uint8).astype(int), 255).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), clipped)
@@ -211,7 +217,7 @@ def test_no_saturation_beyond_what_a_file_can_hold(tmp_path, undrawn):
     assert "peaks is 1000000000; give a whole number, 1 to 100" in str(ended.exception)
 
 
-def test_what_a_calibration_leaves_open_is_noted(tmp_path, undrawn):
+def test_what_a_calibration_leaves_open_is_noted(tmp_path, undrawn, unpainted_test):
     """Names that are taken for others, elements that are not used: on the screen and in JSON."""
     text = calibration_text(calibration_of(paper_sensor()), "c.json")
     known = json.loads(text) | {"image_width": 90, "image_height": 64, "reprojection_error": 0.1}
@@ -254,7 +260,9 @@ def test_pages_open_in_a_browser_whatever_the_names(tmp_path, faults_of, undrawn
         assert faults_of(out / "report.html") == []
 
 
-def test_of_many_images_the_page_shows_one_panel_each(tmp_path, undrawn, monkeypatch):
+def test_of_many_images_the_page_shows_one_panel_each(
+    tmp_path, undrawn, unpainted_test, monkeypatch
+):
     """Rationale: a page of hundreds of pictures could not be opened; their files have them all."""
     monkeypatch.setattr(reporting, "MOST_WHOLE_PICTURES", 1)
     for name in ("a b", "a-b"):
@@ -272,7 +280,7 @@ def test_of_many_images_the_page_shows_one_panel_each(tmp_path, undrawn, monkeyp
     assert seen == [("a b", 0.0), ("a b", 0.5), ("a-b", 1.0)]
 
 
-def test_pixels_are_square_or_the_title_says_how_they_are_stretched(tmp_path):
+def test_pixels_are_square_or_the_title_says_how_they_are_stretched(tmp_path, unpainted_test):
     """Rationale: lines of 2048 x 40 px were drawn in any shape, and looked rough."""
     drawn = []
 

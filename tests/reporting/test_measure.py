@@ -1,5 +1,6 @@
 """A measurement's picture and page: what a reader sees of it, for every kind of scene."""
 
+import contextlib
 import json
 import re
 from dataclasses import replace
@@ -27,13 +28,14 @@ SCENES = {
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory):
-    """By kind: the measurement, its summary and its folder."""
+def measured(tmp_path_factory, without_paint):
+    """By kind: the measurement, its summary and its folder; some have pictures without paint."""
     place = tmp_path_factory.mktemp("measured")
     found = {}
     for kind, (name, given) in SCENES.items():
         result = measure(load_scene(name, **FILM | given))
-        figures = reporting.save(result, place / kind, f"virtual-sensor measure {name}")
+        with without_paint() if kind in ("cold", "dots") else contextlib.nullcontext():
+            figures = reporting.save(result, place / kind, f"virtual-sensor measure {name}")
         found[kind] = result, figures, place / kind
     return found
 
@@ -118,7 +120,7 @@ def test_a_measurement_that_is_worth_little_says_so_first(measured):
     assert re.search(r"In hot air no point is measured: the columns are .*too_narrow \d+", html)
 
 
-def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured):
+def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured, unpainted_test):
     """Rationale: empty panels, and zigzags of 1e-11 um, made readers ask what they had missed."""
     result, figures, _ = measured["cold"]
     _, panels = reporting.picture(result, figures)
@@ -245,7 +247,7 @@ def test_names_of_a_users_files_are_only_names(tmp_path, faults_of):
     assert "<i>" in out
 
 
-def test_where_no_centre_is_found_all_says_so(measured, tmp_path):
+def test_where_no_centre_is_found_all_says_so(measured, tmp_path, unpainted_test):
     """Rationale: "none none 0" and exit status 0 let a script go on with nothing."""
     given = [f"-D{name}={value}" for name, value in (FILM | SCENES["nothing"][1]).items()]
     status, out, err = command("measure", "hot_cylinder", *given, "-o", tmp_path / "out")

@@ -75,7 +75,7 @@ def swept(choices, failed=(), folder=None, hot=True, scene="hot_cylinder"):
 
 
 @pytest.fixture
-def axes_of(monkeypatch):
+def axes_of(monkeypatch, unpainted_test):
     """A function that draws a sweep and gives the axes of its panels, by their titles."""
     figures = []
     make = module.draw_picture
@@ -241,7 +241,7 @@ def test_files_are_written_and_listed(tmp_path, faults_of):
     }
 
 
-def test_combinations_that_are_not_drawn_are_counted():
+def test_combinations_that_are_not_drawn_are_counted(unpainted_test):
     """Rationale: seven panels of twelve would be taken for all there is."""
     numbers = [str(i) for i in range(3)]
     result = swept({"beta": numbers, "method": ["a", "b"], "spp": numbers, "step": numbers})
@@ -258,7 +258,7 @@ def test_a_parameter_that_is_called_as_a_column_has_one_of_its_own():
     assert columns["status"].tolist() == ["ok", "ok"]
 
 
-def test_the_page_tells_failures_before_files(tmp_path):
+def test_the_page_tells_failures_before_files(tmp_path, unpainted_test):
     """Rationale: why a case failed is asked before what the files are."""
     save(swept({"beta": ["0", "15"]}, failed=(1,)), tmp_path, "c")
     html = (tmp_path / "report.html").read_text()

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -210,6 +211,7 @@ def swept(tmp_path_factory):
         "sweep", "cold_cylinder", "-D", "alpha=60,0,50", *OPTIONS, "-o", folder
     )
     assert err == ""
+    shutil.copytree(folder, folder.with_name("copied"))
     return folder, status, out
 
 
@@ -269,21 +271,21 @@ def test_an_extended_sweep_makes_only_what_is_new(swept):
     assert marks(folder) == after
 
 
-def test_results_of_another_program_are_told_and_make_room(tmp_path, monkeypatch):
+def test_results_of_another_program_are_told_and_make_room(swept, monkeypatch):
     """Rationale: after an update they must be made again, not used, and not fill the disk."""
-    words = ["cold_cylinder", *OPTIONS, "-o", tmp_path / "swept"]
-    assert command("sweep", *words, "-D", "alpha=60,50")[0] == 0
-    earlier = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
+    folder = swept[0].with_name("copied")  # before it was extended
+    words = ["cold_cylinder", *OPTIONS, "-o", folder]
+    earlier = sorted(path.name for path in (folder / "cases").iterdir())
     for module in (finished_cases, sweep_table):
         monkeypatch.setattr(module, "fingerprint", lambda: "0" * 8)
     status, out, _ = command("sweep", *words, "-D", "alpha=60")
     assert status == 0
     assert "1 case: 1 measured, 0 already there, 0 failed" in out
-    notes = json.loads((tmp_path / "swept/summary.json").read_text())["notes"]
+    notes = json.loads((folder / "summary.json").read_text())["notes"]
     assert notes[0].startswith("1 cases were measured again, since this program or a package")
     assert notes[1].startswith("cases/ holds 1 results of another version of this program")
     assert all(f"Note: {note}" in out for note in notes)
-    later = sorted(path.name for path in (tmp_path / "swept/cases").iterdir())
+    later = sorted(path.name for path in (folder / "cases").iterdir())
     [again] = [name for name in later if name.endswith("-00000000")]
     assert later == sorted([earlier[0], again])
     assert earlier[0].startswith("alpha=50-")
@@ -360,14 +362,8 @@ cli.main()
 """
 
 
-@pytest.mark.parametrize(
-    "number",
-    [
-        signal.SIGKILL,
-        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param(signal.SIGINT, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 def test_a_killed_sweep_goes_on(tmp_path, number):
     """Rationale: a power cut after hours must cost one case."""
     words = ["sweep", "cold_cylinder", "-D", "alpha=60,50,55", *OPTIONS, "-o", "swept"]
