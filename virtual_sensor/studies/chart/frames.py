@@ -98,17 +98,16 @@ def tasks(quick: bool = False) -> Iterator[Task]:
 
 def settings(quick: bool = False) -> list[Settings]:
     """Scene parameters of the configurations."""
-    if quick:
-        few: list[Settings] = [{"transport": "marched", "spp": spp} for spp in (1, 4)]
-        return [*few, *({"transport": name, "spp": 4} for name in ("straight", "tabulated"))]
-    spps: dict[str, tuple[int, ...]] = dict.fromkeys(("straight", "tabulated"), _SPP)
-    # These two take long: the first of them never gets better by more samples.
+    # Marched rays take long; the first order never gets better by more samples.
+    spps: dict[str, tuple[int, ...]] = {"straight": _SPP, "tabulated": _SPP}
     spps |= {"first_order": (1,), "marched": (1, 4, 16)}
-    each: list[Settings] = [
+    if quick:
+        spps = {"marched": (1, 4), "straight": (4,), "tabulated": (4,)}
+    by_samples: list[Settings] = [
         {"transport": name, "spp": spp} for name, chosen in spps.items() for spp in chosen
     ]
-    table: Settings = {"transport": "tabulated", "spp": 16}
-    marched: Settings = {"transport": "marched", "spp": 1}
+    if quick:
+        return by_samples
     either: list[Settings] = [
         {"method": "rk4", "step": 4},
         {"precision": "double"},
@@ -124,8 +123,9 @@ def settings(quick: bool = False) -> list[Settings]:
     ]
     # No table meets its tolerance in a linear field: its gradient jumps at each node.
     of_marches: list[Settings] = [{"interpolation": "linear"}]
-    each += [table | varied for varied in of_tables + either]
-    return each + [marched | varied for varied in of_marches + either]
+    tables = [{"transport": "tabulated", "spp": 16} | varied for varied in of_tables + either]
+    marches = [{"transport": "marched", "spp": 1} | varied for varied in of_marches + either]
+    return by_samples + tables + marches
 
 
 def _configuration(load: Callable[..., Scene], film: Settings, chosen: Settings) -> Configuration:

@@ -37,6 +37,7 @@ ALONG_MM = np.linspace(-60.0, 60.0, 13)
 ARCS_MM = (5.0, 8.0, 11.0)
 STATES = ("cold", "hot")
 
+_OF_FITS = ("radius_mm", "residual_std_um", "axis_point_mm", "axis_direction", "count", "status")
 _BLOCKS = 10
 """The rays of a line fall into so many blocks for the interval.  A residual's correlation with its
 neighbours along the line falls to 1/e within an eighth of the line and to zero within a fifth."""
@@ -242,18 +243,13 @@ def reconstruct(
         return values.reshape(len(arcs), 2, *values.shape[1:])
 
     return Reconstruction(
-        along,
-        y,
-        points.reshape(2, -1, 3),
-        np.array([part.radius_mm, part.axis_y_mm, part.axis_z_mm]),
-        arcs,
-        of("radius_mm"),
-        of("residual_std_um"),
-        np.reshape(intervals, (len(arcs), 2, 2)),
-        of("axis_point_mm"),
-        of("axis_direction"),
-        of("count"),
-        of("status"),
+        along_mm=along,
+        y_mm=y,
+        points_mm=points.reshape(2, -1, 3),
+        true_mm=np.array([part.radius_mm, part.axis_y_mm, part.axis_z_mm]),
+        arc_mm=arcs,
+        interval_mm=np.reshape(intervals, (len(arcs), 2, 2)),
+        **{name: of(name) for name in _OF_FITS},
     )
 
 

@@ -174,29 +174,22 @@ def trial(
     drawn = conditions(task, quick)
     widths = PHASE_WIDTHS_PX[1:4:2] if quick else PHASE_WIDTHS_PX
     pairs = [(name, width) for name in names for width in widths]
-    scores: dict[int, list[Score]] = {}
-    phases: dict[tuple[str, float], Array] = dict.fromkeys(pairs, np.empty(0))
     with _pool(workers) as pool:
         with interrupts.deaf_children():
-            images = {}
-            for number, condition in enumerate(drawn):
-                arguments = (names, condition, columns, (seed, number))
-                images[pool.submit(score_drawn, *arguments)] = number
-            for number, (condition, image) in enumerate(rendered, len(drawn)):
-                images[pool.submit(score_all, names, condition, image)] = number
+            images = {
+                pool.submit(score_drawn, names, each, columns, (seed, number)): each.kind
+                for number, each in enumerate(drawn)
+            }
+            images |= {pool.submit(score_all, names, *each): each[0].kind for each in rendered}
             biases = {pool.submit(phase_bias, *pair): pair for pair in pairs}
         work: list[Future] = [*images, *biases]
         for done, future in enumerate(as_completed(work), 1):
-            if future in biases:
-                phases[biases[future]] = future.result()
-                stage = "sub-pixel phases"
-            else:
-                scores[images[future]] = future.result()
-                stage = f"{scores[images[future]][0].kind} lines"
+            future.result()  # what failed ends the trial at once
+            stage = f"{images[future]} lines" if future in images else "sub-pixel phases"
             report(stage, _FRAMES_SHARE + (1.0 - _FRAMES_SHARE) * done / len(work))
     return Trial(
-        scores=tuple(score for _, each in sorted(scores.items()) for score in each),
-        phases=Phases.of(phases),
+        scores=tuple(score for future in images for score in future.result()),
+        phases=Phases.of({pair: future.result() for future, pair in biases.items()}),
         task=drawn[-1],
         seed=seed,
         columns=columns,
