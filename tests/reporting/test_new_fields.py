@@ -8,7 +8,6 @@ from command_line import command
 
 from virtual_sensor.medium.heat_flow.balance import HeatBalance
 from virtual_sensor.medium.heat_flow.run import RunEnd
-from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.reporting.new_fields import simulated, written
 from virtual_sensor.studies.simulate import Simulation
 
@@ -18,7 +17,7 @@ def test_a_simulation_says_when_it_ended_and_how_sound_it_is(known):
     """Rationale: heat that is given off must be carried out; what was not searched is not said."""
     figures = (6.87, 9, 0.031) if known else (np.nan, 5, np.nan)
     balance = HeatBalance(50.0, 49.5, 0.001)
-    result = Simulation(HeatFlow(), RunEnd(3.25, None, known), None, balance, *figures)
+    result = Simulation(RunEnd(3.25, None, known), balance, *figures)
     said = simulated(result)
     assert said[0] == "ended at 3.25 s of flow" + (
         ", when the probe rays moved by 0.031 px per s of flow" if known else ""

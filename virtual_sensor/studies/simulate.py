@@ -72,10 +72,7 @@ class Simulation:
 
     Attributes
     ----------
-    flow : HeatFlow
     end : RunEnd
-    quantity : GriddedQuantity
-        What was written.
     balance : HeatBalance
         Of the last quarter of a second.
     nusselt : float
@@ -88,9 +85,7 @@ class Simulation:
         What the user should know of the scene whose rays were followed.
     """
 
-    flow: HeatFlow
     end: RunEnd
-    quantity: GriddedQuantity
     balance: HeatBalance
     nusselt: float
     wall_layer_cells: int
@@ -226,13 +221,15 @@ def simulate(
     written = tuple(t for t in even if t >= end.time_s - record_s - 1e-6) or (end.time_s,)
     balance = heat_balance(case, CHECK_S)
     nusselt = np.nan if flow.stl else nusselt_number(flow, balance.wall_w)
-    drift = steadiness.drift_px_per_s
-    attributes = _provenance(flow, case, end, balance, nusselt, drift, foam.version, history)
-    quantity = sample(flow, case, written, grid, attributes)
-    write_quantity(output, quantity)
-    report("done", 1.0)
     cells = wall_cells(flow, None if flow.stl else nusselt)
-    return Simulation(flow, end, quantity, balance, nusselt, cells, drift, scene.notes)
+    made = Simulation(end, balance, nusselt, cells, steadiness.drift_px_per_s, scene.notes)
+    attributes = _provenance(flow, made, foam.version) | {
+        "parameters": json.dumps(setup_of(case)),
+        "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {history}".strip(),
+    }
+    write_quantity(output, sample(flow, case, written, grid, attributes))
+    report("done", 1.0)
+    return made
 
 
 def as_field(quantity: GriddedQuantity) -> IndexField:
@@ -252,38 +249,27 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def _provenance(
-    flow: HeatFlow,
-    case: Path,
-    end: RunEnd,
-    balance: HeatBalance,
-    nusselt: float,
-    drift: float,
-    version: str,
-    history: str,
-) -> dict[str, str]:
+def _provenance(flow: HeatFlow, made: Simulation, version: str) -> dict[str, str]:
     """The file's attributes: what it is, how it was made, and how sound it is."""
     part = f"part, {flow.stl.name}" if flow.stl else f"cylinder of {2 * flow.radius_mm:g} mm"
     if not flow.stl:
         part += ", endless" if flow.section else f" x {flow.length_mm:g} mm"
-    ours = metadata.version("virtual-sensor")
+    ours, balance = metadata.version("virtual-sensor"), made.balance
     sound = [f"heat given off {balance.wall_w:.4g} W, carried out {balance.outflow_w:.4g} W"]
-    if np.isfinite(nusselt):
-        sound.append(f"mean Nusselt number {nusselt:.3g} by air of film temperature")
-    if np.isfinite(drift):
-        sound.append(f"the probe rays still move by {drift:.2g} px per s of flow")
-    if end.step:
-        last = ", ".join(f"{name} {value:.0e}" for name, value in end.step.residuals.items())
-        sound.append(f"last residuals: {last}")
+    if np.isfinite(made.nusselt):
+        sound.append(f"mean Nusselt number {made.nusselt:.3g} by air of film temperature")
+    if np.isfinite(made.drift_px_per_s):
+        sound.append(f"the probe rays still move by {made.drift_px_per_s:.2g} px per s of flow")
+    if made.end.step:
+        residuals = made.end.step.residuals.items()
+        sound.append(f"last residuals: {', '.join(f'{of} {value:.0e}' for of, value in residuals)}")
     return {
         "title": f"Air temperature round a hot {part}, {flow.temperature_c:g} degC",
         "source": (
             f"OpenFOAM v{version} rhoPimpleFoam by virtual-sensor {ours}: laminar, perfect gas,"
             f" Sutherland air; isothermal wall {flow.temperature_c:g} degC, air"
             f" {flow.ambient_c:g} degC, {flow.pressure_pa:g} Pa; cells of {flow.cell_mm:g} mm"
-            f" across the plume; flow time {end.time_s:g} s"
+            f" across the plume; flow time {made.end.time_s:g} s"
         ),
         "comment": "; ".join(sound),
-        "parameters": json.dumps(setup_of(case)),
-        "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {history}".strip(),
     }

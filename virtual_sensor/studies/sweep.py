@@ -4,9 +4,9 @@ Dask's scheduler reads the tasks too.  Nothing here starts the engine before a c
 made, so that the scheduler's machine needs none.
 """
 
-import importlib
 import itertools
 import math
+import pkgutil
 import re
 import shlex
 import threading
@@ -244,11 +244,8 @@ def _inputs(case: Case) -> tuple[dict[str, str], dict[str, Any]]:
     path = find_scene(case.scene)
     values = scene_parameters(path, case.parameters)
     files = sorted(file_hash(file) for file in scene_files(path, values))
-    inputs = {
-        **{"scene": file_hash(path), "parameters": values, "files": files},
-        **{"probe rays": case.y_mm, "camera": case.camera, "source": case.source},
-    }
-    return values, inputs
+    found = {"scene": file_hash(path), "parameters": values, "files": files}
+    return values, found | {"probe rays": case.y_mm, "camera": case.camera, "source": case.source}
 
 
 def run(
@@ -302,19 +299,15 @@ def run(
                 raise InputError(message)
             ended[case.key] = status, message
     report("done", 1.0)
-    return [
-        _finished(case, place, there[case.key], ended.get(case.key), case.key in outdated)
-        for case in cases
-    ]
-
-
-def _finished(
-    case: Case, place: Path, earlier: Path | None, ending: _Ending | None, outdated: bool
-) -> Finished:
-    status, message = ending or (CaseStatus.OK, "")
-    made = earlier or find(place, case.key)
-    again = outdated and made is not None
-    return Finished(case, made, CaseStatus(status), message, earlier is not None, again)
+    finished = []
+    for case in cases:
+        status, message = ended.get(case.key, (CaseStatus.OK, ""))
+        earlier = there[case.key]
+        made = earlier or find(place, case.key)
+        again = made is not None and case.key in outdated
+        end = Finished(case, made, CaseStatus(status), message, earlier is not None, again)
+        finished.append(end)
+    return finished
 
 
 def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _Ending:
@@ -330,7 +323,7 @@ def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _E
     def fill(folder: Path) -> None:
         result = measure(scene, lambda stage, part: progress(stage, 0.85 * part), case.y_mm)
         progress("writing the results", 0.85)
-        write = _imported(save) if isinstance(save, str) else save
+        write = pkgutil.resolve_name(save) if isinstance(save, str) else save
         write(result, folder, case.command, overwrite=True)
 
     with _ONE_AT_A_TIME:
@@ -354,20 +347,14 @@ def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _E
     return CaseStatus.OK.value, ""
 
 
-def _imported(name: str) -> Save:
-    module, _, function = name.partition(":")
-    save: Save = getattr(importlib.import_module(module), function)
-    return save
-
-
 def _here(
     missing: list[Case], place: Path, save: Save, report: Report
 ) -> Iterator[tuple[Case, _Ending]]:
     for number, case in enumerate(missing):
-        words = f"case {number + 1} of {len(missing)} ({case.name})"
 
-        def progress(stage: str, part: float, words: str = words, number: int = number) -> None:
-            report(f"{words}: {stage}", (number + part) / len(missing))
+        def progress(stage: str, part: float, case: Case = case, number: int = number) -> None:
+            words = f"case {number + 1} of {len(missing)} ({case.name}): {stage}"
+            report(words, (number + part) / len(missing))
 
         yield case, _make(case, str(place), save, progress)
 
