@@ -57,6 +57,7 @@ _USUAL_UNITS = {  # of parameters of which the scene says nothing
     **dict.fromkeys(("along", "line_length", "line_radius", "step", "blur"), "mm"),
     **{"temperature": "°C", "time": "s", "width": "px", "height": "px", "tolerance": "px"},
 }
+_FIGURES = ("section_rms_um", "line_rms_px", "dots_largest_u_px", "dots_largest_v_px", "centres")
 _STATUS_WORDS = {
     CaseStatus.OK.value: "measured",
     CaseStatus.NOTHING_FOUND.value: "no line found",
@@ -110,12 +111,12 @@ def _is_number(value: str) -> bool:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """A figure of each case, as panels and a table's column show it."""
+    """A figure of each case, and what panels say of it."""
 
     title: str
     label: str
-    column: Column
     values: Array
+    shape: str = "{:.3g}"
 
     @property
     def known(self) -> Array:
@@ -128,44 +129,25 @@ def _state(table: SweepTable) -> str:
 
 
 def _quantities(table: SweepTable) -> dict[str, _Quantity]:
-    """What is shown of each case, the user's first question first."""
+    """What is shown of each case, by the heading of its column; the user's first question first."""
     state = _state(table)
-    error, line, u, v, centres = (
-        getattr(table, f"{state}_{name}")
-        for name in (
-            *("section_rms_um", "line_rms_px"),
-            *("dots_largest_u_px", "dots_largest_v_px", "centres"),
-        )
-    )
+    error, line, u, v, centres = (getattr(table, f"{state}_{name}") for name in _FIGURES)
     dots = np.fmax(u, v)
     of_dots = bool(np.isfinite(dots).any() and not np.isfinite(line).any())
-    found = (
-        _Quantity(
-            f"Error of the section measured {state}",
-            "rms in µm",
-            Column("error", "error, µm"),
-            error,
-        ),
-        _Quantity(
-            "Shift of the probe rays' points by hot air",
-            "largest in µm",
-            Column("shift", "shift, µm"),
-            table.largest_measured_shift_um,
-        ),
-        _Quantity(
-            f"Rendered minus ray search, {state}",
-            "largest in px" if of_dots else "rms in px",
-            Column("apart", "largest, px" if of_dots else "rms, px", "{:.4f}"),
-            np.where(np.isfinite(line), line, dots),
-        ),
-        _Quantity(
-            f"{'Dots' if of_dots else 'Line centres'} found, {state}",
-            "number",
-            Column("centres", "dots" if of_dots else "centres", "{:.0f}"),
-            centres,
-        ),
+    size, things, count = (
+        ("largest", "Dots", "dots") if of_dots else ("rms", "Line centres", "centres")
     )
-    return {each.column.name: each for each in found}
+    shift, apart = table.largest_measured_shift_um, np.where(np.isfinite(line), line, dots)
+    return {
+        "error, µm": _Quantity(f"Error of the section measured {state}", "rms in µm", error),
+        "shift, µm": _Quantity(
+            "Shift of the probe rays' points by hot air", "largest in µm", shift
+        ),
+        f"{size}, px": _Quantity(
+            f"Rendered minus ray search, {state}", f"{size} in px", apart, "{:.4f}"
+        ),
+        count: _Quantity(f"{things} found, {state}", "number", centres, "{:.0f}"),
+    }
 
 
 # The picture.
@@ -454,26 +436,24 @@ def _draw_map(
 def table(result: Sweep, links: bool = False) -> TextTable:
     """The figures of all cases that a reader asks for first; on a page with links to the cases."""
     found, swept = result.table, result.summary.swept
-    hidden = () if links else ("shift",)  # 80 letters of a console hold no more
-    shown = {
-        name: quantity
-        for name, quantity in _quantities(found).items()
-        if quantity.known.size and name not in hidden
-    }
+    shown = {head: each for head, each in _quantities(found).items() if each.known.size}
+    if not links:
+        shown.pop("shift, µm", None)  # 80 letters of a console hold no more
     rows = [
         {
             "case": _link(end.case.name, found.folder[i]) if links else end.case.name,
             "parameters": {p.name: found.parameters[p.name][i] for p in swept},
             "status": _STATUS_WORDS[found.status[i]],
         }
-        | {name: quantity.values[i] for name, quantity in shown.items()}
+        | {head: quantity.values[i] for head, quantity in shown.items()}
         for i, end in enumerate(result.finished)
     ]
     names = [] if swept and not links else [Column("case")]
     given = [Column(f"parameters.{p.name}", _Axis.of(p).label.replace(" in ", ", ")) for p in swept]
+    figures = [Column(head, head, quantity.shape) for head, quantity in shown.items()]
     return text_table(
         rows,
-        [*names, *given, Column("status"), *(quantity.column for quantity in shown.values())],
+        [*names, *given, Column("status"), *figures],
         emphasised=[status != CaseStatus.OK.value for status in found.status],
     )
 
@@ -491,7 +471,7 @@ def _link(name: str, folder: str) -> str | Link:
 
 def lead(result: Sweep) -> str:
     """How many cases there are, where the error is largest, and where least."""
-    summary, error = result.summary, _quantities(result.table)["error"].values
+    summary, error = result.summary, next(iter(_quantities(result.table).values())).values
     counts = {status: result.table.status.count(status) for status in _STATUS_WORDS}
     parts = [
         f"{counts[status]} {words}" for status, words in _STATUS_WORDS.items() if counts[status]
