@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from virtual_sensor.arrays import points_of, to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.medium.lookups import LOOKUPS, GridLookup
+from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
 from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.solid import fill_solid
@@ -242,8 +242,8 @@ class IndexField(Movable):
         InputError
             If there is no such field.
         """
-        if interpolation not in LOOKUPS:
-            raise InputError(f"interpolation '{interpolation}' is none of {', '.join(LOOKUPS)}")
+        if interpolation not in SPLINES:
+            raise InputError(f"interpolation '{interpolation}' is none of {', '.join(SPLINES)}")
         if dimensions not in (2, 3):
             raise InputError(f"dimensions must be 2 or 3, not {dimensions}")
         low, high = self.box[:, 0]
@@ -333,12 +333,10 @@ class IndexField(Movable):
         """Return the field in Dr.Jit memory, for the code that marches rays; made only once."""
         key = (precision, mi.variant())
         if key not in self._lookups:
-            kind = LOOKUPS[self.interpolation]
             axes = (0, 1, 2)[3 - self.dimensions :]
             delta = self.nodes - self.ambient if self.dimensions == 3 else self._section()
-            self._lookups[key] = kind(
-                delta, self.origin, self.spacing, self.mirror, axes, precision
-            )
+            where = self.origin, self.spacing, self.mirror, axes
+            self._lookups[key] = GridLookup(delta, *where, self.interpolation, precision)
         return self._lookups[key]
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -8,8 +8,8 @@ symbolic loops may call them; the derivatives cannot themselves be differentiate
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -26,8 +26,11 @@ MOST_PACKED = 2**25
 _BEYOND = 3  # cells at the border
 
 
-class GridLookup(ABC):
-    """What the lookups have in common.
+class GridLookup:
+    """Derivatives at points: sums of the coefficients around each, with a spline's weights.
+
+    The coefficients along the last axis are read by one load: they are stored side by side for each
+    cell, which, of four, takes four times the memory and halves the time.
 
     Parameters
     ----------
@@ -39,6 +42,8 @@ class GridLookup(ABC):
         The field is even about the plane through an axis's first node.
     axes : tuple of int
         Axes of `difference`; the field does not vary along the one that is left out.
+    interpolation : str
+        A key of `SPLINES`.
     precision : str
         "single" or "double".
     """
@@ -50,6 +55,7 @@ class GridLookup(ABC):
         spacing: np.ndarray,
         mirror: Sequence[bool],
         axes: tuple[int, ...],
+        interpolation: str,
         precision: str,
     ) -> None:
         if precision not in ("single", "double"):
@@ -62,100 +68,44 @@ class GridLookup(ABC):
         self._grid_vector = self._vector if len(axes) == 3 else flat
         self._axes = axes
         self._mirror = [mirror[i] for i in axes]
-        self._origin = self._opaque(origin[list(axes)])
-        self._take(difference, spacing[list(axes)])
+        self._spline = spline = SPLINES[interpolation]
+        four = mi.Array4f64 if double else mi.Array4f
+        self._packet = {2: flat, 4: four}[spline.count]
 
-    @abstractmethod
-    def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
-        """Bring the nodes into Dr.Jit's memory; spacing is that of the axes."""
-
-    @abstractmethod
-    def delta(self, p: Any) -> Any:
-        """Return n - n_ambient at `p`."""
-
-    @abstractmethod
-    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
-        """Return n - n_ambient and its gradient, 1/mm, in a vector of `p`'s type."""
-
-    @abstractmethod
-    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
-        """Return n - n_ambient, its gradient (1/mm) and its 3 x 3 Hessian matrix (1/mm^2)."""
-
-    def _opaque(self, numbers: np.ndarray) -> Any:
-        """Numbers for the axes, which compile no kernel of their own."""
-        return dr.opaque(self._grid_vector(*np.asarray(numbers, dtype=np.float64).tolist()))
-
-    def _on_grid(self, p: Any, scale: Any, first: Any) -> tuple[Any, Any]:
-        """Coordinates on the grid, and their derivative by the world coordinates."""
-        q = self._vector(p)
-        q = self._grid_vector(*(q[i] for i in self._axes)) - self._origin
-        scale = self._grid_vector(scale)
-        for i, even in enumerate(self._mirror):
-            if even:
-                scale[i] = dr.mulsign(scale[i], q[i])
-        return dr.fma(q, scale, first), scale
-
-    def _in_world(self, p: Any, gradient: Any, scale: Any) -> Any:
-        """Gradient by world coordinates, in a vector of `p`'s type."""
-        world = [self._scalar(0.0)] * 3
-        for i, axis in enumerate(self._axes):
-            world[axis] = gradient[i] * scale[i]
-        return type(p)(*world)
-
-    def _matrix_in_world(self, hessian: Any, scale: Any) -> Any:
-        rows = [[self._scalar(0.0)] * 3 for _ in range(3)]
-        for (i, row), (j, column) in product(enumerate(self._axes), repeat=2):
-            rows[row][column] = hessian[i, j] * scale[i] * scale[j]
-        return self._matrix(rows)
-
-
-def _strides(shape: tuple[int, ...]) -> list[Any]:
-    """From one number to the next along each axis, in C order."""
-    return [dr.opaque(mi.UInt32, math.prod(shape[axis + 1 :])) for axis in range(len(shape))]
-
-
-class CubicLookup(GridLookup):
-    """The cubic spline through the nodes: continuous up to the second derivative.
-
-    Of four coefficients along each axis.  The four along the last are read by one load: they are
-    stored side by side for each cell, which takes four times the memory and halves the time.
-    """
-
-    def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
-        coefficients = bspline_coefficients(difference, self._mirror)
-        # Constant from three cells beyond the border: all four coefficients are then the last one.
-        beyond = [(0 if even else _BEYOND, _BEYOND) for even in self._mirror]
-        coefficients = np.pad(coefficients, beyond, mode="edge")
+        coefficients, before = spline.coefficients(difference, self._mirror)
         shape, size = coefficients.shape, coefficients.size
         self._coefficients = in_own_memory(coefficients, self._scalar)
         self._packed = size <= MOST_PACKED
         if self._packed:
-            i = dr.arange(mi.UInt32, 4 * size)
-            each = dr.minimum((i >> 2) + (i & 3), dr.opaque(mi.UInt32, size - 1))
+            i = dr.arange(mi.UInt32, spline.count * size)
+            each = (i >> (spline.count.bit_length() - 1)) + (i & (spline.count - 1))
+            each = dr.minimum(each, dr.opaque(mi.UInt32, size - 1))
             self._coefficients = dr.gather(self._scalar, self._coefficients, each)
             dr.eval(self._coefficients)
-        self._packet = mi.Array4f64 if self._scalar is mi.Float64 else mi.Array4f
 
         # Opaque: one kernel for any grid.
-        self._strides = _strides(shape)
-        self._last = [dr.opaque(mi.UInt32, count - 4) for count in shape]
-        self._end = self._opaque(np.array(shape) - 3)
-        self._scale = self._opaque(1.0 / spacing)
-        self._first = self._opaque(np.array([low for low, _ in beyond]))
+        self._strides = [
+            dr.opaque(mi.UInt32, math.prod(shape[axis + 1 :])) for axis in range(len(shape))
+        ]
+        self._last = [dr.opaque(mi.UInt32, count - spline.count) for count in shape]
+        self._end = self._opaque(np.array(shape) - spline.count + 1)
+        self._scale = self._opaque(1.0 / spacing[list(axes)])
+        self._origin = self._opaque(origin[list(axes)])
+        self._first = self._opaque(np.array(before))
 
     def delta(self, p: Any) -> Any:
-        """See `GridLookup`."""
+        """Return n - n_ambient at `p`."""
         along, _ = self._derivatives(p, 0)
         return along[self._order()]
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
-        """See `GridLookup`."""
+        """Return n - n_ambient and its gradient, 1/mm, in a vector of `p`'s type."""
         along, scale = self._derivatives(p, 1)
         gradient = [along[self._order(i)] for i in range(len(self._axes))]
         return along[self._order()], self._in_world(p, gradient, scale)
 
     def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
-        """See `GridLookup`."""
+        """Return n - n_ambient, its gradient (1/mm) and its 3 x 3 Hessian matrix (1/mm^2)."""
         along, scale = self._derivatives(p, 2)
         axes = range(len(self._axes))
         gradient = [along[self._order(i)] for i in axes]
@@ -171,27 +121,53 @@ class CubicLookup(GridLookup):
 
     def _derivatives(self, p: Any, most: int) -> tuple[dict[tuple[int, ...], Any], Any]:
         """Derivatives by grid coordinates, by their orders, and those by the field's of these."""
-        u, scale = self._on_grid(p, self._scale, self._first)
-        u = dr.clip(u, 0.0, self._end)
+        u, scale = self._on_grid(p)
         cell = [dr.minimum(mi.UInt32(x), last) for x, last in zip(u, self._last, strict=True)]
         within = [x - self._scalar(i) for x, i in zip(u, cell, strict=True)]
         first = sum(i * stride for i, stride in zip(cell, self._strides, strict=True))
-        *across, last = (cubic_weights(t) for t in within)
-        fours = contracted(self._four, first, self._strides, across, most)
-        # Fours along the last axis are contracted last: twice as fast as first.
+        *across, last = (self._spline.weights(t) for t in within)
+        rows = contracted(self._row, first, self._strides, across, most)
+        # Those along the last axis are contracted last: twice as fast as first.
         along = {
-            (*orders, order): dr.dot(four, self._packet(*last[order]))
-            for orders, four in fours.items()
+            (*orders, order): dr.dot(row, self._packet(*last[order]))
+            for orders, row in rows.items()
             for order in range(most - sum(orders) + 1)
         }
         return along, scale
 
-    def _four(self, first: Any) -> Any:
-        """Four coefficients side by side."""
+    def _row(self, first: Any) -> Any:
+        """Coefficients side by side."""
         if self._packed:
             return dr.gather(self._packet, self._coefficients, first)
-        each = (dr.gather(self._scalar, self._coefficients, first + i) for i in range(4))
-        return self._packet(*each)
+        places = (first + i for i in range(self._spline.count))
+        return self._packet(*(dr.gather(self._scalar, self._coefficients, i) for i in places))
+
+    def _opaque(self, numbers: np.ndarray) -> Any:
+        """Numbers for the axes, which compile no kernel of their own."""
+        return dr.opaque(self._grid_vector(*np.asarray(numbers, dtype=np.float64).tolist()))
+
+    def _on_grid(self, p: Any) -> tuple[Any, Any]:
+        """Coordinates among the coefficients, and their derivative by the world coordinates."""
+        q = self._vector(p)
+        q = self._grid_vector(*(q[i] for i in self._axes)) - self._origin
+        scale = self._grid_vector(self._scale)
+        for i, even in enumerate(self._mirror):
+            if even:
+                scale[i] = dr.mulsign(scale[i], q[i])
+        return dr.clip(dr.fma(q, scale, self._first), 0.0, self._end), scale
+
+    def _in_world(self, p: Any, gradient: Any, scale: Any) -> Any:
+        """Gradient by world coordinates, in a vector of `p`'s type."""
+        world = [self._scalar(0.0)] * 3
+        for i, axis in enumerate(self._axes):
+            world[axis] = gradient[i] * scale[i]
+        return type(p)(*world)
+
+    def _matrix_in_world(self, hessian: Any, scale: Any) -> Any:
+        rows = [[self._scalar(0.0)] * 3 for _ in range(3)]
+        for (i, row), (j, column) in product(enumerate(self._axes), repeat=2):
+            rows[row][column] = hessian[i, j] * scale[i] * scale[j]
+        return self._matrix(rows)
 
 
 def contracted(
@@ -204,11 +180,11 @@ def contracted(
     read : callable
         Gives the coefficients, numbers or vectors, at an index.
     first : int
-        Index of the first of the four coefficients along each axis.
+        Index of the first coefficient along each axis.
     strides : sequence of int
         From one coefficient to the next along each axis.
     weights : list
-        `cubic_weights` along each axis.
+        As of `cubic_weights`, along each axis.
 
     Returns
     -------
@@ -219,7 +195,7 @@ def contracted(
         return {(): read(first)}
     across, *rest = weights
     sums: dict[tuple[int, ...], Any] = {}
-    for number in range(4):
+    for number in range(len(across[0])):
         row = first + number * strides[0]
         for orders, part in contracted(read, row, strides[1:], rest, most).items():
             for order in range(most - sum(orders) + 1):
@@ -243,55 +219,48 @@ def cubic_weights(t: Any) -> tuple[list[Any], list[Any], list[Any]]:
     return value, slope, curvature
 
 
-class LinearLookup(GridLookup):
-    """Linear interpolation along each axis: continuous, with a gradient that jumps."""
-
-    def _take(self, difference: np.ndarray, spacing: np.ndarray) -> None:
-        self._nodes = in_own_memory(difference, self._scalar)
-        self._scale = self._opaque(1.0 / spacing)
-        self._last = dr.opaque(
-            dr.int32_array_t(self._grid_vector)(*(n - 2 for n in difference.shape))
-        )
-        self._strides = _strides(difference.shape)
-
-    def delta(self, p: Any) -> Any:
-        """See `GridLookup`."""
-        return self.delta_and_gradient(p)[0]
-
-    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
-        """See `GridLookup`."""
-        value, gradient, _ = self.delta_gradient_hessian(p)
-        return value, gradient
-
-    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
-        """See `GridLookup`.  The Hessian within a cell: zero but for its mixed derivatives."""
-        u, scale = self._on_grid(p, self._scale, self._grid_vector(0.0))
-        cell = dr.clip(type(self._last)(dr.floor(u)), 0, self._last)
-        within = u - self._grid_vector(cell)
-        axes = range(len(self._axes))
-        first = sum(mi.UInt32(cell[i]) * self._strides[i] for i in axes)
-        weights = [(1.0 - within[i], within[i]) for i in axes]
-        slopes = (-1.0, 1.0)
-        value, gradient = self._scalar(0.0), self._grid_vector(0.0)
-        hessian = self._matrix(0.0)  # the corner of it that the axes take
-        for corner in product((0, 1), repeat=len(axes)):
-            at = first + sum(self._strides[i] for i in axes if corner[i])
-            node = dr.gather(self._scalar, self._nodes, at)
-            value = value + node * dr.prod([weights[i][corner[i]] for i in axes])
-            for i in axes:
-                others = [weights[k][corner[k]] for k in axes if k != i]
-                gradient[i] += node * slopes[corner[i]] * dr.prod(others)
-                for j in range(i):
-                    rest = [weights[k][corner[k]] for k in axes if k not in (i, j)]
-                    mixed = node * slopes[corner[i]] * slopes[corner[j]] * dr.prod([1.0, *rest])
-                    hessian[i, j] += mixed
-                    hessian[j, i] += mixed
-        return (
-            value,
-            self._in_world(p, gradient, scale),
-            self._matrix_in_world(hessian, scale),
-        )
+def linear_weights(t: Any) -> tuple[list[Any], list[Any], list[Any]]:
+    """Of two values for those in between, their slope and their curvature; t in [0, 1]."""
+    return [1.0 - t, t], [-1.0, 1.0], [0.0, 0.0]
 
 
-LOOKUPS: dict[str, type[GridLookup]] = {"cubic": CubicLookup, "linear": LinearLookup}
-"""By the name of the interpolation."""
+def _of_cubic(nodes: np.ndarray, mirror: Sequence[bool]) -> tuple[np.ndarray, list[int]]:
+    """Coefficients, constant from three cells beyond the border: all four are then the last one."""
+    beyond = [(0 if even else _BEYOND, _BEYOND) for even in mirror]
+    padded = np.pad(bspline_coefficients(nodes, mirror), beyond, mode="edge")
+    return padded, [low for low, _ in beyond]
+
+
+def _of_linear(nodes: np.ndarray, mirror: Sequence[bool]) -> tuple[np.ndarray, list[int]]:
+    """The nodes are their own coefficients."""
+    return nodes, [0] * nodes.ndim
+
+
+@dataclass(frozen=True)
+class Spline:
+    """An interpolation between nodes.
+
+    Attributes
+    ----------
+    count : int
+        Coefficients along each axis that a value is made of: 2 or 4.
+    coefficients : callable
+        Of the nodes, and how many of them lie before the first node's along each axis.
+    weights : callable
+        Of the coefficients around a place t in [0, 1] of a cell, for value, slope and curvature.
+    """
+
+    count: int
+    coefficients: Callable[[np.ndarray, Sequence[bool]], tuple[np.ndarray, list[int]]]
+    weights: Callable[[Any], tuple[list[Any], list[Any], list[Any]]]
+
+
+SPLINES = {
+    "cubic": Spline(4, _of_cubic, cubic_weights),
+    "linear": Spline(2, _of_linear, linear_weights),
+}
+"""By the name of the interpolation.
+
+Cubic: continuous up to the second derivative. Linear along each axis: continuous, with a gradient
+that jumps, and a Hessian of mixed derivatives only.
+"""
