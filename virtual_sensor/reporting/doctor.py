@@ -22,13 +22,8 @@ def _engine_lines(diagnosis: Diagnosis) -> list[str]:
     running = diagnosis.engine
     if running is None:
         return [_line("Engine", f"none. {diagnosis.fault}")]
-    lines = [
-        _line(
-            "Engine",
-            f"{running.backend}, {running.threads} CPU thread{'s' * (running.threads > 1)}",
-        )
-    ]
-    lines.append(_line("Variant", running.variant))
+    threads = f"{running.threads} CPU thread{'s' * (running.threads > 1)}"
+    lines = [_line("Engine", f"{running.backend}, {threads}"), _line("Variant", running.variant)]
     if running.llvm:
         lines.append(_line("LLVM", f"{running.llvm.version}, from {running.llvm.origin}"))
         lines.append(_line("", str(running.llvm.path)))

@@ -59,6 +59,7 @@ _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
 _LONGEST_STEP = 4.0  # times the usual one of searched points
 _FEW = 0.9  # of the columns, or dots: a measurement that has fewer says so first
+_HARDLY = 0.25  # of the centres: likewise if fewer are compared
 _LETTERS = {
     name: letters.replace("-", "\N{MINUS SIGN}").replace("_m", "ₘ")
     for name, letters in LETTERS.items()
@@ -228,8 +229,8 @@ def caveats(figures: Summary) -> list[str]:
             few.append(f"{have} of {line.expected} in {name} air")
             lost += Counter(line.lost)
             gaps.append(state.gap_y_mm)
-        elif not line.compared:
-            uncompared.append(f"in {name} air")
+        elif line.compared < _HARDLY * line.centres:
+            uncompared.append(_compared(name, state).rstrip("."))
     said = [f"only {listed(few_dots)} are found"] * bool(few_dots)
     if few:
         start, end = np.max(gaps, axis=0)[0], np.min(gaps, axis=0)[1]
@@ -239,7 +240,9 @@ def caveats(figures: Summary) -> list[str]:
             f"of the columns that see the whole line, only {listed(few)} have a centre{none}; the"
             f" others are {_counts(lost)}{remedy}"
         )
-    return said + [f"{listed(uncompared)} no centre could be compared"] * bool(uncompared)
+    if uncompared:
+        said.append(f"hardly a centre could be compared with the search ({'; '.join(uncompared)})")
+    return said
 
 
 def _counts(statuses: Mapping[str, int]) -> str:

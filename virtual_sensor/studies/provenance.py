@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import platform
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from importlib import metadata
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from virtual_sensor.records import Record
 
@@ -117,20 +117,20 @@ def made_with(scene: Scene | None = None) -> MadeWith:
     from virtual_sensor import engine
 
     running = engine.activate()
-    found = MadeWith(
+    rendered: dict[str, Any] = {}
+    if scene is not None:
+        rendered = {
+            "transport": scene.transport.name,
+            "samples_per_pixel": int(scene.mitsuba_camera.sampler().sample_count()),
+            "march": str(scene.transport.march),
+            "step_mm": scene.transport.march.step_mm,
+        }
+    return MadeWith(
         **asdict(versions()),
         variant=running.variant,
         llvm=running.llvm.version if running.llvm else None,
         threads=running.threads,
         mitsuba=metadata.version("mitsuba"),
         drjit=metadata.version("drjit"),
-    )
-    if scene is None:
-        return found
-    return replace(
-        found,
-        transport=scene.transport.name,
-        samples_per_pixel=int(scene.mitsuba_camera.sampler().sample_count()),
-        march=str(scene.transport.march),
-        step_mm=scene.transport.march.step_mm,
+        **rendered,
     )

@@ -153,5 +153,5 @@ def section_errors(section: Section, points_mm: Array) -> SectionErrors:
         float(distance.mean()),
         rms(distance),
         float(distance[at]),
-        round(float(y[at]), 6) + 0.0,  # no -0, and nothing below the nanometre
+        round(float(y[at]), 4) + 0.0,  # no digits that mean nothing, such as of -1e-8
     )
