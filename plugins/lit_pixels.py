@@ -26,7 +26,6 @@ from virtual_sensor.optics.transports import (
     Tracer,
     Transport,
     opaque,
-    rows,
 )
 from virtual_sensor.records import Record
 
@@ -148,8 +147,8 @@ def find_lit_pixels(
     report = replace(report, folded_pixels=folded)
     if not lit.size:
         return LitPixels(np.zeros(0, np.uint32), (), tracer, report)
-    index = region.candidates[lit]
-    return LitPixels(index, tuple(beams), tracer, report, rows(sight, lit.astype(np.uint32)))
+    sight = dr.gather(Sight, sight, in_own_memory(lit, mi.UInt32))
+    return LitPixels(region.candidates[lit], tuple(beams), tracer, report, sight)
 
 
 def _with_maps(

@@ -19,7 +19,7 @@ from virtual_sensor.optics.illumination import Illumination
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError
 from virtual_sensor.optics.surfaces import SceneSurface, own_variant, slab
-from virtual_sensor.optics.transports import Marched, Sight, Transport, rows
+from virtual_sensor.optics.transports import Marched, Sight, Transport
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23}
@@ -259,7 +259,7 @@ class Prepared:
         def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
             nonlocal samples, marched
             draws = arrangement.draws(sampler)
-            near = rows(lit.sight, row) if self._marches else None
+            near = dr.gather(Sight, lit.sight, row) if self._marches else None
             sight, count = lit.tracer.sight(ray, near)
             samples, marched = samples + dr.width(row), marched + count
             return arrangement.radiance(sight, devices, draws), sight.hit

@@ -52,8 +52,8 @@ class Illumination:
         Unit direction of the arriving light, world.
     shift : tuple of two scalars
         (s, t) minus the coordinates of the straight ray through the point.
-    jacobian : tuple of four scalars, or None
-        dF/d(s, t) by rows: (x by s, x by t, y by s, y by t); None of light that was found by maps.
+    jacobian : tuple of four scalars
+        dF/d(s, t) by rows: (x by s, x by t, y by s, y by t); empty of light that was found by maps.
     concentration : scalar
         Flux density square to the light over the flux per unit of both coordinates.
     status : int
@@ -64,7 +64,7 @@ class Illumination:
     t: Any
     heading: Any
     shift: tuple[Any, Any]
-    jacobian: tuple[Any, Any, Any, Any] | None
+    jacobian: tuple[Any, ...]
     concentration: Any
     status: Any
 
@@ -102,7 +102,7 @@ def illuminate(
     straight = frame.coordinates(points)[:2]
     s, t = straight
     jacobian: Any = None
-    if near is not None and near.jacobian is not None:
+    if near is not None and near.jacobian:
         known = dr.isfinite(near.s)
         s, t = (x0 + dr.select(known, d, 0.0) for x0, d in zip(straight, near.shift, strict=True))
         pairs = zip(near.jacobian, frame.family.by_coordinates(*straight, depth), strict=True)

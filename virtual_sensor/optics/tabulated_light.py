@@ -129,7 +129,7 @@ def light(
         dr.select(lit, t + shift_t, dr.nan),
         heading,
         (shift_s, shift_t),
-        None,
+        (),
         dr.select(lit, (1.0 + more) / spread, 0.0),
         mi.UInt32(status),
     )

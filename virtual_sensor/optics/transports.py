@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend
@@ -158,7 +157,7 @@ class Marched:
         if not dr.any(doubtful):
             return seen, 0
         which = dr.compress(doubtful)
-        marched, count = self.sight(rows(ray, which))
+        marched, count = self.sight(dr.gather(type(ray), ray, which))
         return with_rows(seen, which, marched), count
 
 
@@ -207,17 +206,6 @@ def opaque(margin: Array) -> tuple[Any, ...]:
     return tuple(dr.opaque(mi.Float, float(m)) for m in margin)
 
 
-def rows(tree: Any, index: Any) -> Any:
-    """Some rows of Dr.Jit arrays nested in tuples and dataclasses; NumPy's numbers serve."""
-    if isinstance(index, np.ndarray):
-        index = in_own_memory(index, mi.UInt32)
-    if isinstance(tree, tuple):
-        return tuple(rows(leaf, index) for leaf in tree)
-    if is_dataclass(tree) and not isinstance(tree, type):
-        return replace(tree, **{f.name: rows(getattr(tree, f.name), index) for f in fields(tree)})
-    return tree if tree is None else dr.gather(type(tree), tree, index)
-
-
 def with_rows(tree: Any, index: Any, given: Any) -> Any:
     """Dr.Jit arrays nested in dataclasses and tuples, with some rows replaced by those given."""
     if isinstance(tree, tuple):
@@ -226,8 +214,6 @@ def with_rows(tree: Any, index: Any, given: Any) -> Any:
         names = [f.name for f in fields(tree)]
         new = {n: with_rows(getattr(tree, n), index, getattr(given, n)) for n in names}
         return replace(tree, **new)
-    if tree is None:
-        return None
     copy = type(tree)(tree)
     dr.scatter(copy, type(tree)(given), index)
     return copy
