@@ -1,5 +1,6 @@
 """Detectors against the Cramer-Rao bound, published biases, and the errors that they predict."""
 
+import re
 from importlib import metadata
 from itertools import product
 
@@ -310,6 +311,5 @@ def test_what_is_no_detector_is_refused(name, says):
 
 def test_every_detector_names_its_source():
     """Whoever reads a chart can read what it was made after; the year is in it."""
-    for method in [m for m, each in COLUMNWISE.items() if each.source]:
-        assert any(word.strip(",").isdigit() for word in COLUMNWISE[method].source.split()), method
-        assert COLUMNWISE[method].estimate.__doc__, method
+    for method, estimate in COLUMNWISE.items():
+        assert re.search(r"[A-Z][a-z]+ .*\b(19|20)\d\d\b", estimate.__doc__), method

@@ -22,7 +22,7 @@ from scipy.fft import fft2, fftfreq, ifft2, next_fast_len
 from scipy.integrate import quad
 from scipy.special import j1, struve
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within
+from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within, whole_number
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -60,9 +60,7 @@ class Aperture:
         for name in ("f_number", "wavelength_nm", "pixel_um"):
             number_within(f"aperture: {name}", getattr(self, name), SMALLEST, LARGEST, "it above 0")
         number_within("aperture: magnification", self.magnification, 0.0, LARGEST, "it from 0 on")
-        number_within("aperture: polarisations", self.polarisations, 1, 2, "1 or 2 polarisations")
-        if self.polarisations not in (1, 2):
-            raise InputError("aperture: give 1 or 2 polarisations")
+        whole_number("aperture: polarisations", self.polarisations, 1, 2)
 
     @property
     def resolution_px(self) -> float:
@@ -216,51 +214,6 @@ def _integrated(samples: NDArray, fine: int) -> NDArray:
     curved = np.zeros_like(samples)
     curved[1:-1] = samples[2:] - 2.0 * samples[1:-1] + samples[:-2]
     return (samples + curved / 24.0).reshape(-1, fine, samples.shape[1]).mean(axis=1)
-
-
-def dorsch_limit_um(
-    contrast: float, wavelength_nm: float, observation_aperture: float, triangulation_deg: float
-) -> float:
-    """Height noise of a laser spot that is broad beside the grains, in um, whatever its size.
-
-    delta z = C lambda/(2 pi sin(u_obs) sin(theta)): Dorsch, Hausler and Herrmann 1994, "Laser
-    triangulation: fundamental uncertainty in distance measurement", Appl. Opt. 33, 1306.
-
-    For the spot's centre of gravity the model here gives var(x) = C^2 A integral of x^2 I^2 over
-    (integral of I)^2, with the grains' area A = (4/pi)(lambda N)^2 (Goodman 2007, 4.6).  An evenly
-    lit disc of radius R has A/(4 pi), R falling out: with sin(u) = 1/(2 N), Dorsch's formula to the
-    factor.  A round Gaussian spot has A/(8 pi), 1/sqrt(2) of the formula's noise.  A spot or line
-    thin beside the diffraction has *less*, in proportion to its width: a point's image is Airy's,
-    which is nowhere but in its place.  A long line has more than a spot of its width, as each
-    column is measured alone: `broad_line_noise_px`.
-
-    Parameters
-    ----------
-    contrast : float
-        Of the speckle before the pixels integrate it: 1, or 1/sqrt(2) where light is depolarised.
-        Pixels lessen the contrast, but not this noise.
-    wavelength_nm : float
-    observation_aperture : float
-        sin(u_obs), on the side of the object: m/(2 N (1 + m)) at magnification m.
-    triangulation_deg : float
-        Angle theta between the laser's axis and the camera's.
-
-    Raises
-    ------
-    InputError
-        Where the aperture is not in (0, 1], or the angle not between 0 and 180 degrees.
-    """
-    if not 0.0 < observation_aperture <= 1.0:
-        raise InputError(
-            f"dorsch_limit_um: observation_aperture is {observation_aperture}; give sin(u_obs), "
-            "above 0 and up to 1"
-        )
-    if not 0.0 < triangulation_deg < 180.0:
-        raise InputError(
-            f"dorsch_limit_um: triangulation_deg is {triangulation_deg}; give it between 0 and 180"
-        )
-    sine = np.sin(np.radians(triangulation_deg))
-    return float(contrast * wavelength_nm * 1e-3 / (2.0 * np.pi * observation_aperture * sine))
 
 
 def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:

@@ -72,7 +72,7 @@ def parabola(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profi
 
 
 def log_parabola(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
-    """Three-point Gaussian: a parabola through the logarithms round the highest row.
+    """Three-point Gaussian: a parabola through the logarithms (Fisher and Naidu 1996).
 
     Its bias is d (1 - 4 d^2)/(1440 s^6) px at sub-pixel offset d and width s^2 = sigma^2 + 1/12.
     """

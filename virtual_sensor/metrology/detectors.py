@@ -10,7 +10,6 @@ A detector of one's own is a function of the image (H, W) that returns the line'
 import importlib
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib import metadata
 
 import numpy as np
@@ -24,41 +23,21 @@ from virtual_sensor.metrology.line_profiles import Noise, Peaks, Profile
 ENTRY_POINTS = "virtual_sensor.detectors"
 
 Estimate = Callable[[NDArray, Peaks, Noise, float], Profile]
+"""(image, peaks, noise, broadest line in px) to profiles; its docstring names its source."""
+
 Foreign = Callable[[NDArray], NDArray | LineCentres]
 
 
-@dataclass(frozen=True)
-class Detector:
-    """How the centre of a profile is found.
-
-    Attributes
-    ----------
-    estimate : callable
-        (image, peaks, noise, broadest line in px) to profiles.
-    source : str
-        Who described it.
-    iterative : bool
-        Whether it fits in steps; else it is in closed form.
-    """
-
-    estimate: Estimate
-    source: str
-    iterative: bool = False
-
-
-_FISHER = "Fisher and Naidu 1996"
-_BLAIS = "Blais and Rioux 1986"
-
-COLUMNWISE: dict[str, Detector] = {
-    "gaussian": Detector(line_fits.fit_gaussian, "Bjorck 1996, full least squares", True),
-    "weighted_gaussian": Detector(line_fits.fit_weighted, "Bevington 1969, weighted", True),
-    "max_likelihood": Detector(line_fits.fit_likeliest, "Huang et al. 2013", True),
-    "log_parabola": Detector(closed_forms.log_parabola, f"{_FISHER}, three-point Gaussian"),
-    "parabola": Detector(closed_forms.parabola, _FISHER),
-    "linear_interpolation": Detector(closed_forms.linear_interpolation, _FISHER),
-    "centre_of_gravity": Detector(closed_forms.centre_of_gravity, _FISHER),
-    "fir4": Detector(closed_forms.fir4, _BLAIS),
-    "fir8": Detector(closed_forms.fir8, _BLAIS),
+COLUMNWISE: dict[str, Estimate] = {
+    "gaussian": line_fits.fit_gaussian,
+    "weighted_gaussian": line_fits.fit_weighted,
+    "max_likelihood": line_fits.fit_likeliest,
+    "log_parabola": closed_forms.log_parabola,
+    "parabola": closed_forms.parabola,
+    "linear_interpolation": closed_forms.linear_interpolation,
+    "centre_of_gravity": closed_forms.centre_of_gravity,
+    "fir4": closed_forms.fir4,
+    "fir8": closed_forms.fir8,
 }
 """Detectors that search columns one by one, or rows."""
 

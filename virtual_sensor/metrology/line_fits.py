@@ -35,19 +35,19 @@ Variance = Callable[[Array, Array, Peaks], Array]
 
 
 def fit_gaussian(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
-    """Full least squares: every pixel counts the same."""
+    """Full least squares: every pixel counts the same (Bjorck 1996)."""
     return _fitted(image, at, noise, max_sigma, lambda values, *_: np.ones_like(values))
 
 
 def fit_weighted(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
-    """Least squares weighted by the measured grey values' noise."""
+    """Least squares weighted by the measured grey values' noise (Bevington 1969)."""
     return _fitted(
         image, at, noise, max_sigma, lambda values, _, at: noise.variance(values, at.column)
     )
 
 
 def fit_likeliest(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Profile:
-    """Maximum likelihood under shot and read noise."""
+    """Maximum likelihood under shot and read noise (Huang et al. 2013)."""
     return _fitted(
         image, at, noise, max_sigma, lambda _, signal, at: noise.variance(signal, at.column)
     )

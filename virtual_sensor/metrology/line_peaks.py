@@ -17,7 +17,7 @@ from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
     NAMES,
     STEGER,
-    Detector,
+    Estimate,
     Foreign,
     by_foreign,
     find_detector,
@@ -176,7 +176,7 @@ def _columnwise(
     image: NDArray,
     filled: NDArray,
     seen: NDArray[np.bool_],
-    detector: Detector,
+    estimate: Estimate,
     noise: Noise,
     count: int,
     min_amplitude: float,
@@ -195,7 +195,7 @@ def _columnwise(
     shape = shapes(filled, peaks, noise, max_sigma)
     for chosen in by_width(shape.peaks.sigma):  # a broad peak widens no other's window
         group = shape.peaks.take(chosen)
-        profile = detector.estimate(filled, group, noise, max_sigma)
+        profile = estimate(filled, group, noise, max_sigma)
         status[group.rank, group.column] = _judge(
             image, profile, noise, Shapes._make((group, *(part[chosen] for part in shape[1:])))
         )

@@ -209,7 +209,8 @@ def opaque(margin: Array) -> tuple[Any, ...]:
 def with_rows(tree: Any, index: Any, given: Any) -> Any:
     """Dr.Jit arrays nested in dataclasses and tuples, with some rows replaced by those given."""
     if isinstance(tree, tuple):
-        return tuple(with_rows(a, index, b) for a, b in zip(tree, given, strict=True))
+        # Light by maps has no Jacobian.
+        return tuple(with_rows(a, index, b) for a, b in zip(tree, given, strict=False))
     if is_dataclass(tree) and not isinstance(tree, type):
         names = [f.name for f in fields(tree)]
         new = {n: with_rows(getattr(tree, n), index, getattr(given, n)) for n in names}
