@@ -127,20 +127,13 @@ def lead(figures: BurstSummary) -> str:
         return "No column of the image has a line in three frames: nothing is known of its sway."
     in_some = sway.largest_frames < figures.frames
     seen = f", seen in {sway.largest_frames} of them" if in_some else ""
-    largest, median, there, along = (
-        in_words(value, "{:.3g}")
-        for value in (
-            sway.largest,
-            sway.median,
-            figures.static_error_at_largest_um,
-            figures.static_error.rms_um,
-        )
-    )
+    there = in_words(figures.static_error_at_largest_um, "{:.3g}")
+    along = in_words(figures.static_error.rms_um, "{:.3g}")
     return (
-        f"Over {figures.frames} frames the measured height sways by up to {largest} µm (standard"
-        f" deviation), at y = {sway.largest_y_mm:.3g} mm{seen}; the median along the line is"
-        f" {median} µm. The error that stays, of the mean points, is {there} µm there and"
-        f" {along} µm rms along the line."
+        f"Over {figures.frames} frames the measured height sways by up to {sway.largest:.3g} µm"
+        f" (standard deviation), at y = {sway.largest_y_mm:.3g} mm{seen}; the median along the line"
+        f" is {sway.median:.3g} µm. The error that stays, of the mean points, is {there} µm there"
+        f" and {along} µm rms along the line."
     )
 
 
@@ -252,8 +245,9 @@ def _over_time(axes: Axes, result: Burst) -> None:
 def _std(axes: Axes, line: SwayTable, x: NDArray[Any], std: Array, unit: str, label: str) -> None:
     """A standard deviation along the line: columns of every frame as a line, others as rings."""
     always = line.frames == line.frames.max(initial=0)
-    axes.plot(x, np.where(always, std, np.nan), color=colour("hot"))
-    axes.plot(*(x[~always], std[~always]), ls="", marker="o", ms=4, mfc="none", color=colour("hot"))
+    hot = colour("hot")
+    axes.plot(x, np.where(always, std, np.nan), color=hot)
+    axes.plot(x[~always], std[~always], "o", ms=4, mfc="none", color=hot)
     axes.set(xlabel=label, ylabel=f"standard deviation in {unit}")
     known = np.isfinite(std)
     if not known.any():
@@ -265,7 +259,7 @@ def _std(axes: Axes, line: SwayTable, x: NDArray[Any], std: Array, unit: str, la
         where += f", in {line.frames[at]} of {line.frames.max()} frames"
     left = x[at] < np.nanmean(x[known])
     write_beside(axes, f"largest: {where}", (x[at], std[at]), (8 if left else -8, 12))
-    axes.plot(x[at], std[at], "o", ms=6, color=colour("hot"))
+    axes.plot(x[at], std[at], "o", ms=6, color=hot)
     if np.any(known & ~always):
         axes.set_xlabel(f"{label}   (○ not in every frame)")
 
@@ -281,27 +275,17 @@ def _static(axes: Axes, line: SwayTable) -> None:
 
 def _ray_heights(axes: Axes, rays: RayTable) -> None:
     """How far above its true place each ray's point is measured, and how steadily."""
-    axes.errorbar(
-        *(rays.y_mm, rays.mean_error_um),
-        yerr=rays.std_error_um,
-        fmt="s",
-        capsize=4,
-        color=colour("search"),
-    )
+    figures = rays.y_mm, rays.mean_error_um, rays.std_error_um
+    axes.errorbar(*figures, fmt="s", capsize=4, color=colour("search"))
     axes.axhline(0.0, color="0.6", lw=0.8)
     axes.set(xlabel="y of the ray in mm", ylabel="height of B$_m$ over B in µm, ± sway")
 
 
 def _ray_pixels(axes: Axes, rays: RayTable) -> None:
-    for axis, (name, marker) in enumerate((("along the line (u)", "o"), ("across it (v)", "s"))):
-        axes.plot(
-            *(rays.y_mm, rays.std_px[:, axis]),
-            marker=marker,
-            ls="-" if axis else "--",
-            color=colour("search"),
-            mfc="white" if axis else colour("search"),
-            label=name,
-        )
+    shade = colour("search")
+    styles = {"along the line (u)": ("o--", shade), "across it (v)": ("s-", "white")}
+    for std, (name, (style, fill)) in zip(rays.std_px.T, styles.items(), strict=True):
+        axes.plot(rays.y_mm, std, style, color=shade, mfc=fill, label=name)
     axes.set(xlabel="y of the ray in mm", ylabel="standard deviation in px")
     top = np.nanmax(rays.std_px, initial=0.0) or 1.0
     axes.set_ylim(0.0, 1.25 * top)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -362,7 +363,7 @@ class Burst:
     @property
     def centres_px(self) -> Array:
         """(u, v) of the line in every column of every frame; shape (F, W, 2)."""
-        return np.stack([line.pixel for line in self.lines])
+        return _stacked(self.lines, "pixel")
 
     @cached_property
     def points_mm(self) -> Array:
@@ -372,7 +373,7 @@ class Burst:
     @property
     def rays_px(self) -> Array:
         """Pixels that see the probe rays; shape (F, N, 2)."""
-        return np.stack([found.pixel for found in self.rays])
+        return _stacked(self.rays, "pixel")
 
     @cached_property
     def sway_table(self) -> SwayTable:
@@ -386,14 +387,14 @@ class Burst:
             y_mm=self._section.along_mm(points["mean_mm"]),
             **points,
             static_error_um=self._section.distance_um(points["mean_mm"]),
-            status=_commonest(np.stack([line.status for line in self.lines]), Status),
+            status=_commonest(_stacked(self.lines, "status"), Status),
         )
 
     @cached_property
     def ray_table(self) -> RayTable:
         """The sway of the probe rays."""
         pixel = spread(self.rays_px)
-        incidence_mm = np.stack([found.laser_point_mm for found in self.rays])
+        incidence_mm = _stacked(self.rays, "laser_point_mm")
         measured_mm = triangulate(self.scene.sensor, self.rays_px)
         error = spread((measured_mm - incidence_mm) @ self.up[:, None] * UM_PER_MM)
         return RayTable(
@@ -405,21 +406,19 @@ class Burst:
             **_of_points("measured_", measured_mm, self.up),
             mean_error_um=error.mean[:, 0],
             std_error_um=error.std[:, 0],
-            status=_commonest(np.stack([found.status for found in self.rays]), SearchStatus),
+            status=_commonest(_stacked(self.rays, "status"), SearchStatus),
         )
 
     @cached_property
     def frame_table(self) -> FrameTable:
         """All centres and points."""
-        columns = self.lines[0].column
-        status = np.concatenate([line.status for line in self.lines])
         return FrameTable(
-            time_s=np.repeat(self.time_s, len(columns)),
-            column=np.tile(columns, len(self.lines)),
-            row=np.concatenate([line.row for line in self.lines]),
-            sigma=np.concatenate([line.sigma for line in self.lines]),
+            time_s=np.repeat(self.time_s, len(self.lines[0].column)),
+            column=_stacked(self.lines, "column").ravel(),
+            row=_stacked(self.lines, "row").ravel(),
+            sigma=_stacked(self.lines, "sigma").ravel(),
             point_mm=self.points_mm.reshape(-1, 3),
-            status=status_names(status, Status),
+            status=status_names(_stacked(self.lines, "status"), Status),
         )
 
     @cached_property
@@ -462,6 +461,11 @@ class Burst:
     @cached_property
     def _section(self) -> Section:
         return true_section(self.scene)
+
+
+def _stacked(frames: Sequence[LineCentres | FoundPixels], name: str) -> NDArray[Any]:
+    """What is known of each frame under a name; (F, ...)."""
+    return np.stack([getattr(each, name) for each in frames])
 
 
 def instants(
