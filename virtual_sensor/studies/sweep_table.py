@@ -181,24 +181,21 @@ def results(finished: Sequence[Finished], folder: Path) -> Sweep:
     InputError
         If a case's summary can't be read.
     """
-    found = table(finished, folder)
-    names = [end.case.name for end in finished]
-    cases = [end.case for end in finished]
-    words = parameter_words(find_scene(cases[0].scene)) if cases else {}
+    found, cases = table(finished, folder), [end.case for end in finished]
+    scene = cases[0].scene if cases else ""
+    words = parameter_words(find_scene(scene)) if cases else {}
+    said = list(zip((case.name for case in cases), found.status, found.message, strict=True))
+    of_cases = [f"{name}: {m}" for name, how, m in said if m and how != CaseStatus.FAILED]
     summary = SweepSummary(
-        scene=cases[0].scene if cases else "",
+        scene=scene,
         swept=tuple(
             SweptParameter(name, words.get(name, ""), tuple(dict.fromkeys(found.parameters[name])))
             for name in differing(cases)
         ),
         cases=len(cases),
-        failed={end.case.name: end.message for end in finished if end.status == CaseStatus.FAILED},
-        nothing_found=tuple(
-            name
-            for name, status in zip(names, found.status, strict=True)
-            if status == CaseStatus.NOTHING_FOUND
-        ),
-        notes=(*_program_notes(finished, folder), *_notes_of_cases(finished, found)),
+        failed={name: message for name, how, message in said if how == CaseStatus.FAILED},
+        nothing_found=tuple(name for name, how, _ in said if how == CaseStatus.NOTHING_FOUND),
+        notes=(*_program_notes(finished, folder), *of_cases),
         program=fingerprint(),
         made_with=made_with(),
     )
@@ -218,14 +215,6 @@ def _program_notes(finished: Sequence[Finished], folder: Path) -> list[str]:
         f" it, that were not used; delete what does not end with -{fingerprint()}"
     )
     return [note for count, note in ((again, replaced), (others, unused)) if count]
-
-
-def _notes_of_cases(finished: Sequence[Finished], table: SweepTable) -> list[str]:
-    return [
-        f"{end.case.name}: {message}"
-        for end, message in zip(finished, table.message, strict=True)
-        if message and end.status != CaseStatus.FAILED
-    ]
 
 
 def table(finished: Sequence[Finished], folder: Path) -> SweepTable:
