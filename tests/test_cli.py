@@ -19,6 +19,9 @@ from command_line import command
 
 from virtual_sensor.reporting import measure as results
 
+# What pictures show, tests/reporting looks at.
+pytestmark = pytest.mark.usefixtures("unpainted")
+
 HOT_FILM = ["-D", "width=512", "-D", "height=512", "-D", "spp=4"]
 COLD_FILM = ["-D", "width=256", "-D", "height=256", "-D", "spp=1", "-D", "line_radius=0.5"]
 COLD = ["cold_cylinder", *COLD_FILM]

@@ -110,11 +110,18 @@ def test_a_signal_while_measuring_ends_it_in_one_line_and_leaves_nothing(stopped
 
 
 @pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+    ("number", "points"),
+    [
+        (signal.SIGINT, ["mitsuba:<module>"]),
+        pytest.param(signal.SIGINT, IMPORTS, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, IMPORTS, marks=pytest.mark.slow),
+    ],
 )
-def test_a_signal_while_libraries_are_imported_ends_the_command_in_one_line(stopped, number):
+def test_a_signal_while_libraries_are_imported_ends_the_command_in_one_line(
+    stopped, number, points
+):
     """Rationale: Mitsuba's extension aborted the process when Ctrl-C came in its import."""
-    assert stopped(number, [(point, MEASURE) for point in IMPORTS]) == [[]] * len(IMPORTS)
+    assert stopped(number, [(point, MEASURE) for point in points]) == [[]] * len(points)
 
 
 @pytest.mark.slow

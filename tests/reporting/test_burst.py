@@ -50,9 +50,10 @@ def written(result, folder):
 
 
 @pytest.fixture(scope="module")
-def pictures(result):
-    """Its pictures: the figures, and some frames."""
-    return draw(result), draw_views(result)
+def pictures(result, without_paint):
+    """Its pictures: the figures, and some frames; those in its folder are painted."""
+    with without_paint():
+        return draw(result), draw_views(result)
 
 
 @pytest.fixture

@@ -118,7 +118,7 @@ def test_a_changed_byte_of_any_file_is_another_program(copied):
     files = [file for folder in copied for file in folder.rglob("*.py")]
     files += [file for file in (copied[0] / "medium/heat_flow/case").rglob("*") if file.is_file()]
     assert len(files) > 190
-    for file in files[::9]:
+    for file in files[::19]:
         whole = file.read_bytes()
         file.write_bytes(bytes([whole[0] ^ 1]) + whole[1:] if whole else b"#")
         assert now() != before, file

@@ -38,24 +38,29 @@ def image(scene):
     return vs.render(scene)
 
 
-def test_each_line_is_that_of_its_laser_alone(scene, image):
+@pytest.fixture(scope="module")
+def alone(scene):
+    """The images of each laser by itself."""
+    return {name: vs.render(scene.only(source=name)) for name in scene.sources}
+
+
+def test_each_line_is_that_of_its_laser_alone(scene, image, alone):
     """Rationale: to 0.002 px where they don't overlap, with the same status in every column."""
     found = lines_by_source(scene, image)
     assert list(found) == ["red", "blue"]
     for name, line in found.items():
-        alone = vs.line_centres(vs.render(scene.only(source=name)))
+        known = vs.line_centres(alone[name])
         free = line.status != Status.OVERLAPPING
-        both = (line.status == Status.OK) & (alone.status == Status.OK)
+        both = (line.status == Status.OK) & (known.status == Status.OK)
         assert both.sum() > 150
-        assert np.sum(free & (alone.status == Status.OK) & ~both) <= 4  # beside the overlap
-        np.testing.assert_allclose(line.row[both], alone.row[both], atol=0.002)
+        assert np.sum(free & (known.status == Status.OK) & ~both) <= 4  # beside the overlap
+        np.testing.assert_allclose(line.row[both], known.row[both], atol=0.002)
         assert 5 < np.sum(~free) < 0.5 * both.sum()
         assert np.isnan(line.row[~free]).all()
 
 
-def test_no_centre_is_of_both_lasers_light(scene, image):
+def test_no_centre_is_of_both_lasers_light(scene, image, alone):
     """Rationale: by the frames of each alone: where both shine near a centre it must not be OK."""
-    alone = {name: vs.render(scene.only(source=name)) for name in scene.sources}
     for name, line in lines_by_source(scene, image).items():
         (other,) = (light for each, light in alone.items() if each != name)
         column = np.flatnonzero(line.status == Status.OK)
@@ -63,7 +68,7 @@ def test_no_centre_is_of_both_lasers_light(scene, image):
         assert np.all(other[rows, column] == 0.0)
 
 
-def test_a_recorded_image_is_told_apart_too(scene, image):
+def test_a_recorded_image_is_told_apart_too(scene, image, alone):
     """Rationale: blur and noise: errors are those of the one line recorded alone."""
     camera = CameraNoise(gain=0.37, bit_depth=12)
     options = {"noise": camera.grey_noise, "gain": camera.gain, "saturation": camera.saturation}
@@ -73,19 +78,17 @@ def test_a_recorded_image_is_told_apart_too(scene, image):
 
     found = lines_by_source(scene, recorded(image, 1), margin_px=3.0, **options)
     for name, line in found.items():
-        exact = vs.line_centres(gaussian_blur(vs.render(scene.only(source=name)), 0.5))
+        exact = vs.line_centres(gaussian_blur(alone[name], 0.5))
         both = (line.status == Status.OK) & (exact.status == Status.OK)
         assert both.sum() > 150
         error = (line.row - exact.row)[both] / line.sigma[both]
         assert np.sqrt(np.mean(error**2)) < 1.5
 
 
-def test_a_scene_with_one_source_has_one_line(scene):
+def test_a_scene_with_one_source_has_one_line(scene, alone):
     """Rationale: of one source nothing overlaps, and nothing is to be taken out."""
-    alone = scene.only(source="red")
-    image = vs.render(alone)
-    (line,) = lines_by_source(alone, image).values()
-    np.testing.assert_array_equal(line.row, vs.line_centres(image).row)
+    (line,) = lines_by_source(scene.only(source="red"), alone["red"]).values()
+    np.testing.assert_array_equal(line.row, vs.line_centres(alone["red"]).row)
 
 
 def test_an_image_of_another_size_is_refused(scene):

@@ -94,9 +94,9 @@ def test_a_measurement_by_name_is_that_pairs(scene, tmp_path):
             assert agreement["rms_px"] < 0.02
 
 
-def test_a_sweep_by_name_is_kept_by_its_names(scene, tmp_path):
+def test_a_sweep_by_name_is_kept_by_its_names(tmp_path):
     """Rationale: another camera's results must not be taken for those of the one asked for."""
-    words = ["sweep", scene, *FILM, "-o", tmp_path / "swept"]
+    words = ["sweep", two_by_two(tmp_path, "cold_cylinder").path, *FILM, "-o", tmp_path / "swept"]
     run(*words, "--camera", "near", "--source", "red")
     assert re.search("1 already there", run(*words, "--camera", "near", "--source", "red"))
     said = run(*words, "--camera", "far", "--source", "red")

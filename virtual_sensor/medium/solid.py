@@ -39,16 +39,16 @@ def fill_solid(nodes: np.ndarray, solid: np.ndarray, spacing: np.ndarray) -> np.
         )
     if not solid.any():
         return nodes
-    nearest = ndimage.distance_transform_edt(
-        solid, sampling=spacing, return_distances=False, return_indices=True
-    )
-    filled = nodes[tuple(nearest)]
-
-    # Only the box round the solid, one node wider, takes part.
+    # Only the box round the solid takes part, one node wider: the nearest air is in it.
     around = tuple(
         slice(max(s.start - 1, 0), s.stop + 1) for s in ndimage.find_objects(solid.astype(int))[0]
     )
+    filled = nodes.copy()
     part, inside = filled[around], solid[around]
+    nearest = ndimage.distance_transform_edt(
+        inside, sampling=spacing, return_distances=False, return_indices=True
+    )
+    part[:] = part[tuple(nearest)]
     weights = 0.5 / spacing**2 / (1.0 / spacing**2).sum()
     for _ in range(SMOOTHING_SWEEPS):
         mean = sum(
