@@ -9,9 +9,9 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -91,41 +91,60 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Let a command take dataclasses, by keyword: each of their fields is an option.
 
     Its name is the field's without a unit at the end, its default the field's, and its help the
-    field's words under "Attributes" of the dataclass.
+    field's words under "Attributes" of the dataclass. Metadata of a field: `counts` says how many
+    numbers are written with commas in between, or, if (), words; `internal` makes no option.
     """
     signature = inspect.signature(command)
     parameters: list[inspect.Parameter] = []
-    groups: dict[str, tuple[Any, dict[str, str]]] = {}
+    groups: dict[str, Any] = {}
     for name, parameter in signature.parameters.items():
         if is_dataclass(kind := parameter.annotation):
-            options = _options(kind)
-            groups[name] = kind, {field: option.name for field, option in options.items()}
-            parameters += options.values()
+            groups[name] = kind
+            parameters += [_option(each, kind) for each in _optional(kind)]
         else:
             parameters.append(parameter)
 
     @functools.wraps(command)
     def called(**given: Any) -> None:
-        for name, (kind, names) in groups.items():
-            given[name] = kind(**{field: given.pop(option) for field, option in names.items()})
+        for name, kind in groups.items():
+            said = {each.name: _said(each, given.pop(_flag(each))) for each in _optional(kind)}
+            given[name] = kind(**said)
         command(**given)
 
     called.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return called
 
 
-def _options(kind: Any) -> dict[str, inspect.Parameter]:
-    """The options of a dataclass, by the names of its fields."""
+def _optional(kind: Any) -> list[Field[Any]]:
+    return [each for each in fields(kind) if not each.metadata.get("internal")]
+
+
+def _flag(each: Field[Any]) -> str:
+    return re.sub(r"_(mm|c|pa|s|px_per_s)$", "", each.name)
+
+
+def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
+    """The option of a dataclass's field."""
     words = dict(re.findall(r"^(\w+) : .*\n((?: +.*\n?)+)", inspect.getdoc(kind) or "", re.M))
-    options = {}
-    for each in fields(kind):
-        name = re.sub(r"_(mm|c|pa|s|px_per_s)$", "", each.name)
-        flag = [f"--{name}"] if each.type is bool else []  # no --no-NAME
-        option = typer.Option(each.default, *flag, help=" ".join(words[each.name].split()))
-        options[each.name] = inspect.Parameter(
-            name, inspect.Parameter.KEYWORD_ONLY, default=option, annotation=each.type
-        )
-    return options
+    hint: Any = get_type_hints(kind)[each.name]
+    default: Any = each.default
+    if "counts" in each.metadata:
+        hint, default = str | None, ",".join(f"{part:g}" for part in default or ()) or None
+    flag = [f"--{_flag(each)}"] if hint is bool else []  # no --no-NAME
+    option = typer.Option(default, *flag, help=" ".join(words[each.name].split()))
+    return inspect.Parameter(
+        _flag(each), inspect.Parameter.KEYWORD_ONLY, default=option, annotation=hint
+    )
+
+
+def _said(each: Field[Any], given: Any) -> Any:
+    """The field's value, from that of its option."""
+    counts = each.metadata.get("counts")
+    if counts is None:
+        return given
+    if counts:
+        return numbers(f"--{_flag(each)}".replace("_", "-"), given, *counts)
+    return given.replace(" ", "").split(",") if given else ()
 
 
 def definitions(define: list[str] | None) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """The commands `virtual-sensor field simulate` and `field convergence`, which need OpenFOAM."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -9,48 +9,9 @@ import typer
 from virtual_sensor.cli import shared
 from virtual_sensor.cli.field import FIELD_FILES, app
 from virtual_sensor.files import check_output
+from virtual_sensor.medium.heat_flow.setup import HeatFlow
 
 GOES_ON = "the simulated flow stays, and the same command goes on"
-
-
-@dataclass(frozen=True)
-class FlowOptions:
-    """The part and how finely the air round it is simulated: fields of `HeatFlow`.
-
-    Attributes
-    ----------
-    temperature_c : float
-        Of the part's surface, degC.
-    radius_mm : float
-        Of the cylinder, mm.
-    length_mm : float
-        Of the cylinder, mm.
-    stl : Path, optional
-        Surface of another part, mm, z up, in place of a cylinder.
-    section : bool
-        Only across an endless cylinder: some minutes.
-    whole : bool
-        A section without mirror plane: the plume may sway.
-    unsteady : bool
-        Small time steps, that follow the air's own motion.
-    ambient_c : float
-        Of the surrounding air, degC.
-    pressure_pa : float
-        Of the surrounding air, Pa.
-    cell_mm : float
-        Width of a mesh cell across the plume, mm; others scale with it.
-    """
-
-    temperature_c: float = 1250.0
-    radius_mm: float = 13.5
-    length_mm: float = 170.0
-    stl: Path | None = None
-    section: bool = False
-    whole: bool = False
-    unsteady: bool = False
-    ambient_c: float = 20.0
-    pressure_pa: float = 101325.0
-    cell_mm: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -61,7 +22,7 @@ class RunOptions:
     ----------
     coarse : bool
         Accept a mesh that does not resolve the wall layer.
-    grid_mm : str, optional
+    grid_mm : tuple of three float, optional
         Distance of the field's nodes along x, y, z, mm; by default 3,0.5,1.25, and for another
         part as fine as 2 MB hold.
     time_s : float
@@ -77,7 +38,7 @@ class RunOptions:
     """
 
     coarse: bool = False
-    grid_mm: str | None = None
+    grid_mm: tuple[float, float, float] | None = field(default=None, metadata={"counts": (3,)})
     time_s: float = 15.0
     at_least_s: float = 2.0
     steady_px_per_s: float = 0.05
@@ -101,7 +62,7 @@ def simulate(
         typer.Option(help="Folder of the OpenFOAM case; by default beside the field, .case."),
     ] = None,
     *,
-    part: FlowOptions,
+    flow: HeatFlow,
     asked: RunOptions,
     processes: Annotated[int, typer.Option(min=1, help="Processes of the solver, by MPI.")] = 1,
     scene: Annotated[
@@ -115,24 +76,22 @@ def simulate(
 
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
-    from virtual_sensor.medium.heat_flow.setup import HeatFlow
     from virtual_sensor.reporting.new_fields import simulated, written
     from virtual_sensor.studies.simulate import Until
     from virtual_sensor.studies.simulate import simulate as run
 
     shared.check_suffix(output, FIELD_FILES, "a field")
     check_output(output, overwrite)
-    spacing = shared.numbers("--grid", asked.grid_mm, 3)
     with shared.reporting("preparing the case", GOES_ON) as report:
         result = run(
-            HeatFlow(**vars(part)),
+            flow,
             case or output.with_suffix(".case"),
             output,
             Until(asked.time_s, min(asked.at_least_s, asked.time_s), asked.steady_px_per_s),
-            spacing_mm=(spacing[0], spacing[1], spacing[2]) if spacing else None,
+            spacing_mm=asked.grid_mm,
             coarse=asked.coarse,
             record_s=asked.record_s,
-            every_s=asked.every_s or (0.05 if part.unsteady else 0.25),
+            every_s=asked.every_s or (0.05 if flow.unsteady else 0.25),
             processes=processes,
             scene_name=scene,
             camera=camera,

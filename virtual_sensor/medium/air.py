@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from virtual_sensor.errors import InputError
-
-ZERO_CELSIUS_K = 273.15
-ATMOSPHERE_PA = 101325.0
+from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
 _R = 8.314510  # J/(mol K), the value that Ciddor's constants go with
 _M_WATER = 0.018015  # kg/mol

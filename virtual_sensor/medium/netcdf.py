@@ -58,12 +58,7 @@ from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError, naming, printable
 from virtual_sensor.files import written_whole
-from virtual_sensor.medium.air import (
-    ATMOSPHERE_PA,
-    ZERO_CELSIUS_K,
-    air_refractivity,
-    refractivity_of_density,
-)
+from virtual_sensor.medium.air import air_refractivity, refractivity_of_density
 from virtual_sensor.medium.netcdf_elements import (
     AXES,
     Contents,
@@ -80,6 +75,7 @@ from virtual_sensor.medium.netcdf_elements import (
     units_of,
 )
 from virtual_sensor.medium.quantities import UNITS, check_limits, possible_ambient
+from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
 AMBIENT = {
     "temperature": ("ambient_temperature", "ambient_pressure", "ambient_relative_humidity"),

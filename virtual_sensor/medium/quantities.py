@@ -3,7 +3,7 @@
 import numpy as np
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.air import ZERO_CELSIUS_K
+from virtual_sensor.medium.units import ZERO_CELSIUS_K
 
 # What must be added to a value in these units to have it in K, kg/m3, 1; the first is written.
 UNITS = {

@@ -5,6 +5,9 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 
+ZERO_CELSIUS_K = 273.15
+ATMOSPHERE_PA = 101325.0
+
 # The name that is used here, and how else it is spelt, without blanks, _, ^, * and dots.
 _SPELLINGS = {
     "K": "kelvin kelvins degk °k degkelvin degreekelvin degreeskelvin",

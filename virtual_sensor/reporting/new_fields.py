@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import ndimage
 
-from virtual_sensor.medium.air import ZERO_CELSIUS_K
+from virtual_sensor.medium.units import ZERO_CELSIUS_K
 
 if TYPE_CHECKING:
     from virtual_sensor.medium.imports.import_field import Imported

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.air import ATMOSPHERE_PA, ZERO_CELSIUS_K
+from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
 GAS_CONSTANT = 8.314462618  # J/(mol K)
 MOLAR_MASS = 28.9647e-3  # kg/mol, dry air
@@ -32,22 +32,26 @@ class HeatFlow:
     ----------
     temperature_c : float
         Of the part's surface, degC; held constant after a ramp of 0.25 s.
-    radius_mm, length_mm : float
+    radius_mm : float
+        Of the cylinder, mm.
+    length_mm : float
         Of the cylinder, mm.
     stl : Path or None
-        Surface of another part, mm.
+        Surface of another part, mm, z up, in place of a cylinder.
     section : bool
-        Only the plane across an endless cylinder.
+        Only the plane across an endless cylinder: some minutes.
     whole : bool
         A section without its mirror plane, so that the plume may sway; a draught of 2 cm/s across
         it at the start breaks the symmetry.
     unsteady : bool
         Small time steps that follow the flow's own motion, for bursts. Else large implicit ones,
         which damp it and lead to the steady state.
-    ambient_c, pressure_pa : float
-        Of the surrounding air, degC and Pa.
+    ambient_c : float
+        Of the surrounding air, degC.
+    pressure_pa : float
+        Of the surrounding air, Pa.
     cell_mm : float
-        Width of a cell across the plume, mm; all others scale with it.
+        Width of a mesh cell across the plume, mm; all others scale with it.
     time_step_s : float or None
         Longest time step, s; None is one that suits parts hotter than the air by hundreds of K.
         Slower flows take longer ones.
@@ -63,7 +67,7 @@ class HeatFlow:
     ambient_c: float = 20.0
     pressure_pa: float = ATMOSPHERE_PA
     cell_mm: float = 0.8
-    time_step_s: float | None = None
+    time_step_s: float | None = field(default=None, metadata={"internal": True})
 
     def __post_init__(self) -> None:
         hot, air = self.temperature_c, self.ambient_c

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.medium.air import ZERO_CELSIUS_K, air_refractivity
+from virtual_sensor.medium.air import air_refractivity
 from virtual_sensor.medium.imports.import_field import Choices, Imported, Report
 from virtual_sensor.medium.imports.placement import (
     Frame,
@@ -41,7 +41,7 @@ from virtual_sensor.medium.netcdf import (
     GriddedQuantity,
 )
 from virtual_sensor.medium.quantities import AMBIENT_LIMITS, LIMITS
-from virtual_sensor.medium.units import unit_of
+from virtual_sensor.medium.units import ZERO_CELSIUS_K, unit_of
 
 with contextlib.suppress(ImportError):  # once, before children are forked
     import pyvista  # noqa: F401

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from virtual_sensor.child import physical_memory, run_in_child
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.netcdf import GriddedQuantity
+
+if TYPE_CHECKING:
+    from virtual_sensor.medium.netcdf import GriddedQuantity
 
 NEEDS_PYVISTA = "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
 
@@ -22,39 +25,46 @@ Report = Callable[[str, float], None]
 class Choices:
     """What a user says about a file; None is what the file says, or the default.
 
+    Of fields with several entries, `counts` says how many numbers a command takes; () are words.
+
     Attributes
     ----------
     variable : str, optional
-        Name of the variable.
+        Which variable; by default the only one that suits.
     quantity : str, optional
-        "temperature", "density", "refractivity" (n - 1) or "index" (n).
-    units, length_units : str, optional
-        Of the variable and of the coordinates.
+        temperature, density, refractivity (n - 1) or index (n); by default what the variable's
+        name or units say.
+    units : str, optional
+        K, degC, kg/m3 or g/cm3, if the file does not say.
+    length_units : str, optional
+        m, cm or mm, if the file does not say.
     axes : str
-        Axes of the source that become the world's x, y and z, such as "x,-y,z".
+        Axes of the file that become the world's x, y, z: x,-y,z or y,z,x.
     origin_mm : sequence of three float
-        Point of the source that becomes the world's origin.
+        Point of the file, mm along its axes, that becomes the world's origin: the middle of the
+        part's top line.
     scale : float
         Factor on all lengths.
     mirror : sequence of str
-        Axes, through 0, about whose planes the field is even; the data are of one side.
+        Axes about whose planes through 0 the field is even, such as x,y.
     box_mm : sequence of six float, optional
-        Extent of the output: x0, x1, y0, y1, z0, z1.
+        Extent x0,x1,y0,y1,z0,z1 of the field, mm; by default the data's.
     spacing_mm : sequence of three float, optional
-        At most this between its nodes.
+        Distance of nodes, mm, one number or three; by default the data's own, or their median. Of
+        a plain .npy array its own.
     extrude_mm : sequence of two float, optional
-        Extent along x of a 2-D cross-section.
+        From where to where along x a cross-section holds, mm.
     solid : str
-        "auto" (one enclosed region without data), "enclosed" (all of them), "none", or
-        "cylinder:RADIUS[,LENGTH]" in mm: along x, top line at z = 0, middle at x = 0.
+        What has no air: auto (an enclosed gap in the data), enclosed (several), none, or
+        cylinder:RADIUS[,LENGTH] in mm, along x under the origin.
     ambient : float, optional
-        Value in the surrounding air, in the variable's units.
+        Value in the surrounding air, in the variable's units; else 20 °C.
     pressure_pa : float, optional
-        Of a temperature's surrounding air.
+        Air pressure, Pa, with a temperature; else 101325.
     time_s : float, optional
-        Which time of the file.
+        Flow time, s, of a file with many; by default the last.
     region : str, optional
-        Of an OpenFOAM case of several.
+        Of an OpenFOAM case of several; by default the only fluid.
     """
 
     variable: str | None = None
@@ -62,12 +72,12 @@ class Choices:
     units: str | None = None
     length_units: str | None = None
     axes: str = "x,y,z"
-    origin_mm: Sequence[float] = (0.0, 0.0, 0.0)
+    origin_mm: Sequence[float] = field(default=(0.0, 0.0, 0.0), metadata={"counts": (3,)})
     scale: float = 1.0
-    mirror: Sequence[str] = ()
-    box_mm: Sequence[float] | None = None
-    spacing_mm: Sequence[float] | None = None
-    extrude_mm: Sequence[float] | None = None
+    mirror: Sequence[str] = field(default=(), metadata={"counts": ()})
+    box_mm: Sequence[float] | None = field(default=None, metadata={"counts": (6,)})
+    spacing_mm: Sequence[float] | None = field(default=None, metadata={"counts": (1, 3)})
+    extrude_mm: Sequence[float] | None = field(default=None, metadata={"counts": (2,)})
     solid: str = "auto"
     ambient: float | None = None
     pressure_pa: float | None = None

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.air import ZERO_CELSIUS_K
 from virtual_sensor.medium.netcdf_elements import MM
-from virtual_sensor.medium.units import unit_of
+from virtual_sensor.medium.units import ZERO_CELSIUS_K, unit_of
 
 # For each quantity, what makes K, kg/m3 or 1 of a value in these units: factor, then addend.
 UNITS: dict[str, dict[str, tuple[float, float]]] = {
