@@ -18,13 +18,8 @@ from virtual_sensor.records import Table
 
 FILE = Path(__file__).with_name("failures.csv")
 
-_KINDS: dict[str, type] = {
-    "mildest": float,
-    "severest": float,
-    "reported_from": float,
-    "wrong_from": float,
-}
-_KINDS |= {"largest_error_px": float, "reported": int, "wrong": int, "items": int}
+_KINDS = {"NDArray[np.float64]": float, "NDArray[np.int64]": int}
+"""Of the columns of numbers, by the annotations of their fields."""
 
 
 @dataclass(frozen=True)
@@ -99,12 +94,9 @@ def made_by() -> str:
 
 def table(rows: Iterable[Mapping[str, Any]]) -> Failures:
     """The table of rows, whose values may be texts; an empty number is NaN."""
-    given = list(rows)
-
-    def column(name: str) -> Any:
-        kind, values = _KINDS.get(name), [row[name] for row in given]
-        if kind is None:
-            return [str(value) for value in values]
-        return np.array(["nan" if value == "" else value for value in values]).astype(kind)
-
-    return Failures(**{each.name: column(each.name) for each in fields(Failures)})
+    given, columns = list(rows), dict[str, Any]()
+    for each in fields(Failures):
+        values, kind = [row[each.name] for row in given], _KINDS.get(str(each.type))
+        numbers = np.array(["nan" if value == "" else value for value in values])
+        columns[each.name] = numbers.astype(kind) if kind else [str(value) for value in values]
+    return Failures(**columns)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.optics import covering_maps
 from virtual_sensor.optics.ray_search import FoundPixels, March, SearchStatus, ray_search
 from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 
 Array = NDArray[np.float64]
+Make = Callable[..., Configuration]
 
 SCENE = "hot_cylinder"
 FINEST = March(0.02, "leapfrog", "double")
@@ -38,94 +39,60 @@ def tasks(quick: bool = False) -> Iterator[Task]:
 
     def score(found: FoundPixels) -> Score:
         error = np.linalg.norm(found.pixel[at] - truth, axis=1)
+        failed = int(np.sum(found.status != SearchStatus.FOUND))
         marched = found.iterations[found.status != SearchStatus.LASER_MISSED]
-        return Score(
-            error,
-            UM_PER_PX * error,
-            int(np.sum(found.status != SearchStatus.FOUND)),
-            f"{np.mean(marched):.3g} marches of the camera's ray for each point"
-            if np.any(marched)
-            else "",
-        )
+        marches = f"{np.mean(marched):.3g} marches of the camera's ray for each point"
+        return Score(error, UM_PER_PX * error, failed, marches if np.any(marched) else "")
 
-    yield Task(
-        "the pixels that see given laser points",
-        f"Newton's search in float64, {FINEST.method} of {FINEST.step_mm:g} mm",
-        count,
-        score,
-        [
-            *_by_maps(scene, y_mm, quick),
-            *_papers(scene, y_mm, quick),
-            *_newtons(scene, y_mm, quick),
-        ],
-    )
+    def configuration(
+        name: str,
+        kind: str,
+        method: str,
+        chosen: dict[str, Any] | None = None,
+        before: Callable[[], object] = lambda: None,
+        **options: Any,
+    ) -> Configuration:
+        def find(y_mm: Array) -> FoundPixels:
+            before()
+            return ray_search(scene, y_mm, method, **options)
 
+        used = {key: value for key, value in options.items() if key != "march"}
+        used |= _settings(options["march"]) if "march" in options else {}
+        warm_up = partial(find, y_mm[:_WARM_UP])
+        return Configuration(name, kind, lambda: partial(find, y_mm), chosen or {}, used, warm_up)
 
-def _configuration(
-    name: str,
-    kind: str,
-    scene: Scene,
-    y_mm: Array,
-    method: str,
-    before: Callable[[], object] = lambda: None,
-    **options: Any,
-) -> Configuration:
-    def find(y_mm: Array) -> FoundPixels:
-        before()
-        return ray_search(scene, y_mm, method, **options)
-
-    used = {key: value for key, value in options.items() if key != "march"}
-    return Configuration(
-        name,
-        kind,
-        lambda: lambda: find(y_mm),
-        defaults=used | _march(options.get("march")),
-        warm_up=lambda: find(y_mm[:_WARM_UP]),
-    )
+    kinds = (_by_maps, _papers, _newtons)
+    choices = [each for kind in kinds for each in kind(configuration, quick)]
+    reference = f"Newton's search in float64, {FINEST.method} of {FINEST.step_mm:g} mm"
+    yield Task("the pixels that see given laser points", reference, count, score, choices)
 
 
-def _march(march: March | None) -> dict[str, Any]:
-    if march is None:
-        return {}
+def _settings(march: March) -> dict[str, Any]:
     return {"method": march.method, "step_mm": march.step_mm, "precision": march.precision}
 
 
-def _by_maps(scene: Scene, y_mm: Array, quick: bool) -> Iterator[Configuration]:
+def _by_maps(make: Make, quick: bool) -> Iterator[Configuration]:
     """By maps that are made within the time, as for a scene that is new; and by those it has."""
     for name, before in (("new_maps", covering_maps.MAPS.clear), ("cached_maps", lambda: None)):
         for px in (1e-3,) if quick else (1e-2, 1e-3, 1e-4):
-            found = _configuration(
-                name, "tabulated", scene, y_mm, "tabulated", before=before, tolerance_px=px
-            )
-            yield replace(found, chosen={"tolerance_px": px})
+            chosen = {"tolerance_px": px}
+            yield make(name, "tabulated", "tabulated", chosen, before, tolerance_px=px)
 
 
-def _papers(scene: Scene, y_mm: Array, quick: bool) -> Iterator[Configuration]:
+def _papers(make: Make, quick: bool) -> Iterator[Configuration]:
     """The paper's halving search, with its march, its grid and its number of halvings varied."""
-    if quick:
-        choices = [(2.0, 32.0, 15), (2.0, 1.0, 15)]
-    else:
-        choices = [(step, 32.0, 15) for step in (0.1, 0.5, 2.0, 8.0)]
-        choices += [(0.5, 8.0, 15), (0.5, 64.0, 15), (0.5, 32.0, 8), (0.5, 32.0, 20)]
-    for step, grid, halvings in choices:
-        found = _configuration(
-            "paper",
-            "paper",
-            scene,
-            y_mm,
-            "paper",
-            march=March(step, "leapfrog"),
-            grid_px=(grid, grid),
-            k_stop=halvings,
-        )
-        yield replace(found, chosen={"step_mm": step, "grid_px": grid, "halvings": halvings})
+    choices = [(step, 32.0, 15) for step in (0.1, 0.5, 2.0, 8.0)]
+    choices += [(0.5, 8.0, 15), (0.5, 64.0, 15), (0.5, 32.0, 8), (0.5, 32.0, 20)]
+    for step, grid, halvings in [(2.0, 32.0, 15), (2.0, 1.0, 15)] if quick else choices:
+        chosen = {"step_mm": step, "grid_px": grid, "halvings": halvings}
+        options = {"march": March(step, "leapfrog"), "grid_px": (grid, grid), "k_stop": halvings}
+        yield make("paper", "paper", "paper", chosen, **options)
 
 
-def _newtons(scene: Scene, y_mm: Array, quick: bool) -> Iterator[Configuration]:
+def _newtons(make: Make, quick: bool) -> Iterator[Configuration]:
     """Newton's, along the line with a march of its own, and ray by ray."""
-    yield _configuration("newton_along_line", "newton", scene, y_mm, "newton")
+    yield make("newton_along_line", "newton", "newton")
     marches = [March(step, "leapfrog") for step in (0.1, 0.5, 2.0, 8.0)]
     marches += [March(2.0, "leapfrog", "single"), *(March(s, "sharma") for s in (0.5, 2.0))]
     for march in [March(2.0, "leapfrog")] if quick else marches:
-        found = _configuration("newton_by_ray", "newton", scene, y_mm, "newton", march=march)
-        yield replace(found, chosen=_march(march))
+        yield make("newton_by_ray", "newton", "newton", _settings(march), march=march)

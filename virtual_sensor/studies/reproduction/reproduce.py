@@ -273,14 +273,14 @@ def reproduce(
     fits = searches.fits(part(0.0, 0.1))
     airs = broadenings(fits)
     finished = _measure(folder / "measurements", save, given, airs, scheduler, part(0.1, 0.88))
+    nine_rays = partial(searched, y_mm=NINE_RAYS_MM)
+    line = partial(searched, y_mm=LINE_MM, march=SCAN, paper=False)
     every = [setting for air in airs for setting in settings(air)]
     turned = [setting for air in airs for setting in all_poses(air)]
-    nine = searches.curves("nine_rays", every, airs, _nine_rays, part(0.88, 0.92))
-    whole = searches.curves("line", every, airs, _whole_line, part(0.92, 0.95))
-    poses = searches.curves("line", turned, airs, _whole_line, part(0.95, 0.97))
-    scanned = searches.each(
-        "scan", SCANS, airs, lambda scene, _: reconstruct(scene), part(0.97, 1.0)
-    )
+    nine = searches.curves("nine_rays", every, airs, nine_rays, part(0.88, 0.92))
+    whole = searches.curves("line", every, airs, line, part(0.92, 0.95))
+    poses = searches.curves("line", turned, airs, line, part(0.95, 0.97))
+    scanned = searches.each("dense_scan", SCANS, airs, _scan, part(0.97, 1.0))
     scans = {setting: Reconstruction(**found) for setting, found in scanned}
     curves = Curves(_with_rendered(nine, finished), whole, poses)
     sections = _sections(finished, scenes)
@@ -438,12 +438,8 @@ class Searches:
         return curves
 
 
-def _whole_line(scene: Scene, setting: Setting) -> Curve:
-    return searched(scene, setting, LINE_MM, SCAN, paper=False)
-
-
-def _nine_rays(scene: Scene, setting: Setting) -> Curve:
-    return searched(scene, setting, NINE_RAYS_MM)
+def _scan(scene: Scene, _: Setting) -> Reconstruction:
+    return reconstruct(scene)
 
 
 def _share(report: Report, first: float, last: float) -> Report:
