@@ -62,15 +62,16 @@ class Quantity:
 
     def values(self, curves: Curves, air: str, **other: float) -> Array:
         """The values, shape (K,), K = 1 if one is taken; `other` replaces temperature or pose."""
+
+        def series(**at: float) -> tuple[Array, Array]:
+            curve = curves.nine[Setting(air, **at), SEARCHED]
+            return curve.y_mm, curve.rays(self.step_px).of(self.series)
+
         at = {"temperature_c": self.temperature_c, "beta_deg": self.beta_deg} | other
-        curve = curves.nine[Setting(air, **at), SEARCHED]
-        y = curve.y_mm
-        values = curve.rays(self.step_px).of(self.series)
+        y, values = series(**at)
         if self.change_from_c is not None:
-            before = curves.nine[
-                Setting(air, **at | {"temperature_c": self.change_from_c}), SEARCHED
-            ]
-            values = np.abs(values - before.rays(self.step_px).of(self.series))
+            _, before = series(**at | {"temperature_c": self.change_from_c})
+            values = np.abs(values - before)
         if isinstance(self.y_mm, Sequence):
             first, last = self.y_mm
             values = values[(y <= first + 1e-9) & (y >= last - 1e-9)]
@@ -310,14 +311,8 @@ def _locate(s: Statement, curves: Curves, air: str) -> Met:
     return abs(place - stated) <= s.rays, values
 
 
-_CHECKS = {
-    "monotone": _monotone,
-    "bound": _bound,
-    "about": _about,
-    "compare": _compare,
-    "correlate": _correlate,
-    "locate": _locate,
-}
+_KINDS = (_monotone, _bound, _about, _compare, _correlate, _locate)
+_CHECKS = {kind.__name__.strip("_"): kind for kind in _KINDS}
 
 
 def _places(curves: Curves, air: str) -> Array:
