@@ -94,7 +94,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     field's words under "Attributes" of the dataclass. Metadata of a field: `counts` says how many
     numbers are written with commas in between, or, if (), words; `internal` makes no option.
     """
-    signature = inspect.signature(command)
+    signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []
     groups: dict[str, Any] = {}
     for name, parameter in signature.parameters.items():

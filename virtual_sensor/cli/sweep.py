@@ -79,7 +79,8 @@ def sweep(
     shared.print_notes(summary.notes[:_SHOWN])
     if len(summary.notes) > _SHOWN:
         shared.print_notes([f"{len(summary.notes) - _SHOWN} notes more: see summary.json"])
-    there, failed = sum(end.already_there for end in finished), len(summary.failed)
+    there = sum(end.already_there for end in finished)
+    failed = result.table.status.count(CaseStatus.FAILED)
     measured = len(finished) - there - failed
     shared.console.print(
         f"{counted(len(finished), 'case')}: {measured} measured, {there} already there,"
