@@ -7,7 +7,9 @@ Libraries that read files in C++ abort, crash or allocate without end on damaged
 
 is a fork server: for each request on standard input it imports the function's module and forks a
 child, which answers on standard output; what the function itself prints goes nowhere. The next
-child need not import that module again. The server dies as its child died, and with its parent.
+child need not import that module again, nor what this one imported while it was at work: with the
+answer it names these, and the next request has the server import them. The server dies as its
+child died, and with its parent.
 """
 
 from __future__ import annotations
@@ -119,6 +121,7 @@ class _ForkServer:
 
     def __init__(self) -> None:
         self.owner = os.getpid()
+        self.imported: list[str] = []  # modules, by the last child
         self.complaints = tempfile.TemporaryFile("a+b")  # noqa: SIM115
         paths = os.pathsep.join(path or str(Path.cwd()) for path in sys.path)
         self.process = subprocess.Popen(
@@ -136,13 +139,16 @@ class _ForkServer:
         assert self.process.stdout
         start = os.fstat(self.complaints.fileno()).st_size
         try:
-            pickle.dump(request, self.process.stdin)
+            pickle.dump((self.imported, *request), self.process.stdin)
             self.process.stdin.flush()
             while True:
                 kind, content = pickle.load(self.process.stdout)
-                if kind != "report":
+                if kind == "report":
+                    report(*content)
+                elif kind == "imported":
+                    self.imported = content
+                else:
                     return kind, content
-                report(*content)
         except (BrokenPipeError, EOFError, pickle.UnpicklingError, ValueError):
             self.process.wait()
             with contextlib.suppress(ValueError):  # closed by `end`, in another thread
@@ -201,11 +207,12 @@ def main(parent: int) -> None:
     signal.signal(signal.SIGTERM, stop)
     while True:
         try:
-            target, content = pickle.load(sys.stdin.buffer)
+            imported, target, content = pickle.load(sys.stdin.buffer)
         except EOFError:
             return
-        with contextlib.suppress(Exception):  # the child reports it
-            importlib.import_module(target.partition(":")[0])
+        for module in (target.partition(":")[0], *imported):
+            with contextlib.suppress(Exception):  # the child reports it
+                importlib.import_module(module)
         gc.freeze()  # the child's collections then copy none of the memory that it shares
         signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
         server, child = os.getpid(), os.fork()
@@ -235,10 +242,15 @@ def _answer(server: int, target: str, content: bytes) -> None:
     nowhere = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1):
         os.dup2(nowhere, stream)
+    here = set(sys.modules)
 
     def send(kind: str, content: Any) -> None:
         answers.write(pickle.dumps((kind, content), protocol=5))
         answers.flush()
+
+    def imported() -> None:
+        with contextlib.suppress(MemoryError):
+            send("imported", [module for module in sys.modules if module not in here])
 
     try:
         arguments, memory, reports, folder, sys.path = pickle.loads(content)
@@ -249,10 +261,13 @@ def _answer(server: int, target: str, content: bytes) -> None:
         module, _, name = target.partition(":")
         function = getattr(importlib.import_module(module), name)
         options = {"report": lambda *content: send("report", content)} if reports else {}
-        send("result", function(*arguments, **options))
+        result = function(*arguments, **options)
+        imported()
+        send("result", result)
     except Exception as error:
         if not isinstance(error, (InputError, MemoryError)):
             error.add_note(f"In the child process:\n{traceback.format_exc()}")
+        imported()
         try:
             send("error", error)
         except Exception:  # one that can't be pickled

@@ -51,7 +51,7 @@ def rectilinear(pv):
 
 
 def mesh(pv, at_cells=False, tetrahedra=False):
-    data = plume.hexahedra(pv, warped(lattice(*SMALL) if tetrahedra else None))
+    data = plume.hexahedra(pv, warped(lattice(*SMALL)))
     data = data.triangulate() if tetrahedra else data
     if at_cells:
         data.cell_data["T"] = temperature(data.cell_centers().points)
@@ -61,7 +61,7 @@ def mesh(pv, at_cells=False, tetrahedra=False):
 
 
 def structured(pv):
-    data = pv.StructuredGrid(*np.moveaxis(warped(), -1, 0).copy())
+    data = pv.StructuredGrid(*np.moveaxis(warped(lattice(*SMALL)), -1, 0).copy())
     data["T"] = temperature(data.points)
     return data
 
@@ -106,7 +106,7 @@ def test_vtk_comes_back(pv, kind, tmp_path):
 @pytest.mark.parametrize("processors", [1, 2])
 def test_an_openfoam_case_comes_back(pv, processors, tmp_path):
     """Rationale: finite volumes have values at cells only; decomposed, the cells lie in parts."""
-    nodes = warped(lattice(*SMALL) if processors > 1 else None)
+    nodes = warped(lattice(*SMALL))
     case = plume.write_openfoam(tmp_path / "case", nodes, processors=processors)
     field, made = through_a_file(case, tmp_path)
     assert deviation(field, CELLS_MM) < 1e-4
