@@ -94,9 +94,13 @@ class HeldScene:
     """What a search needs of a scene, without a renderer."""
 
     sensor: SensorModel
-    field: Any
+    medium: Any
     surface: Any
 
     @property
     def camera(self):
         return self.sensor.camera
+
+    @property
+    def source(self):
+        return self.sensor.laser

@@ -228,7 +228,7 @@ def moved(scene):
     """The same with part, air and sensor moved together."""
     parts = (scene.sensor.camera, scene.sensor.laser)
     camera, laser = (part.with_pose(part.pose.moved(MOTION)) for part in parts)
-    return HeldScene(SensorModel(camera, laser), scene.field.moved(MOTION), Moved(scene.surface))
+    return HeldScene(SensorModel(camera, laser), scene.medium.moved(MOTION), Moved(scene.surface))
 
 
 Y = np.linspace(-9.8, 9.6, 9)
@@ -255,7 +255,7 @@ def test_ray_maps_of_a_moved_scene_are_the_same(scene, moved):
     places = low + (high - low) * np.random.default_rng(3).random((60, 3))
     for make in (forward_map, inverse_map):
         still, found = (
-            make(MapRequest(each.field, each.sensor.camera, low, high, march, 1e-4))
+            make(MapRequest(each.medium, each.sensor.camera, low, high, march, 1e-4))
             for each in (scene, moved)
         )
         assert isinstance(scene.sensor.camera, Pinhole)
@@ -266,7 +266,7 @@ def test_ray_maps_of_a_moved_scene_are_the_same(scene, moved):
 
 def test_derivatives_of_a_moved_scene_are_turned_ones(scene):
     """By shifts along axes that moved along; in air cut off where it pulls, which counts too."""
-    cut = scene.field.with_nodes(scene.field.nodes[:, :, :54])
+    cut = scene.medium.with_nodes(scene.medium.nodes[:, :, :54])
     still = HeldScene(scene.sensor, cut, Cylinder())
     expected = line_sensitivity(still, Y).of_pixel
     parts = (scene.sensor.camera, scene.sensor.laser)

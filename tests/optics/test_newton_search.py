@@ -93,7 +93,7 @@ def test_what_hides_a_point_or_lies_on_the_line_is_seen(scene):
     }
     surface = Nearest((Cylinder(), SceneSurface(mi.load_dict({"type": "scene", **spheres}))))
     with_beads = SimpleNamespace(
-        camera=scene.camera, sensor=scene.sensor, field=scene.field, surface=surface
+        camera=scene.camera, source=scene.source, medium=scene.medium, surface=surface
     )
     rows = np.concatenate([np.arange(at - 60, at + 61, 5) for at in (hidden, raised)])
     found = ray_search(with_beads, y, "newton")

@@ -10,7 +10,6 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor import ray_search
-from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_search import METHODS, REFERENCE, SearchStatus
@@ -221,8 +220,9 @@ def test_a_grid_too_small_leaves_the_point_above_the_radius(scene, newton):
 def test_a_pixel_beside_the_sensor_is_not_used(scene, newton):
     """A narrower sensor about the same axis loses the outer rays."""
     camera = replace(scene.sensor.camera, size=(900, 2048))
-    sensor = SensorModel(camera, scene.source)
-    narrow = SimpleNamespace(camera=camera, sensor=sensor, field=scene.field, surface=scene.surface)
+    narrow = SimpleNamespace(
+        camera=camera, source=scene.source, medium=scene.medium, surface=scene.surface
+    )
     outside = newton.pixel[:, 0] > 899.5
     assert 0 < outside.sum() < len(NINE)
     for method in METHODS:
@@ -256,7 +256,7 @@ def test_something_in_the_line_of_sight_is_an_undercut(scene):
             }
         )
     )
-    screened = SimpleNamespace(camera=cold.camera, sensor=cold.sensor, field=None, surface=surface)
+    screened = SimpleNamespace(camera=cold.camera, source=cold.source, medium=None, surface=surface)
     for method in METHODS:
         found = ray_search(screened, [-2.0, -4.0, -6.0], method)
         expected = [SearchStatus.FOUND, SearchStatus.UNDERCUT, SearchStatus.FOUND]

@@ -139,12 +139,12 @@ def test_a_step_along_the_line(scene, exact):
 @pytest.mark.parametrize("name", ["camera_z", "laser_z", "sensor_y"])
 def test_air_that_ends_before_it_has_faded(scene, name):
     """Rays of other starts enter it sooner or later: without that, 1e-3 of it is wrong."""
-    field, low = scene.field, 41  # nodes: up to z = 14 mm, where it is hot
+    field, low = scene.medium, 41  # nodes: up to z = 14 mm, where it is hot
     assert field.origin[2] + low * field.spacing[2] < 16.0
     where = {"ambient": field.ambient, "mirror": field.mirror}
     cut = IndexField.from_arrays(field.nodes[:, :, :low], field.origin, field.spacing, **where)
     assert cut.border_jump()[5] > 1e-4
-    cropped, e = replace(scene, field=cut), 0.002
+    cropped, e = replace(scene, medium=cut), 0.002
     body, axis = name.split("_")
     shift = np.eye(3)["xyz".index(axis)] * e
     parts = BOTH if body == "sensor" else (body,)
@@ -191,7 +191,7 @@ def scaled(field, factor):
 def test_the_fields_scale(scene, exact):
     """Against the search in fields that were scaled node by node; px per unit."""
     e = 0.005
-    ends = [replace(scene, field=scaled(scene.field, 1.0 + s * e)) for s in (1, -1)]
+    ends = [replace(scene, medium=scaled(scene.medium, 1.0 + s * e)) for s in (1, -1)]
     assert_agree(exact.of_pixel["field_scale"], ends, e)
     assert abs(exact.of_pixel["field_scale"]).max() > 1.0  # px: there is something to agree on
 
@@ -202,12 +202,12 @@ def test_the_walls_temperature(scene, family):
     between = BarycentricInterpolator(list(known), [f.nodes for f in known.values()])
     temperature_c, e = 1000.0, 2.0
     minus, at, plus = between([temperature_c - e, temperature_c, temperature_c + e])
-    here = replace(scene, field=family.at(temperature_c))
-    np.testing.assert_allclose(here.field.nodes, at, rtol=1e-12)
+    here = replace(scene, medium=family.at(temperature_c))
+    np.testing.assert_allclose(here.medium.nodes, at, rtol=1e-12)
     variations = {"wall_temperature": family.derivative(temperature_c)}
     found = line_sensitivity(here, Y, [], variations=variations)
     assert list(found.of_pixel) == ["wall_temperature"]
-    ends = [replace(scene, field=with_nodes(known[900.0], nodes)) for nodes in (plus, minus)]
+    ends = [replace(scene, medium=with_nodes(known[900.0], nodes)) for nodes in (plus, minus)]
     assert_agree(found.of_pixel["wall_temperature"], ends, e)
 
 
@@ -327,7 +327,7 @@ def test_the_centre_in_a_column_that_stays(scene, name, march):
         if name == "beta":
             end = moved(scene, BOTH, (change, 0, 0), AXIS)
         else:
-            end = replace(scene, field=scaled(scene.field, 1.0 + change))
+            end = replace(scene, medium=scaled(scene.medium, 1.0 + change))
         u, v = ray_search(end, laser_y_at(end, columns, march), "newton", march=march).pixel.T
         np.testing.assert_allclose(u, columns, rtol=0, atol=1e-8)
         rows.append(v)
@@ -350,7 +350,7 @@ def test_the_detected_line_follows_too():
     """
     options = {"width": 1024, "height": 1024, "precision": "double", "step": 0.5}
     at_5 = vs.load_scene("hot_cylinder", beta=5, **options)
-    field, e = at_5.field, {"beta": 0.04, "field_scale": 0.05}
+    field, e = at_5.medium, {"beta": 0.04, "field_scale": 0.05}
     ends = {
         "beta": [vs.load_scene("hot_cylinder", beta=5 + s * e["beta"], **options) for s in (1, -1)],
         "field_scale": [
@@ -424,4 +424,4 @@ def test_what_cannot_vary_is_refused(scene, family):
         line_sensitivity(scene, Y, ["gamma"])
     air = {"wall_temperature": family.derivative(1000.0)}
     with pytest.raises(InputError, match="no field that could vary"):
-        line_sensitivity(replace(scene, field=None), Y, [], variations=air)
+        line_sensitivity(replace(scene, medium=None), Y, [], variations=air)

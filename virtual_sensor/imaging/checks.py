@@ -107,7 +107,7 @@ def _check_pair(scene: Scene) -> list[str]:
     line = lit_line(scene)
     with naming(scene.path):
         found = check_solid(scene, line.points_mm)
-        found += _check_border(scene.field, scene.sensor, line) if scene.field else []
+        found += _check_border(scene.medium, scene.sensor, line) if scene.medium else []
     return found + _glow_note(scene, line)
 
 
@@ -139,8 +139,8 @@ def lit_line(scene: Scene) -> LitLine:
         _check_place(scene, scene.camera_element, scene.camera.pose)
         _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)
-        if scene.field:
-            _check_cover(scene.field, line)
+        if scene.medium:
+            _check_cover(scene.medium, line)
     return line
 
 
@@ -151,8 +151,8 @@ def _check_place(scene: Scene, element: str, pose: Pose) -> None:
     forward = to_vectors(pose.rotation[:, 2][None])
     if np.any(np.array(scene.surface.starts_inside(to_vectors(pose.origin_mm[None]), forward))):
         raise InputError(f"{place} is inside the part; move it out (to_world)")
-    if scene.field and scene.field.to_local(pose.origin_mm)[2] < scene.field.box[0, 2]:
-        floor = scene.field.box[0, 2]
+    if scene.medium and scene.medium.to_local(pose.origin_mm)[2] < scene.medium.box[0, 2]:
+        floor = scene.medium.box[0, 2]
         raise InputError(
             f"{place} is under the floor of the air's field, z = {floor:g} mm; turn the sensor"
             " less (beta, tilt, alpha)"

@@ -101,7 +101,7 @@ def _missed(scene: Scene, points_mm: Array) -> str:
     """The line is lit, but no sample met it."""
     camera, width_mm = scene.sensor.camera, 2.0 * scene.sensor.laser.radius_at(points_mm)
     width_px = float(np.mean(width_mm / camera.pixel_mm(points_mm)))
-    if scene.field and width_px > 1.0:
+    if scene.medium and width_px > 1.0:
         return (
             '<integrator type="refractive">: by straight light the line is seen, and no bent ray'
             " finds it through this field; change the field, or how it is marched (step, transport)"

@@ -52,8 +52,8 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     nothing = np.full((len(b), 3), np.nan)
     slopes, marches = np.full((len(b), 2, 2), np.nan), np.zeros(len(b), int)
     found = Roots(nothing, nothing[:, :2].copy(), slopes, nothing.copy(), marches)
-    mapped, lit = np.isnan(b), scene.sensor.laser.reaches(0.0, b)
-    camera, family, rows = scene.camera, scene.sensor.laser.family, np.flatnonzero(lit)
+    mapped, lit = np.isnan(b), scene.source.reaches(0.0, b)
+    camera, family, rows = scene.camera, scene.source.family, np.flatnonzero(lit)
     if not rows.size:
         return found, mapped
     origins, directions = family.rays(0.0, b[rows])
@@ -69,7 +69,7 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     rows = rows[near]
     tolerance_mm = in_mm(tolerance_px, camera, camera.pose.to_local(straight[near])[:, 2])
     places = np.column_stack([np.zeros(len(rows)), b[rows], (met * ahead)[near]])
-    light = covering_map(scene.field, family, _deeper(places), tolerance_mm)
+    light = covering_map(scene.medium, family, _deeper(places), tolerance_mm)
     target, known = _met(light, places, scene.surface)
     found.target[rows] = target
     hit = np.flatnonzero(known & np.isfinite(target[:, 0]))
@@ -82,7 +82,7 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     rows = rows[known & seen_at]
     places = camera.coordinates(found.target[rows])
     for some in by_octaves(places[:, 2]):
-        ray = rays_through(scene.field, camera, found.target[rows[some]], tolerance_mm)
+        ray = rays_through(scene.medium, camera, found.target[rows[some]], tolerance_mm)
         ok = ray.status == MapStatus.OK
         at, sight = rows[some][ok], np.column_stack([ray.coordinates, places[some, 2]])[ok]
         found.pixel[at] = camera.pixels(*sight[:, :2].T)
@@ -90,7 +90,7 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
         mapped[rows[some]] = ok
         other = np.flatnonzero(np.isnan(found.seen[at, 0]))  # something is met before or behind
         if other.size:
-            bent = covering_map(scene.field, camera, _deeper(sight[other]), tolerance_mm)
+            bent = covering_map(scene.medium, camera, _deeper(sight[other]), tolerance_mm)
             found.seen[at[other]], mapped[at[other]] = _met(bent, sight[other], scene.surface)
     return found, mapped
 

@@ -115,7 +115,7 @@ def newton_along_line(
     """
     rounded = isinstance(scene.surface, SceneSurface)  # the hits: they err by more than long steps
     few = len(b) < MANY or not np.isfinite(b).all() or np.ptp(b) == 0.0
-    if scene.field is None or rounded or few:
+    if scene.medium is None or rounded or few:
         return newton(scene, b, REFERENCE)
     (step_mm, nodes), *finer = ladder
     camera, long = scene.camera, _steps_of(step_mm)

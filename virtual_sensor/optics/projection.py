@@ -138,7 +138,7 @@ def projected_points(
     }
     status = np.select(list(reasons.values()), list(reasons), ProjectionStatus.OK)
     pixel = np.full((len(rows), 2), np.nan)
-    if not through_medium or scene.field is None:
+    if not through_medium or scene.medium is None:
         beside = finite & (depth > 0.0) & np.isfinite(straight[:, 0])
         pixel, status = np.where(beside[:, None], straight, np.nan), np.where(beside, 0, status)
     elif near.any():
@@ -158,7 +158,7 @@ def _tabulated(scene: Any, points: Array, tolerance_px: float) -> tuple[Array, N
     for some in by_octaves(places[:, 2]):
         tolerance_mm = in_mm(tolerance_px, camera, places[some, 2])
         try:
-            found = rays_through(scene.field, camera, points[some], tolerance_mm)
+            found = rays_through(scene.medium, camera, points[some], tolerance_mm)
         except NoMapError:
             pixel[some], status[some] = _marched(scene, points[some])
             continue

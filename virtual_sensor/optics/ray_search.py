@@ -162,7 +162,7 @@ def ray_search(
     for name, value in limits.items():
         if not value > 0.0:
             raise InputError(f"ray_search: {name} must be positive, not {value}")
-    (march or REFERENCE).check(scene.field)
+    (march or REFERENCE).check(scene.medium)
     progress(0.0)
     if method == "paper":
         found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE, progress)
@@ -170,7 +170,7 @@ def ray_search(
         found = _found(scene, _newton(scene, b, march))
     else:
         found = _found(scene, _tabulated(scene, b, march, tolerance_px))
-    lit = scene.sensor.laser.reaches(0.0, b)
+    lit = scene.source.reaches(0.0, b)
     return _checked(scene.camera, found, lit, r_max_um, z_max_mm)
 
 

@@ -146,10 +146,10 @@ def line_sensitivity(
     if taken:
         raise InputError(f"line_sensitivity: '{taken[0]}' has a meaning; choose another name")
     asked = list(dict.fromkeys([*asked, *air]))
-    if air and scene.field is None:
+    if air and scene.medium is None:
         raise InputError("line_sensitivity: the scene has no field that could vary; give it one")
-    if "field_scale" in asked and scene.field is not None:
-        air["field_scale"] = scene.field
+    if "field_scale" in asked and scene.medium is not None:
+        air["field_scale"] = scene.medium
 
     return by_rows(lambda b: _sensitivity(scene, b, asked, known, air, march), b)
 
@@ -164,7 +164,7 @@ def _sensitivity(
 ) -> Sensitivity:
     """The derivatives asked for, of laser rays at b (N,)."""
     found = ray_search(scene, b, "newton", march=march)
-    camera, laser = scene.sensor.camera, scene.sensor.laser
+    camera, laser = scene.camera, scene.source
     lit = _carry(scene, "laser", laser.family.starts(0.0, b), air, march)
     p, q = camera.of_pixels(np.nan_to_num(found.pixel))
     seen = _carry(scene, "camera", camera.starts(p, q), air, march)
@@ -201,7 +201,7 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
     NaN where a column sees none, or several.
     """
     u = np.atleast_1d(np.asarray(columns, float))
-    low, high = scene.sensor.laser.extent
+    low, high = scene.source.extent
     b = np.linspace(low[1], high[1], 65)
     along = ray_search(scene, b, "newton", march=march).pixel[:, 0]
     b, along = b[np.isfinite(along)], along[np.isfinite(along)]
@@ -281,7 +281,7 @@ def _carry(
     none = dr.zeros(march.vector, len(rays.origin))
     axes = [none + march.vector(*axis) for axis in np.eye(3).tolist()]
     ray = bend(
-        scene.field,
+        scene.medium,
         scene.surface,
         line,
         march,
@@ -291,8 +291,8 @@ def _carry(
     dr.eval(ray)
     carried = [to_numpy(w) for w in ray.offset[1:]]
     by_start = np.stack(carried[:6], axis=-1)
-    if scene.field is not None:
-        by_start += _at_the_border(scene.field, rays, by_start)
+    if scene.medium is not None:
+        by_start += _at_the_border(scene.medium, rays, by_start)
     return _Carried(
         part,
         rays,

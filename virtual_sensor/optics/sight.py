@@ -23,24 +23,15 @@ REFERENCE = March(step_mm=0.1, method="leapfrog", precision="double")
 methods of higher order with as many lookups, and one lookup a step keeps its kernels small."""
 
 
-class Sensor(Protocol):
-    """A camera and a source; what is searched for are the source's rays s = 0."""
-
-    @property
-    def camera(self) -> Pinhole: ...  # noqa: D102
-    @property
-    def laser(self) -> Source: ...  # noqa: D102
-
-
 class SearchScene(Protocol):
-    """What a search needs of a scene; `sensor` only where it asks for the source's rays."""
+    """What a search needs of a scene; `source` only where it asks for its rays s = 0."""
 
     @property
     def camera(self) -> Pinhole: ...  # noqa: D102
     @property
-    def sensor(self) -> Sensor: ...  # noqa: D102
+    def source(self) -> Source: ...  # noqa: D102
     @property
-    def field(self) -> Field | None: ...  # noqa: D102
+    def medium(self) -> Field | None: ...  # noqa: D102
     @property
     def surface(self) -> Surface: ...  # noqa: D102
 
@@ -61,14 +52,14 @@ def chosen(scene: SearchScene, camera: str | None, source: str | None) -> Search
 
 def check_scene_given(asker: str, scene: object) -> None:
     """Raise InputError unless it is a scene: a name or a path is easily given in its place."""
-    if not all(hasattr(scene, name) for name in ("field", "surface")):
+    if not all(hasattr(scene, name) for name in ("medium", "surface")):
         given = f"load_scene({scene!r})" if isinstance(scene, str) else "one from load_scene"
         raise InputError(f"{asker}: {str(scene)[:80]!r} is no scene; give {given}")
 
 
 def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:
     """Trace laser rays at b (N,) to the surface, (N, 3) in mm; NaN where they miss."""
-    origins, directions = scene.sensor.laser.family.rays(0.0, b)
+    origins, directions = scene.source.family.rays(0.0, b)
     return _to_surface(scene, origins, directions, march)
 
 
@@ -101,7 +92,7 @@ def misses(scene: SearchScene, target: Array, pixel: Array, march: March = REFER
         line = _line(*lines_of_sight(camera, pixel), march)
         offset = march.scalar(to_scalars(np.nan_to_num(target) @ axis))
         ends = in_plane(normal, offset - dr.dot(normal, line.anchor))
-        ray = bend(scene.field, NoSurface(), line, march, remaining=ends)
+        ray = bend(scene.medium, NoSurface(), line, march, remaining=ends)
         dr.eval(ray)
         return to_numpy(ray.position(line))
 
@@ -121,7 +112,7 @@ def _line(origins: Array, directions: Array, march: March) -> Straight:
 def _to_surface(scene: SearchScene, origins: Array, directions: Array, march: March) -> Array:
     def hits(origins: Array, directions: Array) -> Array:
         line = _line(origins, directions, march)
-        ray = bend(scene.field, scene.surface, line, march)
+        ray = bend(scene.medium, scene.surface, line, march)
         dr.eval(ray)  # once: each part evaluated alone would be marched again
         hit = np.array(ray.status) == RayStatus.HIT
         return np.where(hit[:, None], to_numpy(ray.position(line)), np.nan)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene
@@ -170,14 +171,10 @@ class FittedCylinders(Table):
 class _Moved:
     """What a search needs of a scene, with the sensor moved: nothing is loaded again."""
 
-    sensor: SensorModel
-    field: Any
+    camera: Pinhole
+    source: LaserLine
+    medium: Any
     surface: Any
-
-    @property
-    def camera(self) -> Pinhole:
-        """The sensor's."""
-        return self.sensor.camera
 
 
 def reconstruct(
@@ -222,9 +219,10 @@ def reconstruct(
         for number, x in enumerate(along):
             done = (state * len(along) + number) / (2 * len(along))
             report(f"scanning the {STATES[state]} cylinder", 0.7 * done)
-            there = _Moved(_moved(scene.sensor, float(x)), air, part)
+            sensor = _moved(scene.sensor, float(x))
+            there = _Moved(sensor.camera, sensor.laser, air, part)
             found = ray_search(there, y, "newton", march=SCAN)
-            points[state, number] = triangulate(there.sensor, found.pixel)
+            points[state, number] = triangulate(sensor, found.pixel)
 
     fits: list[CylinderFit] = []
     intervals = []
