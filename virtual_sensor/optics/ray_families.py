@@ -33,47 +33,6 @@ _SAMPLES = 33  # for a fold, between the middle of the image and a pixel
 _NEAR = 2.0  # images: within so many, samples on a grid miss no fold
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Rate at which a rigid body moves with a parameter.
-
-    Attributes
-    ----------
-    shift_mm : ndarray of shape (3,)
-        Of the pivot, along the world's axes, per unit of the parameter.
-    turn_rad : ndarray of shape (3,)
-        About axes through the pivot, along the world's, per unit of the parameter.
-    pivot_mm : ndarray of shape (3,)
-        World.
-    """
-
-    shift_mm: Array
-    turn_rad: Array
-    pivot_mm: Array
-
-
-@dataclass(frozen=True)
-class RayStarts:
-    """Rays as they start, and how they change with their coordinates and with their device's pose.
-
-    Attributes
-    ----------
-    origin, direction : ndarray of shape (N, 3)
-        In mm, and unit vectors, world.
-    by_coordinate : tuple of two (ndarray of shape (N, 3), ndarray of shape (N, 3))
-        Derivatives of both by s and by t.
-    """
-
-    origin: Array
-    direction: Array
-    by_coordinate: tuple[tuple[Array, Array], tuple[Array, Array]]
-
-    def by_motion(self, motion: Motion) -> tuple[Array, Array]:
-        """Derivatives (N, 3) of origins and directions by a motion of their device."""
-        moved = motion.shift_mm + np.cross(motion.turn_rad, self.origin - motion.pivot_mm)
-        return moved, np.cross(motion.turn_rad, self.direction)
-
-
 class RayFamily(ABC):
     """Straight rays named by two coordinates; subclasses are frozen dataclasses.
 
@@ -146,22 +105,6 @@ class RayFamily(ABC):
         """Where the straight rays through world points (N, 3) start: world, (N, 3)."""
         s, t, _ = np.moveaxis(self.coordinates(points_mm), -1, 0)
         return self.rays(s, t)[0]
-
-    def starts(self, s: ArrayLike, t: ArrayLike) -> RayStarts:
-        """Rays of coordinates (N,) with their derivatives."""
-        s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
-        origin, direction = self.rays(s, t)
-        length = np.linalg.norm(_columns(*self.slope(s, t), 1.0, s), axis=-1, keepdims=True)
-        near, turn = self.starts_by_coordinates(s, t)
-
-        def derivative(i: int) -> tuple[Array, Array]:
-            shift, change = (
-                _columns(by[i], by[i + 2], 0.0, s) @ self.pose.rotation.T for by in (near, turn)
-            )
-            change = change / length
-            return shift, change - direction * np.sum(change * direction, -1, keepdims=True)
-
-        return RayStarts(origin, direction, (derivative(0), derivative(1)))
 
     def plane(self, s: ArrayLike) -> tuple[Array, Array]:
         """The plane of all rays with a first coordinate s, in Hessian form: normal . x = offset.

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from virtual_sensor.arrays import by_rows, to_numpy, to_vectors
-from virtual_sensor.engine import dr
+from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
-from virtual_sensor.optics.ray_families import Motion, RayStarts
+from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import Field, March, Straight
@@ -32,6 +33,56 @@ from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 Array = NDArray[np.float64]
 
 _BODIES = {"camera": ("camera",), "laser": ("laser",), "sensor": ("camera", "laser")}
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Rate at which a rigid body moves with a parameter.
+
+    Attributes
+    ----------
+    shift_mm : ndarray of shape (3,)
+        Of the pivot, along the world's axes, per unit of the parameter.
+    turn_rad : ndarray of shape (3,)
+        About axes through the pivot, along the world's, per unit of the parameter.
+    pivot_mm : ndarray of shape (3,)
+        World.
+    """
+
+    shift_mm: Array
+    turn_rad: Array
+    pivot_mm: Array
+
+
+@dataclass(frozen=True)
+class RayStarts:
+    """Rays as they start, and how they change with their coordinates and with their device's pose.
+
+    Attributes
+    ----------
+    origin, direction : ndarray of shape (N, 3)
+        In mm, and unit vectors, world.
+    by_coordinate : tuple of two (ndarray of shape (N, 3), ndarray of shape (N, 3))
+        Derivatives of both by s and by t.
+    """
+
+    origin: Array
+    direction: Array
+    by_coordinate: tuple[tuple[Array, Array], tuple[Array, Array]]
+
+    @staticmethod
+    def of(family: RayFamily, s: ArrayLike, t: ArrayLike) -> "RayStarts":
+        """Rays of coordinates (N,)."""
+        s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
+        frame = FamilyFrame.of(family, mi.Array3f64)
+        _, _, by = frame.rays(to_scalars(s), to_scalars(t))
+        by_s, by_t = ((to_numpy(shift), to_numpy(turn)) for shift, turn in by)
+        return RayStarts(*family.rays(s, t), (by_s, by_t))
+
+    def by_motion(self, motion: Motion) -> tuple[Array, Array]:
+        """Derivatives (N, 3) of origins and directions by a motion of their device."""
+        moved = motion.shift_mm + np.cross(motion.turn_rad, self.origin - motion.pivot_mm)
+        return moved, np.cross(motion.turn_rad, self.direction)
 
 
 @dataclass(frozen=True)
@@ -165,9 +216,9 @@ def _sensitivity(
     """The derivatives asked for, of laser rays at b (N,)."""
     found = ray_search(scene, b, "newton", march=march)
     camera, laser = scene.camera, scene.source
-    lit = _carry(scene, "laser", laser.family.starts(0.0, b), air, march)
+    lit = _carry(scene, "laser", RayStarts.of(laser.family, 0.0, b), air, march)
     p, q = camera.of_pixels(np.nan_to_num(found.pixel))
-    seen = _carry(scene, "camera", camera.starts(p, q), air, march)
+    seen = _carry(scene, "camera", RayStarts.of(camera, p, q), air, march)
     by_pq = camera.pixel_slopes(p, q)
     normal = _normals(scene, lit)
     columns = np.stack([*seen.by_coordinate(), seen.tangent], axis=-1)  # of p, q and t
