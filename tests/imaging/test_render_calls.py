@@ -81,8 +81,7 @@ def test_a_step_too_long_is_measured_and_noted():
         true_px = np.quantile(apart_mm, 0.99) / (45.056 / 256)
         errors_px[step] = frame.report.march_px
         assert 0.3 * true_px < frame.report.march_px < 5.0 * true_px + 2e-3
-        dark = vs.line_centres(np.zeros((64, 64), np.float32))
-        notes = " ".join(frame_notes(frame.report, dark, None, None))
+        notes = " ".join(frame_notes(frame.report))
         assert ("steps of the march are too long" in notes) == (step > 2)
     assert errors_px[48] > errors_px[16] > 0.05 > 0.005 > errors_px[2]
 

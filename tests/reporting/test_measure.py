@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from virtual_sensor.engine import activate
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.reporting import measure as reporting
-from virtual_sensor.studies.measure import DotAgreement, measure, summary
+from virtual_sensor.studies.measure import measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
 SCENES = {
@@ -87,40 +87,26 @@ def test_the_page_begins_with_how_wrong_the_section_is(measured):
 
 def test_a_measurement_that_is_worth_little_says_so_first(measured):
     """Rationale: of a film of 256 px 8 of 108 columns had a centre, and the lead was their rms."""
-    _, good, folder = measured["hot"]
-    assert reporting.caveats(good) == []
-
-    def said(dots=None, **changes):
-        hot = good.states["hot"]
-        if dots is None:
-            line = replace(hot.line_minus_search, **changes)
-            state = replace(hot, line_minus_search=line, gap_y_mm=(-9.5, 2.0))
-        else:
-            state = replace(hot, line_minus_search=None, dots_minus_search=dots)
-        figures = replace(good, states=good.states | {"hot": state})
-        first, headline = reporting.findings(figures).split(". ")
-        assert headline == "I" + reporting.headline(figures)[1:]
-        assert reporting.on_console(figures)[0] == f"{first[0].upper()}{first[1:]}."
-        return first
-
-    few = said(expected=108, lost={"too_narrow": 98, "line_end": 2})
-    assert few.startswith("of the columns that see the whole line, only 8 of 108 in hot air have a")
-    assert (
-        "none from y = \N{MINUS SIGN}9.5 to 2 mm; the others are too_narrow 98 and line_end 2"
-        in few
-    )
-    assert few.endswith(": a finer film (width, height) or a wider line (line_radius) has more")
-    one_side = said(expected=100, lost={"saturated": 40})
-    assert "only 60 of 100 in hot air" in one_side
-    assert one_side.endswith("none from y = \N{MINUS SIGN}9.5 to 2 mm; the others are saturated 40")
-    nothing = said(expected=0, lost={}, compared=0, centres=12, cut_centres=12)
-    assert nothing.startswith("hardly a centre could be compared with the search (hot: 0 of 12 ")
-    assert nothing.endswith(
-        "without 12 in whose columns an edge of the part hides some of the line's profile)"
-    )
-    assert said(DotAgreement(0.1, 0.1, 0.1, 1, 3)) == "only 1 of 3 dots in hot air are found"
+    result, good, folder = measured["hot"]
+    assert good.caveats == ()
+    assert reporting.findings(good) == reporting.headline(good)
+    poor = replace(good, caveats=("hot: few",), notes=("hot: few", "cold: another"))
+    assert reporting.findings(poor) == f"hot: few. I{reporting.headline(good)[1:]}"
+    page = reporting.page(result, poor, {}, "virtual-sensor measure")
+    assert page.lead.startswith("Hot: few. In hot air the measured section")
+    assert page.notes == ("cold: another",)
     html = (folder.parent / "nothing/report.html").read_text(encoding="utf-8")
     assert re.search(r"In hot air no point is measured: the columns are .*too_narrow \d+", html)
+
+
+def test_the_command_prints_caveats_first(tmp_path):
+    """Rationale: who sees an rms first believes it."""
+    given = ["-Dwidth=256", "-Dheight=256", "-Dspp=4"]
+    status, out, err = command("measure", "cold_cylinder", *given, "-o", tmp_path / "out")
+    assert (status, err) == (0, "")
+    assert re.match(r"Note: cold: \d+ of 1\d\d columns that see the whole line have no centre", out)
+    assert re.search(r"none has one from y = -1\d\.\d to 1\d\.\d mm; a finer film \(width", out)
+    assert out.count("columns that see the whole line") == 1
 
 
 def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured, unpainted_test):

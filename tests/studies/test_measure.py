@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ import pytest
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import find_scene, load_scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.metrology.truth import DotErrors, TrueLine, TruthStatus, compare_line
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.reporting.measure import save
 from virtual_sensor.studies.measure import measure, probe_deviations, summary
-from virtual_sensor.studies.notes import coarse_grid
+from virtual_sensor.studies.notes import centre_notes, coarse_grid
 from virtual_sensor.studies.probes import PROBES, probe_rays
 from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM
 from virtual_sensor.studies.search import search
@@ -252,6 +255,38 @@ def test_a_line_that_stands_upright_is_noted(tmp_path):
     )
     assert "turn the camera by 90 degrees" in upright[0]
     assert flat == []
+
+
+def test_notes_say_when_the_figures_are_worth_little():
+    """Rationale: few centres, all of one side or cut ones have an rms that says nothing."""
+    rows = np.full(100, 20.0)
+    truth = TrueLine.of_rows(rows)
+
+    def notes(found, truth=truth, status=Status.OK):
+        line = LineCentres.of_rows(np.where(found, rows, np.nan))
+        line = replace(line, status=np.where(found, Status.OK, status).astype(np.uint8))
+        searched, by_frame = (compare_line(line, truth, cut=cut) for cut in (False, True))
+        return centre_notes(line, searched, by_frame, (-9.5, 2.0))
+
+    column = np.arange(100)
+    assert notes(column >= 0) == {}
+    [(few, caveat)] = notes(column >= 5, status=Status.SATURATED).items()
+    assert not caveat
+    assert few == "5 of 100 columns that see the whole line have no centre: saturated 5"
+    [(one_side, caveat)] = notes(column >= 60, status=Status.SATURATED).items()
+    assert caveat
+    assert one_side.endswith("saturated 60, and none has one from y = -9.5 to 2.0 mm")
+    [(narrow, caveat)] = notes(column >= 95, status=Status.TOO_NARROW).items()
+    assert caveat
+    assert narrow.endswith("; a finer film (width, height) or a wider line (line_radius) has more")
+    cut = replace(truth, status=np.where(column < 80, TruthStatus.CUT, truth.status))
+    [(hardly, caveat)] = notes(column >= 0, truth=cut).items()
+    assert caveat
+    assert hardly == "20 of 100 centres were compared with the search; 80 are cut by an edge"
+    [(nothing, caveat)] = notes(column < 0, status=Status.TOO_NARROW).items()
+    assert (nothing, caveat) == ("no line centres, the columns are too_narrow", False)
+    dots = DotErrors(np.array([[1.0, 2.0], *2 * [[np.nan] * 2]]), np.ones(3), np.zeros((3, 2)), 0)
+    assert centre_notes(None, dots, None, (0.0, 0.0)) == {"1 of 3 dots were found": True}
 
 
 def test_the_summary_says_what_was_really_used():

@@ -54,7 +54,9 @@ def measure(
         result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)
         report("writing the results", 0.92)
         figures = save(result, output, shared.command_line(), overwrite)
-    shared.print_results(on_console(figures), result.notes)
+    shared.print_notes(result.caveats)
+    others = [note for note in result.notes if note not in result.caveats]
+    shared.print_results(on_console(figures), others)
     shared.print_end(output)
     if not result.centres:
         raise typer.Exit(shared.NOTHING_FOUND)

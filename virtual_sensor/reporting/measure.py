@@ -1,6 +1,5 @@
 """A measurement's results: its picture, page and tables, and all files that it writes."""
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import product
@@ -58,13 +57,10 @@ _ON_BLACK = ("#56B4E9", "#FF7A2F")  # colours of cold and hot, as light as a bla
 _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
 _LONGEST_STEP = 4.0  # times the usual one of searched points
-_FEW = 0.9  # of the columns, or dots: a measurement that has fewer says so first
-_HARDLY = 0.25  # of the centres: likewise if fewer are compared
 _LETTERS = {
     name: letters.replace("-", "\N{MINUS SIGN}").replace("_m", "ₘ")
     for name, letters in LETTERS.items()
 }
-_REMEDIES = {"too_narrow": ": a finer film (width, height) or a wider line (line_radius) has more"}
 _UM, _PX, _COUNT = "µm", "{:.4f} px", "{}"
 _FIGURES = (  # key, words in the table of all, heading on the console ("" where not shown), format
     ("section.rms_um", "Measured minus true section, rms", "rms, µm", _UM),
@@ -188,8 +184,7 @@ def _table_page(result: Measurement, figures: Summary) -> str:
 
 def on_console(figures: Summary) -> list[TextTable | str]:
     """What the command prints: how wrong the section is, why, and whether the check holds."""
-    poor = [f"{capital(text)}." for text in caveats(figures)]
-    return [*poor, section_table(figures), *why(figures), check_table(figures)]
+    return [section_table(figures), *why(figures), check_table(figures)]
 
 
 def section_table(figures: Summary) -> TextTable:
@@ -213,36 +208,6 @@ def _on_console(figures: Summary, caption: str, *keys: str) -> TextTable:
             columns.append(Column(key, heading, shape, "none"))
     rows = [{"state": name, **vars(state)} for name, state in figures.states.items()]
     return text_table(rows, columns, caption)
-
-
-def caveats(figures: Summary) -> list[str]:
-    """Why a measurement is worth little: what was not found or not compared; [] of a good one."""
-    few_dots, few, lost, gaps, uncompared = [], [], Counter[str](), [], []
-    for name, state in reversed(figures.states.items()):
-        line, dots = state.line_minus_search, state.dots_minus_search
-        if dots and 0 < dots.found < _FEW * dots.dots:
-            few_dots.append(f"{dots.found} of {counted(dots.dots, 'dot')} in {name} air")
-        if not line or not line.centres:  # the headline says so
-            continue
-        have = line.expected - sum(line.lost.values())
-        if have < _FEW * line.expected:
-            few.append(f"{have} of {line.expected} in {name} air")
-            lost += Counter(line.lost)
-            gaps.append(state.gap_y_mm)
-        elif line.compared < _HARDLY * line.centres:
-            uncompared.append(_compared(name, state).rstrip("."))
-    said = [f"only {listed(few_dots)} are found"] * bool(few_dots)
-    if few:
-        start, end = np.max(gaps, axis=0)[0], np.min(gaps, axis=0)[1]
-        none = f", none from y = {_number(start, 1)} to {_number(end, 1)} mm" * bool(start < end)
-        remedy = _REMEDIES.get(max(lost, key=lost.__getitem__), "")
-        said.append(
-            f"of the columns that see the whole line, only {listed(few)} have a centre{none}; the"
-            f" others are {_counts(lost)}{remedy}"
-        )
-    if uncompared:
-        said.append(f"hardly a centre could be compared with the search ({'; '.join(uncompared)})")
-    return said
 
 
 def _counts(statuses: Mapping[str, int]) -> str:
@@ -314,7 +279,8 @@ def page(
     ]
     title = f"{result.scene.path.stem}: a measurement"
     lead = f"{capital(findings(figures))}."
-    return Page(title, lead, tuple(sections), command, figures.made_with, figures.notes)
+    notes = tuple(note for note in figures.notes if note not in figures.caveats)
+    return Page(title, lead, tuple(sections), command, figures.made_with, notes)
 
 
 def _beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:
@@ -395,7 +361,7 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
 
 def findings(figures: Summary) -> str:
     """What the reader wants to know first, and before it whether it is worth anything."""
-    first, *others = [*caveats(figures), headline(figures)]
+    first, *others = [*figures.caveats, headline(figures)]
     return ". ".join([first, *map(capital, others)])
 
 
@@ -430,8 +396,8 @@ def micrometres(value_um: float | None) -> str:
     return "none" if value_um is None or np.isnan(value_um) else f"{_number(value_um)} µm"
 
 
-def _number(value: float, decimals: int = 9) -> str:
-    return f"{round(value, decimals):.3g}".replace("-", "\N{MINUS SIGN}")
+def _number(value: float) -> str:
+    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:

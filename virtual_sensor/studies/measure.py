@@ -38,7 +38,13 @@ from virtual_sensor.metrology.truth import (
 )
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
-from virtual_sensor.studies.notes import coarse_grid, frame_notes, unlit_rays, upright_line
+from virtual_sensor.studies.notes import (
+    centre_notes,
+    coarse_grid,
+    frame_notes,
+    unlit_rays,
+    upright_line,
+)
 from virtual_sensor.studies.probes import dense_rays, probe_rays
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 from virtual_sensor.studies.section import (
@@ -132,6 +138,11 @@ class State:
         """Their distances (M,) from the true section."""
         return self.section.distance_um(self.searched_mm)
 
+    @property
+    def gap_y_mm(self) -> tuple[float, float]:
+        """Ends of the longest stretch of the line on which no point is measured."""
+        return longest_gap(*map(self.section.along_mm, (self.searched_mm, self.points_mm)))
+
     @cached_property
     def laser_path_um(self) -> Array:
         """What they would be (M,) if the laser's light alone were bent."""
@@ -156,7 +167,9 @@ class Measurement:
     probe_y_mm, dense_y_mm : ndarray
         The rays' positions along the line.
     notes : tuple of str
-        What the user should know of the scene.
+        What the user should know.
+    caveats : tuple of str
+        Those of the notes that make the figures worth little.
     time_s : float
         Of the whole.
     """
@@ -166,6 +179,7 @@ class Measurement:
     probe_y_mm: Array
     dense_y_mm: Array
     notes: tuple[str, ...]
+    caveats: tuple[str, ...]
     time_s: float
 
     @property
@@ -213,7 +227,7 @@ def measure(
     started = time.perf_counter()
     report("checking the scene", 0.0)
     laser = scene.sensor.laser
-    notes = [*scene.notes, *check_scene(scene)]
+    notes, caveats = [*scene.notes, *check_scene(scene)], []
     probe_y = probe_rays(scene, y_mm)
     notes += [*unlit_rays(laser, probe_y), *coarse_grid(scene)]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
@@ -234,10 +248,12 @@ def measure(
     for name, each in (("cold", cold), ("hot", hot)):
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
-            words += frame_notes(each.frame.report, each.line, each.compared, each.by_frame)
-            notes += [f"{name}: {word}" for word in words]
+            words += frame_notes(each.frame.report)
+            judged = centre_notes(each.line, each.compared, each.by_frame, each.gap_y_mm)
+            notes += [f"{name}: {word}" for word in [*words, *judged]]
+            caveats += [f"{name}: {word}" for word, poor in judged.items() if poor]
     seconds = time.perf_counter() - started
-    return Measurement(cold, hot, probe_y, dense_y, tuple(notes), seconds)
+    return Measurement(cold, hot, probe_y, dense_y, tuple(notes), tuple(caveats), seconds)
 
 
 def _measure_state(
@@ -544,6 +560,8 @@ class Summary(SceneFacts):
         By "cold" and "hot".
     probe_rays : ProbeRays
         How far hot air moves points.
+    caveats : tuple of str
+        Those of the notes that make the figures worth little.
     time_s : float
         Of the whole measurement, without the writing of results.
     """
@@ -551,6 +569,7 @@ class Summary(SceneFacts):
     field: FieldFacts | None
     states: dict[str, StateSummary]
     probe_rays: ProbeRays
+    caveats: tuple[str, ...]
     time_s: float
 
 
@@ -562,6 +581,7 @@ def summary(result: Measurement) -> Summary:
         field=_field_facts(scene.field) if scene.field else None,
         states={name: _state_summary(state) for name, state in result.states.items()},
         probe_rays=_probe_rays(result),
+        caveats=result.caveats,
         time_s=round(result.time_s, 2),
     )
 
@@ -593,7 +613,7 @@ def _field_facts(field: IndexField) -> FieldFacts:
 def _state_summary(state: State) -> StateSummary:
     return StateSummary(
         section=section_errors(state.section, state.points_mm),
-        gap_y_mm=longest_gap(*map(state.section.along_mm, (state.searched_mm, state.points_mm))),
+        gap_y_mm=state.gap_y_mm,
         paths=_path_errors(state) if state.scene.field else None,
         line_minus_search=_line_agreement(state.by_search, state.centres)
         if state.by_search

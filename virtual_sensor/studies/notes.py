@@ -22,6 +22,10 @@ from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
 
+_MANY = 0.1  # of what is expected: that so much is missing or wrong is a caveat
+_HARDLY = 0.25  # of the centres: that no more are compared is one
+_FINER = "; a finer film (width, height) or a wider line (line_radius) has more"
+
 WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
 """What makes a centre that is ok a wrong one (see `truth.LineErrors.wrong`)."""
 
@@ -77,10 +81,8 @@ def upright_line(found: FoundPixels, camera: str) -> list[str]:
     ]
 
 
-def frame_notes(
-    report: RenderReport, line: LineCentres, compared: LineErrors | DotErrors, by_frame: LineErrors
-) -> list[str]:
-    """Notes of a frame and its centres: what was made otherwise, or is in no figure."""
+def frame_notes(report: RenderReport) -> list[str]:
+    """Notes of a frame: what was made otherwise than asked, or too coarsely."""
     notes = []
     if report.reason:
         notes.append(
@@ -92,33 +94,69 @@ def frame_notes(
             f"steps of the march are too long: half as long, they move the light by up to"
             f" {report.march_px:.2g} px; give shorter ones (step)"
         )
+    return notes
+
+
+def centre_notes(
+    line: LineCentres,
+    compared: LineErrors | DotErrors,
+    by_frame: LineErrors,
+    gap_y_mm: tuple[float, float],
+) -> dict[str, bool]:
+    """Notes of centres that are in no figure, or wrong; and whether figures without are worth much.
+
+    Parameters
+    ----------
+    line : LineCentres
+    compared : LineErrors or DotErrors
+        Beside the ray search.
+    by_frame : LineErrors
+        Beside the frame's own truth.
+    gap_y_mm : pair of float
+        Ends of the longest stretch of the line on which no point is measured.
+
+    Returns
+    -------
+    dict from str to bool
+        For each note, whether it is a caveat: so many are missing or wrong that the rest says
+        little.
+    """
     if isinstance(compared, DotErrors):
         dots = len(compared.pixel)
-        return notes + [f"{compared.count} of {dots} dots were found"] * (compared.count < dots)
+        few = 0 < compared.count < (1.0 - _MANY) * dots
+        return {f"{compared.count} of {dots} dots were found": few} if compared.count < dots else {}
     counts = counts_of(line.status, Status)
     centres = counts["ok"]
     if not centres:
         reasons = ", ".join(name for name, number in counts.items() if number)
-        return [*notes, f"no line centres, the columns are {reasons}"]
+        return {f"no line centres, the columns are {reasons}": False}
+    notes = {}
+    lost = counts_of(compared.lost, Status)
     if compared.lost.size:
-        lost = counts_of(compared.lost, Status)
-        reasons = ", ".join(f"{name} {number}" for name, number in lost.items() if number)
-        notes.append(
+        few = compared.lost.size > _MANY * compared.expected
+        start, end = gap_y_mm
+        where = f", and none has one from y = {start:.1f} to {end:.1f} mm" * few
+        narrow = few and 2 * lost["too_narrow"] > compared.lost.size
+        notes[
             f"{compared.lost.size} of {compared.expected} columns that see the whole line have no"
-            f" centre: {reasons}"
-        )
+            f" centre: {_counted(lost)}{where}{_FINER * narrow}"
+        ] = few
     left_out = {
         "are cut by an edge": compared.cut_centres,
         "lie off the searched line": compared.stray_centres,
     }
     if any(left_out.values()):
         reasons = ", ".join(f"{number} {why}" for why, number in left_out.items() if number)
-        notes.append(
-            f"{compared.count} of {centres} centres were compared with the search; {reasons}"
+        notes[f"{compared.count} of {centres} centres were compared with the search; {reasons}"] = (
+            compared.count < _HARDLY * centres
         )
     if wrong := int(by_frame.wrong().sum()):
-        notes.append(
+        notes[
             f"{wrong} of {by_frame.count} centres that are ok and whose truth is known are"
             f" {WRONG}, at most by {by_frame.largest_px:.2g} px"
-        )
+        ] = wrong > _MANY * by_frame.count
     return notes
+
+
+def _counted(numbers: dict[str, int]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in numbers.items() if number)
