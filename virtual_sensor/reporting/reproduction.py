@@ -11,7 +11,7 @@ import numpy as np
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import PAGE, Details, Listing, Page, Paragraph, Section
+from virtual_sensor.reporting.page import PAGE, Content, Details, Listing, Page, Paragraph, Section
 from virtual_sensor.reporting.pictures import Picture
 from virtual_sensor.reporting.reproduction_pictures import (
     FIGURES,
@@ -54,7 +54,14 @@ FILES = (
 )
 """What lies in ``report/``."""
 
-_DOI = Link("doi:10.1117/1.OE.57.11.114107", "https://doi.org/10.1117/1.OE.57.11.114107")
+_PAPER = Paragraph(
+    (
+        "The paper measures a hot cylinder by simulation: Beermann, Quentin, Stein, Reithmeier and"
+        " Kästner, Full simulation model for laser triangulation measurement in an inhomogeneous"
+        " refractive index field, Optical Engineering 57(11), 2018,",
+        Link("doi:10.1117/1.OE.57.11.114107", "https://doi.org/10.1117/1.OE.57.11.114107"),
+    )
+)
 _AIRS = (
     "A laminar plume above such a cylinder is narrow, and a mesh that resolves it gives flanks"
     " several times as strong as those of the paper's figures. So each result stands here in three"
@@ -72,6 +79,16 @@ _RENDERED = (
     " says nothing along itself. Frames are rendered in resolved air, and in the others for 1250 °C"
     " from above. Dashed: the paper's numbers."
 )
+_MET = f"Numbers are met within {100 * TOLERANCE:g} %, bounds if they hold."
+_POSES = (
+    "How far the measured point moves at 1250 °C. White lines: 7, 20 and 75 µm, which the paper"
+    " states. Grey: not found."
+)
+_FITS = (
+    "The width of each broadened air's blur is fitted to these numbers of the paper's: the sum of"
+    " squares of relative residuals is least."
+)
+_CASES = "A line across itself; dots along (u) and across (v) the line."
 
 
 def save(result: Reproduction, folder: Path, command: str) -> None:
@@ -151,15 +168,10 @@ def table(result: Reproduction, verdict_first: bool = False) -> tuple[TextTable,
         met = [air for air, found in v.found.items() if found.met]
         letter = f" ({ascii_lowercase[reasons.index(v.why)]})" if v.why else ""
         short = f"only {' and '.join(met)}" if v.words.startswith("met in") else v.words
-        rows.append(
-            [
-                v.statement.where,
-                v.statement.claim,
-                v.statement.paper,
-                *(f"{'✓' if found.met else '✗'} {found.words}" for found in v.found.values()),
-                (short if verdict_first else v.words) + letter,
-            ]
-        )
+        ours = [f"{'✓' if found.met else '✗'} {found.words}" for found in v.found.values()]
+        verdict = (short if verdict_first else v.words) + letter
+        stated = v.statement
+        rows.append([stated.where, stated.claim, stated.paper, *ours, verdict])
     if verdict_first:
         head, *rows = ([row[-1], *row[1:-1], row[0]] for row in (head, *rows))
     text = TextTable(tuple(head), tuple(map(tuple, rows)))
@@ -176,8 +188,7 @@ def markdown(result: Reproduction) -> str:
             *(reason.replace("|", "\\|") + "  " for reason in reasons),
             "",
             f"Of {len(result.verdicts)} statements our air bears out: {met}. Made by"
-            f" `virtual-sensor reproduce`; numbers are met within {100 * TOLERANCE:g} %, bounds if"
-            " they hold.\n",
+            f" `virtual-sensor reproduce`. {_MET}\n",
         ]
     )
 
@@ -186,18 +197,29 @@ def page(
     result: Reproduction, pictures: Mapping[str, Picture], tables: Sequence[str], command: str
 ) -> Page:
     """The page that sets all beside the paper; `tables` are the figures' files beside it."""
-    summary = result.summary
+    summary, scans = result.summary, result.reconstructions
     apart = summary.rendered_minus_searched
     statements, reasons = table(result, verdict_first=True)
-    airs = tuple(
+    airs = [
         f"{air}: {_OF_AIRS[air]}" + (f" ({words})" if air != RESOLVED else "")
         for air, words in summary.airs.items()
-    )
-    figures = [
-        Section(figure.title, figure.words, pictures[figure.name])
-        for figure in (*FIGURES, WHOLE_LINE)
-        if figure.name in pictures
     ]
+    figures = [each for each in (*FIGURES, WHOLE_LINE) if each.name in pictures]
+    links = Listing(tuple(Link(name, name) for name in tables))
+    fits = fit_table(result.fits)
+    answer, cylinders = cylinder_answer(scans), cylinder_table(scans)
+    rendered = [_agreement(result.measured, kind) for kind in ("line", "dots")]
+    sections: dict[str, tuple[Content, ...]] = {
+        "Three airs": (_PAPER, _AIRS, Listing(tuple(airs)), pictures["airs"]),
+        "What the paper states, and what we find": (_MET, statements, Listing(tuple(reasons))),
+        "How to read the figures": (_RENDERED,),
+        **{figure.title: (figure.words, pictures[figure.name]) for figure in figures},
+        "Beyond the paper: all poses, from above to the side": (_POSES, pictures["all_poses"]),
+        "How broad the paper's plume was": (_FITS, fits, pictures["broadening_fit"]),
+        "Does a hot cylinder measure too small?": (answer, cylinders, pictures["reconstruction"]),
+        "Rendered minus searched, case by case": (_CASES, *rendered),
+        "The figures as tables": (Details(f"All {len(tables)}", (links,)),),
+    }
     met = [f"{number} in {air} air" for air, number in summary.met.items()]
     return Page(
         "Section 5 of Beermann et al. 2018, remade",
@@ -205,60 +227,7 @@ def page(
         " Rendered frames and ray search agree to"
         f" {in_words(apart.line_rms_px)} px rms across the line, and to"
         f" {in_words(max(apart.dots_u_px, apart.dots_v_px))} px in dots.",
-        (
-            Section(
-                "Three airs",
-                Paragraph(
-                    (
-                        "The paper measures a hot cylinder by simulation: Beermann, Quentin, Stein,"
-                        " Reithmeier and Kästner, Full simulation model for laser triangulation"
-                        " measurement in an inhomogeneous refractive index field, Optical"
-                        " Engineering 57(11), 2018,",
-                        _DOI,
-                    )
-                ),
-                _AIRS,
-                Listing(airs),
-                pictures["airs"],
-            ),
-            Section(
-                "What the paper states, and what we find",
-                f"Numbers are met within {100 * TOLERANCE:g} %, bounds if they hold.",
-                statements,
-                Listing(tuple(reasons)),
-            ),
-            Section("How to read the figures", _RENDERED),
-            *figures,
-            Section(
-                "Beyond the paper: all poses, from above to the side",
-                "How far the measured point moves at 1250 °C. White lines: 7, 20 and 75 µm, which"
-                " the paper states. Grey: not found.",
-                pictures["all_poses"],
-            ),
-            Section(
-                "How broad the paper's plume was",
-                "The width of each broadened air's blur is fitted to these numbers of the paper's:"
-                " the sum of squares of relative residuals is least.",
-                fit_table(result.fits),
-                pictures["broadening_fit"],
-            ),
-            Section(
-                "Does a hot cylinder measure too small?",
-                cylinder_answer(result.reconstructions),
-                cylinder_table(result.reconstructions),
-                pictures["reconstruction"],
-            ),
-            Section(
-                "Rendered minus searched, case by case",
-                "A line across itself; dots along (u) and across (v) the line.",
-                _agreement(result.measured, "line"),
-                _agreement(result.measured, "dots"),
-            ),
-            Section(
-                "The figures as tables",
-                Details(f"All {len(tables)}", (Listing(tuple(Link(t, t) for t in tables)),)),
-            ),
-        ),
+        tuple(Section(title, *content) for title, content in sections.items()),
         command,
         {"versions": summary.made_with, "cases measured now": summary.made_now},
         tuple(summary.notes),
