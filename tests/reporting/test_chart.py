@@ -157,6 +157,8 @@ def test_a_panel_without_any_error_is_drawn(example):
     lost = replace(example, measured=(measured(error_px=np.nan),))
     (panel,) = draw_chart(lost).panels
     assert "nothing errs less than 0.01 px" in panel.alt
+    (front,) = words.front_tables(lost)
+    assert front.rows == ()
 
 
 def test_what_the_gpu_measured_looks_like_its_kind_and_is_told_apart():

@@ -414,11 +414,10 @@ def measured_table(measured: Sequence[Measured], caption: str, whole: bool = Fal
         }
         for m in measured
     ]
-    columns = list(rows[0]) if rows else ["configuration"]
-    if not whole:
-        columns = columns[:-2]
+    hidden = set() if whole else {"failed", "note"}
     if not any(np.isfinite(m.rms_um) for m in measured):
-        columns.remove("on the part")
+        hidden.add("on the part")
+    columns = [name for name in (rows[0] if rows else ["configuration"]) if name not in hidden]
     best = enough(measured)
     first = [m.on_front if whole else m is best for m in measured]
     return text_table(rows, columns, caption, first)
