@@ -294,25 +294,16 @@ def draw(found: Detected, name: str, settings: Settings) -> Picture:
         partial(_draw_statuses, view),
         f"Which have a centre, and why others have none: {statuses}.",
     )
-    figures = [
-        Panel(
-            title,
-            partial(_draw_over, view, values, label),
-            f"Standard deviation {words}, median {in_words(median, '{:.3g} px', 'not known')}.",
-            layout=None,
-        )
-        for title, values, label, words, median in (
-            (
-                *("Predicted error of the centres", line.sigma, "sigma in px"),
-                *("that the detector predicts for each centre", summary.median_sigma_px),
-            ),
-            (
-                *("Width of the line", line.width, "width (sigma) in px"),
-                *("of the line's profile", summary.median_width_px),
-            ),
-        )
-    ]
-    panels = [whole, along, close, status, *figures] if summary.centres else [whole, status]
+    panels = [whole, along, close, status] if summary.centres else [whole, status]
+    figures = (
+        ("Predicted error of the centres", line.sigma, "sigma in px", summary.median_sigma_px),
+        ("Width of the line", line.width, "width (sigma) in px", summary.median_width_px),
+    )
+    for title, values, label, median in figures if summary.centres else ():
+        said = in_words(median, "{:.3g} px", "not known")
+        alt = f"{title}, a standard deviation, over the place along it: median {said}."
+        draw = partial(_draw_over, view, values, label)
+        panels.append(Panel(title, draw, alt, layout=None))
     title = f"{drawable(name)}: {counted_ok}; {drawable(described(settings))}"
     return draw_picture(title, panels, columns=2)
 
