@@ -35,10 +35,11 @@ def found(line):
     return line.pixel[good], good
 
 
-def test_straight_lines_of_any_direction_are_found_to_a_thousandth_of_a_pixel():
+@pytest.mark.parametrize("width", [1.0, 4.0, pytest.param(2.0, marks=pytest.mark.slow)])
+def test_straight_lines_of_any_direction_are_found_to_a_thousandth_of_a_pixel(width):
     """One point a pixel along the line, with its width, height and direction."""
-    for case in product((1.0, 2.0, 4.0), (0.0, 10.0, 30.0, 45.0, 77.0, 90.0, 120.0, 165.0)):
-        width, degrees = case
+    for degrees in (0.0, 10.0, 30.0, 45.0, 77.0, 90.0, 120.0, 165.0):
+        case = width, degrees
         away = straight(degrees)
         line = line_centres(drawn(away, width, level=7.0), "steger")
         points, good = found(line)
@@ -68,10 +69,11 @@ def test_a_step_of_the_background_under_the_line_shifts_it_by_a_hundredth_of_a_p
     assert np.abs(away(points)).max() < 0.02
 
 
-def test_a_step_of_the_background_loses_no_point_at_any_phase():
+@pytest.mark.parametrize("step", [-50.0, pytest.param(30.0, marks=pytest.mark.slow)])
+def test_a_step_of_the_background_loses_no_point_at_any_phase(step):
     """The ridge is a pixel or more off the line: whose pixel it lies in must not matter."""
-    for case in product(np.arange(-0.4, 0.5, 0.2), (30.0, -50.0), (0.0, 10.0, 90.0)):
-        offset, step, degrees = case
+    for case in product(np.arange(-0.4, 0.5, 0.2), (0.0, 10.0, 90.0)):
+        offset, degrees = case
         away = straight(degrees, offset)
         points, _ = found(line_centres(drawn(away, step=step, level=60.0), "steger"))
         angle = np.radians(degrees)
