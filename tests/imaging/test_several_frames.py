@@ -49,7 +49,7 @@ def plane(tmp_path):
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
-    return two_by_two(tmp_path_factory.mktemp("two"))
+    return two_by_two(tmp_path_factory.mktemp("two"), spp=1)
 
 
 @pytest.fixture(scope="module")

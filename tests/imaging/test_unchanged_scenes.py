@@ -39,10 +39,10 @@ def prepared(monkeypatch):
 def test_a_second_frame_is_a_first_one_to_the_bit(load, transport):
     """With another seed and other samples between, and its truth too."""
     scene, fresh = load(transport=transport), load(transport=transport)
-    first = render_frame(scene, spp=9, seed=3)
-    for change in ({"seed": 4}, {"spp": 16, "seed": 5}):
+    first = render_frame(scene, spp=4, seed=3)
+    for change in ({"spp": 1, "seed": 4}, {"spp": 9, "seed": 5}):
         render_frame(scene, **change)
-    again, reloaded = render_frame(scene, spp=9, seed=3), render_frame(fresh, spp=9, seed=3)
+    again, reloaded = render_frame(scene, spp=4, seed=3), render_frame(fresh, spp=4, seed=3)
     for other in (again, reloaded):
         np.testing.assert_array_equal(other.radiance, first.radiance)
         np.testing.assert_array_equal(other.point_mm, first.point_mm)

@@ -297,8 +297,8 @@ def test_the_search_by_maps_keeps_its_tolerance(scene, rays, tolerances_px):
 @pytest.mark.parametrize(
     ("name", "parameters", "y"),
     [
-        ("stepped_shaft", {}, np.linspace(-11.5, 11.5, 1201)),
-        ("hot_cylinder", {"line_length": 28, "beta": 20}, np.linspace(-13.6, 13.6, 801)),
+        ("stepped_shaft", {}, np.linspace(-11.5, 11.5, 601)),
+        ("hot_cylinder", {"line_length": 28, "beta": 20}, np.linspace(-13.6, 13.6, 401)),
         ("hot_cylinder", {"fan": 3, "alpha": 40}, np.linspace(-10.9, 10.9, 201)),
         ("cold_cylinder", {}, np.linspace(-13.6, 13.6, 201)),
     ],

@@ -79,7 +79,7 @@ def test_lamps_leave_no_pixel_off_the_marched_frame(tmp_path, name):
 
     Light adds up, so one frame has all lamps; none is so bright that it would hide another's hole.
     """
-    scene = lit_by(tmp_path, name, PLACED, width=512, height=512, spp=1)
+    scene = lit_by(tmp_path, name, PLACED, width=320, height=320, spp=1)
     assert pixels_off(scene).tolist() == []
 
 

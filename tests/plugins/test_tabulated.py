@@ -13,7 +13,7 @@ from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.optics.illumination import LightStatus
 
 SCENES = ("hot_cylinder", "stepped_shaft")
-COARSE = {"width": 512, "height": 512, "spp": 4}
+COARSE = {"width": 512, "height": 512, "spp": 1}
 SMALL = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.5}
 PIXEL_MM = 45.056 / np.array([256, 512])
 POINT = """<emitter type="point"><point name="position" x="80" y="50" z="90"/>
@@ -78,7 +78,7 @@ def step():
     """Where the line breaks at a step of the shaft: lit pixels there, by tables and marched."""
     images = {}
     for name in ("tabulated", "marched"):
-        scene = load("stepped_shaft", width=1024, height=1024, transport=name)
+        scene = load("stepped_shaft", width=1024, height=1024, spp=4, transport=name)
         sensor = scene.mitsuba.sensors()[0]
         held = mi.traverse(sensor)
         held["film.crop_offset"] = mi.ScalarPoint2u(410, 525)
