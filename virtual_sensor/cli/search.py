@@ -57,14 +57,10 @@ def search(
         result = run(loaded, method, y or None, rays, report)
         if output:
             write_csv(output, result.rays)
-    number = len(result.rays)
     if not output:
         shared.console.print(on_console(result).rich())
     shared.print_notes(result.notes)
-    if number and not result.found:
-        statuses = ", ".join(sorted(set(result.rays.status)))
-        shared.print_notes([f"no ray was found: {statuses}"])
-    found = f"{result.found} of {counted(number, 'ray')} found"
+    found = f"{result.found} of {counted(len(result.rays), 'ray')} found"
     shared.print_time(f"{found}, table in {output}" if output else found)
-    if number and not result.found:
+    if len(result.rays) and not result.found:
         raise typer.Exit(shared.NOTHING_FOUND)

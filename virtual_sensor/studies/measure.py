@@ -328,8 +328,6 @@ class LineAgreement(Record):
         Columns that have a centre.
     expected : int
         Columns on the searched line from edge to edge, that see its whole profile.
-    lost : dict
-        How many of these have no centre, by the status of their highest peak.
     cut : int
         Columns that would be expected if no edge of the part hid some of the profile.
     cut_centres : int
@@ -343,7 +341,6 @@ class LineAgreement(Record):
     compared: int
     centres: int
     expected: int
-    lost: dict[str, int]
     cut: int
     cut_centres: int
     stray_centres: int
@@ -436,8 +433,6 @@ class StateSummary(Record):
     ----------
     section : SectionErrors
         The measured section beside the true one.
-    gap_y_mm : tuple of float
-        Ends of the longest stretch of the line on which no point is measured.
     paths : PathErrors or None
         Which light path is to blame; None where light runs straight.
     line_minus_search : LineAgreement or None
@@ -459,7 +454,6 @@ class StateSummary(Record):
     """
 
     section: SectionErrors
-    gap_y_mm: tuple[float, float]
     paths: PathErrors | None
     line_minus_search: LineAgreement | None
     dots_minus_search: DotAgreement | None
@@ -613,7 +607,6 @@ def _field_facts(field: IndexField) -> FieldFacts:
 def _state_summary(state: State) -> StateSummary:
     return StateSummary(
         section=section_errors(state.section, state.points_mm),
-        gap_y_mm=state.gap_y_mm,
         paths=_path_errors(state) if state.scene.field else None,
         line_minus_search=_line_agreement(state.by_search, state.centres)
         if state.by_search
@@ -644,7 +637,6 @@ def _line_agreement(compared: LineErrors, centres: int) -> LineAgreement:
         compared=compared.count,
         centres=centres,
         expected=compared.expected,
-        lost={name: n for name, n in counts_of(compared.lost, Status).items() if n},
         cut=compared.cut,
         cut_centres=compared.cut_centres,
         stray_centres=compared.stray_centres,

@@ -102,4 +102,8 @@ def search(
         marches=found.iterations,
         status=status_names(found.status, SearchStatus),
     )
-    return Search(table, notes)
+    result = Search(table, notes)
+    if not y.size or result.found:
+        return result
+    statuses = ", ".join(sorted(set(table.status)))
+    return Search(table, (*notes, f"no ray was found: {statuses}"))
