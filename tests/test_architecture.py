@@ -55,17 +55,18 @@ MODULES = modules()
 TOOLS = [file for room in ("tests", "benchmarks", "docs") for file in (ROOT / room).rglob("*.py")]
 
 
-@cache
-def parsed(file):
-    """The syntax tree of a file."""
-    return ast.parse(file.read_text(encoding="utf-8"))
-
-
-@cache
 def imports(file, lazy=True):
     """Names of the modules that a file imports; of those inside functions only if lazy."""
-    tree = parsed(file)
-    return {name for node in (ast.walk(tree) if lazy else tree.body) for name in imported(node)}
+    return imports_of(file)[lazy]
+
+
+@cache
+def imports_of(file):
+    """Names of the modules that a file imports: by whether those inside functions count."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    return [
+        {name for node in nodes for name in imported(node)} for nodes in (tree.body, ast.walk(tree))
+    ]
 
 
 def imported(node):

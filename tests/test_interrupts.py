@@ -26,7 +26,8 @@ def trace(frame, event, _):  # of calls alone: a profile function would get retu
 sys.argv[0] = "virtual-sensor"
 from virtual_sensor.cli import main
 if module and function != "<module>":
-    importlib.import_module(module)  # untraced, which is much faster
+    import virtual_sensor.imaging.render  # untraced, which is much faster
+    importlib.import_module(module)
 sys.settrace(trace)
 main()
 """
