@@ -21,7 +21,6 @@ from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.rays import BentRays, Field, March, Straight
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
 from virtual_sensor.optics.surfaces import NoSurface, Surface, slab
-from virtual_sensor.poses import Pose
 
 LAST_PIECE_MM = 0.05
 """The last, straight segment of a ray onto a surface: so short that Mitsuba's float32 is exact."""
@@ -98,99 +97,12 @@ def bend(
     """
     if field and any(variation.pose != field.pose for variation in variations):
         raise InputError("bend: a field and its variations must be moved by the same motions")
-    task = _Task(field, surface, line, march, remaining, tangents, variations)
-    if field is None or field.pose is None:
-        return _bent(task, active)
-    inside = _MediumFrame.of(field.pose, march)
-    return _bent(inside.task(task), active).turned(inside.turned_back)
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What is marched, and where to; see `bend`."""
-
-    field: Field | None
-    surface: Surface
-    line: Straight
-    march: March
-    remaining: Remaining
-    tangents: tuple[tuple[Any, Any], ...]
-    variations: tuple[Field, ...]
-
-
-@dataclass(frozen=True)
-class _MediumFrame:
-    """The frame of a medium that was moved, for the march in it.
-
-    Attributes
-    ----------
-    x, y, z : vector
-        Its axes, world.
-    origin : vector
-        World, mm.
-    """
-
-    x: Any
-    y: Any
-    z: Any
-    origin: Any
-
-    @staticmethod
-    def of(pose: Pose, march: March) -> "_MediumFrame":
-        """Opaque: one kernel for all poses."""
-        vectors = [*pose.rotation.T, pose.origin_mm]
-        return _MediumFrame(*(dr.opaque(march.vector(*map(float, v))) for v in vectors))
-
-    def turned(self, v: Any) -> Any:
-        """A direction of the world in this frame."""
-        return type(self.x)(dr.dot(self.x, v), dr.dot(self.y, v), dr.dot(self.z, v))
-
-    def turned_back(self, v: Any) -> Any:
-        """A direction of this frame in the world's."""
-        return self.x * v[0] + self.y * v[1] + self.z * v[2]
-
-    def task(self, task: _Task) -> _Task:
-        """A task of the world's in this frame."""
-        surface, line, remaining = task.surface, task.line, task.remaining
-        anchor, direction = self.turned(line.anchor - self.origin), self.turned(line.direction)
-        return replace(
-            task,
-            surface=surface if isinstance(surface, NoSurface) else _SurfaceSeenFrom(surface, self),
-            line=Straight(anchor, direction, line.start),
-            remaining=lambda _, ray: remaining(line, ray.turned(self.turned_back)),
-            tangents=tuple((self.turned(x), self.turned(v)) for x, v in task.tangents),
-        )
-
-
-@dataclass(frozen=True)
-class _SurfaceSeenFrom:
-    """A surface of the world, for rays in a medium's frame."""
-
-    surface: Surface
-    frame: _MediumFrame
-
-    def _in_world(self, origin: Any, direction: Any) -> tuple[Any, Any]:
-        back = self.frame.turned_back
-        return back(origin) + self.frame.origin, back(direction)
-
-    def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
-        """See `Surface`."""
-        return self.surface.distance(*self._in_world(origin, direction), limit, active)
-
-    def starts_inside(self, origin: Any, direction: Any) -> Any:
-        """See `Surface`."""
-        return self.surface.starts_inside(*self._in_world(origin, direction))
-
-
-def _bent(task: _Task, active: Any) -> BentRays:
-    """March rays in the field's frame; see `bend`."""
-    field, surface, line, march = task.field, task.surface, task.line, task.march
     width = dr.width(line.start)
     mask = dr.full(mi.Mask, True, width) & active
     zero = dr.zeros(march.scalar, width)
     none = dr.zeros(march.vector, width)
-    tangents = (*task.tangents, *((none, none) for _ in task.variations))
-    task = replace(task, tangents=tangents)
+    tangents = (*tangents, *((none, none) for _ in variations))
+    task = _Task(surface, line, march, remaining, tangents)
     ray = BentRays(
         march.scalar(line.start),
         (none, *(x for x, _ in tangents)),
@@ -203,12 +115,13 @@ def _bent(task: _Task, active: Any) -> BentRays:
     ray.status[inside] = int(RayStatus.STARTED_INSIDE)
     mask &= ~inside
     if field is not None:
-        near, far = slab(ray.position(line), line.direction, _box(field, march))
+        air, *varied = (_Air(each, march) for each in (field, *variations))
+        near, far = air.crossings(ray.position(line), line.direction)
         meets = mask & (near < far) & (far > 0.0)
         gap = dr.select(meets & (near > 0.0), near + _BORDER_MM, 0.0)
         ray, stopped = _run_straight(task, ray, gap, meets)
         meets &= ~stopped
-        ray = _march(field, task, ray, meets)
+        ray = _march(field.ambient, air, varied, task, ray, meets)
         mask &= ~stopped & (ray.status == int(RayStatus.LEFT))
     ray, _ = _run_straight(task, ray, never(line, ray), mask)
     against = dr.dot(line.direction, ray.tangent(line)) < 0.0
@@ -216,17 +129,67 @@ def _bent(task: _Task, active: Any) -> BentRays:
     return ray
 
 
-def _march(field: Field, task: _Task, ray: BentRays, active: Any) -> BentRays:
+@dataclass(frozen=True)
+class _Task:
+    """What is marched, and where to; see `bend`."""
+
+    surface: Surface
+    line: Straight
+    march: March
+    remaining: Remaining
+    tangents: tuple[tuple[Any, Any], ...]
+
+
+class _Air:
+    """A field as rays of the world meet it: one that was moved is looked up in its own frame."""
+
+    def __init__(self, field: Field, march: March) -> None:
+        self._lookup = field.lookup(march.precision)
+        # Opaque: one kernel for all boxes and poses.
+        low, high = (dr.opaque(march.vector(*map(float, corner))) for corner in field.box)
+        self._box = low, high
+        self._axes: Any = None  # the columns of a matrix
+        if field.pose is not None:
+            self._axes = dr.opaque(dr.matrix_t(march.vector)(field.pose.rotation.tolist()))
+            self._origin = dr.opaque(march.vector(*map(float, field.pose.origin_mm)))
+
+    @property
+    def diagonal_mm(self) -> Any:
+        return dr.norm(self._box[1] - self._box[0])
+
+    def crossings(self, p: Any, direction: Any) -> tuple[Any, Any]:
+        """Where lines enter and leave it, in units of the direction's length."""
+        if self._axes is not None:
+            direction = self._axes.T @ direction
+        return slab(self._local(p), direction, self._box)
+
+    def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
+        """See `Lookup`."""
+        f, g = self._lookup.delta_and_gradient(self._local(p))
+        return (f, g) if self._axes is None else (f, self._axes @ g)
+
+    def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
+        """See `Lookup`."""
+        f, g, hessian = self._lookup.delta_gradient_hessian(self._local(p))
+        if self._axes is None:
+            return f, g, hessian
+        return f, self._axes @ g, self._axes @ hessian @ self._axes.T
+
+    def _local(self, p: Any) -> Any:
+        return p if self._axes is None else self._axes.T @ (p - self._origin)
+
+
+def _march(
+    ambient: float, air: _Air, varied: list[_Air], task: _Task, ray: BentRays, active: Any
+) -> BentRays:
     """From the border (or from inside) through the field, step by step."""
-    surface, line, march = task.surface, task.line, task.march
-    remaining, variations = task.remaining, task.variations
-    rhs = _right_hand_side(field, task)
+    surface, line, march, remaining = task.surface, task.line, task.march, task.remaining
+    rhs = _right_hand_side(ambient, air, varied, task)
     controlled = march.method in CONTROLLED
     stops = not isinstance(surface, NoSurface)  # where nothing does, a tenth of a step is spared
-    box = _box(field, march)
     longest = dr.opaque(march.scalar, march.step_mm)  # one kernel for any step
     tolerance = dr.opaque(march.scalar, march.tolerance_mm)
-    lever = dr.norm(box[1] - box[0])  # a wrong slope leads astray far beyond
+    lever = air.diagonal_mm  # a wrong slope leads astray far beyond
     close = 1e-4 if march.precision == "single" else 1e-9
 
     def step(ray: BentRays, h: Any) -> BentRays:
@@ -247,7 +210,7 @@ def _march(field: Field, task: _Task, ray: BentRays, active: Any) -> BentRays:
 
     def ahead_of(ray: BentRays) -> tuple[Any, Any]:
         """Signed dt to the place where a ray is asked to end; dt to the border, above 0 inside."""
-        return remaining(line, ray), slab(ray.position(line), ray.tangent(line), box)[1]
+        return remaining(line, ray), air.crossings(ray.position(line), ray.tangent(line))[1]
 
     def body(
         ray: BentRays, moving: Any, chord: Any, count: Any, pace: Any, left: Any, out: Any
@@ -276,16 +239,16 @@ def _march(field: Field, task: _Task, ray: BentRays, active: Any) -> BentRays:
         ray.status = dr.select(arrived, int(RayStatus.ENDED), ray.status)
         return ray, moving & ~arrived & ~(out <= 0.0), chord, count + 1, pace, left, out
 
-    f, g = field.lookup(march.precision).delta_and_gradient(ray.position(line))
-    f, g = f / (1.0 + field.ambient), g / (1.0 + field.ambient)
+    f, g = air.delta_and_gradient(ray.position(line))
+    f, g = f / (1.0 + ambient), g / (1.0 + ambient)
     d = line.direction
     at_start = [  # T = n d, and its derivatives
         ray.tau[0] + d * f,
         *(v + v * f + d * dr.dot(g, x) for x, v in zip(ray.offset[1:], ray.tau[1:], strict=True)),
     ]
-    for i, variation in enumerate(variations, start=len(at_start) - len(variations)):
-        varied, _ = variation.lookup(march.precision).delta_and_gradient(ray.position(line))
-        at_start[i] = at_start[i] + d * (varied / (1.0 + field.ambient))
+    for i, variation in enumerate(varied, start=len(at_start) - len(varied)):
+        by_f, _ = variation.delta_and_gradient(ray.position(line))
+        at_start[i] = at_start[i] + d * (by_f / (1.0 + ambient))
     ray = dr.select(active, replace(ray, tau=tuple(at_start)), ray)
     pace = _Pace(longest + 0.0 * ray.t, rhs(ray.t, ray.offset)) if controlled else ()
     most = dr.opaque(mi.UInt32, march.max_steps)
@@ -322,12 +285,10 @@ def _ahead(ray: BentRays, h: Any, step: Step) -> BentRays:
     )
 
 
-def _right_hand_side(field: Field, task: _Task) -> Rhs:
+def _right_hand_side(ambient: float, air: _Air, varied: list[_Air], task: _Task) -> Rhs:
     """The steppers' rhs: n grad n at the ray, and its derivative for each tangent."""
     line, march = task.line, task.march
-    lookup = field.lookup(march.precision)
-    varied = [variation.lookup(march.precision) for variation in task.variations]
-    scale = 1.0 / (1.0 + field.ambient)
+    scale = 1.0 / (1.0 + ambient)
     starts = ((dr.zeros(march.vector), dr.zeros(march.vector)), *task.tangents)
 
     def rhs(t: Any, x: Vectors) -> tuple[Vectors, Any]:
@@ -335,10 +296,10 @@ def _right_hand_side(field: Field, task: _Task) -> Rhs:
             x = tuple(x0 + v0 * (t - line.start) for x0, v0 in starts)
         p = line.anchor + line.direction * t + x[0]
         if len(x) == 1:
-            f, g = lookup.delta_and_gradient(p)
+            f, g = air.delta_and_gradient(p)
             f, g = f * scale, g * scale
             return (g * (1.0 + f),), f
-        f, g, hessian = lookup.delta_gradient_hessian(p)
+        f, g, hessian = air.delta_gradient_hessian(p)
         f, g, hessian = f * scale, g * scale, hessian * scale
         carried = [(hessian @ w) * (1.0 + f) + g * dr.dot(g, w) for w in x[1:]]
         for i, variation in enumerate(varied, start=len(carried) - len(varied)):
@@ -385,9 +346,3 @@ def _unit_tangent(line: Straight, ray: BentRays) -> BentRays:
     excess = 2.0 * dr.dot(d, tau) + dr.squared_norm(tau)
     excess = excess / (1.0 + dr.sqrt(1.0 + excess))  # |T| - 1
     return replace(ray, tau=((tau - d * excess) / (1.0 + excess), *ray.tau[1:]))
-
-
-def _box(field: Field, march: March) -> tuple[Any, Any]:
-    """Corners of the field's box in the march's precision; opaque: one kernel for any box."""
-    low, high = (dr.opaque(march.vector(*map(float, corner))) for corner in field.box)
-    return low, high

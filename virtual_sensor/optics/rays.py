@@ -1,6 +1,5 @@
 """Rays and how to march them: the straight ray, the bent one beside it, and what bends it."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -203,8 +202,3 @@ class BentRays:
         """The same rays a straight segment further on."""
         offset = tuple(x + v * dt for x, v in zip(self.offset, self.tau, strict=True))
         return replace(self, t=self.t + dt, offset=offset)
-
-    def turned(self, turn: Callable[[Any], Any]) -> "BentRays":
-        """The same rays with all vectors turned, as seen from another frame."""
-        offset, tau = (tuple(turn(v) for v in vectors) for vectors in (self.offset, self.tau))
-        return replace(self, offset=offset, tau=tau)
