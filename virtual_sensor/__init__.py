@@ -16,20 +16,24 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from virtual_sensor.errors import EngineError, InputError
-    from virtual_sensor.imaging.camera_noise import CameraNoise, record
-    from virtual_sensor.imaging.render import render, render_frame
-    from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.medium.air import air_refractivity
-    from virtual_sensor.medium.index_field import IndexField
-    from virtual_sensor.metrology.centres import LineCentres, Status
-    from virtual_sensor.metrology.line_peaks import line_centres
-    from virtual_sensor.metrology.triangulation import triangulate
-    from virtual_sensor.optics.projection import project
-    from virtual_sensor.optics.ray_search import ray_search
-    from virtual_sensor.optics.ray_status import RayStatus
-    from virtual_sensor.optics.trace import trace
-    from virtual_sensor.poses import Pose
+    from virtual_sensor.errors import EngineError as EngineError
+    from virtual_sensor.errors import InputError as InputError
+    from virtual_sensor.imaging.camera_noise import CameraNoise as CameraNoise
+    from virtual_sensor.imaging.camera_noise import record as record
+    from virtual_sensor.imaging.render import render as render
+    from virtual_sensor.imaging.render import render_frame as render_frame
+    from virtual_sensor.imaging.scene import load_scene as load_scene
+    from virtual_sensor.medium.air import air_refractivity as air_refractivity
+    from virtual_sensor.medium.index_field import IndexField as IndexField
+    from virtual_sensor.metrology.centres import LineCentres as LineCentres
+    from virtual_sensor.metrology.centres import Status as Status
+    from virtual_sensor.metrology.line_peaks import line_centres as line_centres
+    from virtual_sensor.metrology.triangulation import triangulate as triangulate
+    from virtual_sensor.optics.projection import project as project
+    from virtual_sensor.optics.ray_search import ray_search as ray_search
+    from virtual_sensor.optics.ray_status import RayStatus as RayStatus
+    from virtual_sensor.optics.trace import trace as trace
+    from virtual_sensor.poses import Pose as Pose
 
 _HOME = {
     "CameraNoise": "imaging.camera_noise",
@@ -52,26 +56,7 @@ _HOME = {
     "triangulate": "metrology.triangulation",
 }
 
-__all__ = [
-    "CameraNoise",
-    "EngineError",
-    "IndexField",
-    "InputError",
-    "LineCentres",
-    "Pose",
-    "RayStatus",
-    "Status",
-    "air_refractivity",
-    "line_centres",
-    "load_scene",
-    "project",
-    "ray_search",
-    "record",
-    "render",
-    "render_frame",
-    "trace",
-    "triangulate",
-]
+__all__ = list(_HOME)
 
 
 class _LlvmFirst:

@@ -60,7 +60,7 @@ def run_in_child(
     subject : str
         What is read, such as a file's path: messages about the child's end begin with it.
     memory_bytes : int, optional
-        Address space of the child; as much as the machine has memory by default.
+        Address space of the child; as much as the machine has memory by default, and at most.
     seconds : float, optional
         The child is ended after this time. No limit by default: a large file takes its time.
     report : callable, optional
@@ -73,7 +73,7 @@ def run_in_child(
     Exception
         Others that the function raises, with the child's traceback as a note.
     """
-    memory = memory_bytes or physical_memory()
+    memory = min(memory_bytes or physical_memory(), physical_memory())
     content = pickle.dumps((arguments, memory, report is not None, str(Path.cwd()), sys.path))
     server = _take()
     expired = threading.Event()

@@ -158,17 +158,9 @@ class IndexField(Movable):
             If the file cannot be used; the message names the file, the element and the remedy.
         """
         f = read_field_file(path, wavelength_nm, mirror, time_s)
+        said = {name: value for name, value in vars(f).items() if name != "notes"}
         with naming(path):
-            made = cls.from_arrays(
-                f.refractivity,
-                f.origin_mm,
-                f.spacing_mm,
-                ambient=f.ambient,
-                mirror=f.mirror,
-                solid=f.solid,
-                source=f.source,
-            )
-        return replace(made, notes=f.notes)
+            return replace(cls.from_arrays(**said), notes=f.notes)
 
     def __getstate__(self) -> dict[str, object]:
         """What is pickled: all but Dr.Jit's memory."""

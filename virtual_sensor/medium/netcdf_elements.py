@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.io import netcdf_file
 
-from virtual_sensor.child import physical_memory, run_in_child
+from virtual_sensor.child import run_in_child
 from virtual_sensor.errors import InputError, cause_of, printable
 from virtual_sensor.files import readable
 from virtual_sensor.medium.units import unit_of
@@ -126,7 +126,7 @@ def _open_netcdf4(path: Path) -> Contents:
         "virtual_sensor.medium.netcdf4:read",
         str(path),
         subject=f"{path}",
-        memory_bytes=min(LEAST_MEMORY + MEMORY_PER_BYTE * size, physical_memory()),
+        memory_bytes=LEAST_MEMORY + MEMORY_PER_BYTE * size,
         seconds=LEAST_SECONDS + size / LEAST_BYTES_PER_S,
     )
     return made

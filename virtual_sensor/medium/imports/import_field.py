@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from virtual_sensor.child import physical_memory, run_in_child
+from virtual_sensor.child import run_in_child
 from virtual_sensor.errors import InputError
 
 if TYPE_CHECKING:
@@ -151,4 +151,4 @@ def _memory(path: Path) -> int | None:
     """Memory that an import may need; None if its size isn't that of one file."""
     if not path.is_file() or path.suffix.lower().startswith((".p", ".foam")):
         return None
-    return min(LEAST_MEMORY + MEMORY_PER_BYTE * path.stat().st_size, physical_memory())
+    return LEAST_MEMORY + MEMORY_PER_BYTE * path.stat().st_size

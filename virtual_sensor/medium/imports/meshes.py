@@ -111,34 +111,37 @@ def read_vtk(path: Path) -> Source:
 
     pv, suffix = pyvista(), path.suffix.lower()
     if suffix == ".vtk":
-        content = _legacy_content(path)
         reader = vtkIOLegacy.vtkDataSetReader()
-        reader.ReadFromInputStringOn()
-        reader.SetBinaryInputString(content, len(content))
         reader.ReadAllScalarsOn()
         reader.ReadAllFieldsOn()
+        if ended := _with_line_end(path.read_bytes()):
+            reader.ReadFromInputStringOn()
+            reader.SetBinaryInputString(ended, len(ended))
     else:
         parallel = "P" if suffix in PARALLEL else ""
         reader = getattr(vtkIOXML, f"vtkXML{parallel}{DATA_SETS[suffix[-1]]}Reader")()
-        reader.SetFileName(f"{path}")
+    reader.SetFileName(f"{path}")
     with told_by_vtk():
         reader.Update()
         data = pv.wrap(reader.GetOutput())
     return _source(data, "", _version(pv))
 
 
-def _legacy_content(path: Path) -> bytes:
-    """Read a .vtk file; refuse one that ends in what may be a part of a number."""
-    content = path.read_bytes()
+def _with_line_end(content: bytes) -> bytes:
+    """A legacy file in ASCII that ends in a number, with the line end that it lacks; else nothing.
+
+    After a number that ends with the file, VTK takes what lies in memory for the numbers that are
+    absent, and says nothing.
+    """
     if content[-1:].isspace() or not re.match(rb".*\n.*\n\s*ASCII\b", content, re.I):
-        return content
+        return b""
     last = content[-4000:].split()[-33:]
     if len(last) < 9 or len(last[-1]) < min(map(len, last[:-1])):
         raise InputError(
             f"ends with '{last[-1].decode('latin-1')[-40:]}' and without a line end: truncated?"
             " Write or copy it again; if it is whole, end its last line"
         )
-    return content + b"\n"  # behind its last number VTK would read on in the memory that follows
+    return content + b"\n"
 
 
 def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -> Source:
