@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import product
+from itertools import product, starmap
 from operator import attrgetter
 from pathlib import Path
 from typing import Any
@@ -262,6 +262,7 @@ def page(
             )
         )
     parameters = pair_table(("parameter", "value"), figures.parameters)
+    each = figures.states.items()
     sections += [
         Section(
             "Check: renderer and ray search agree",
@@ -269,11 +270,11 @@ def page(
             " image: what separates them is the error of rendering and detecting.",
             _beside(panels, "check"),
             table(result, figures),
-            *(_compared(name, state) for name, state in figures.states.items()),
+            *starmap(_compared, each),
         ),
         Section(
             "Settings",
-            *(_frame_words(name, state) for name, state in figures.states.items()),
+            *starmap(_frame_words, each),
             Details("All parameters of the scene", (parameters,)),
         ),
     ]
@@ -624,8 +625,7 @@ def _letters_panel() -> Panel:
         x = np.linspace(-1.0, 1.0, 100)
         axes.fill_between(x, -0.35 * x**2, -1.0, color="0.85", lw=0)
         axes.plot(x, -0.35 * x**2, color="0.4")
-        laser, camera = np.array([-0.55, 1.1]), np.array([0.85, 1.0])
-        A, B = np.array([0.0, 0.0]), np.array([0.3, -0.0315])
+        laser, camera, A, B = np.array([[-0.55, 1.1], [0.85, 1.0], [0.0, 0.0], [0.3, -0.0315]])
         leaves = _bent(B, camera, 0.09)
         axes.plot(*np.stack([laser, A, camera]).T, "--", color=colour("cold"))
         for path in (_bent(laser, B, 0.10), leaves):
@@ -634,15 +634,12 @@ def _letters_panel() -> Panel:
         share = np.linalg.solve(np.stack([towards, laser - A], axis=1), A - camera)[0]
         B_m = camera + share * towards
         axes.plot(*np.stack([camera, B_m]).T, ":", color=colour("hot"))
-        for point, letter, aside in (
-            (A, "A = Aₘ", (-0.52, -0.22)),
-            (B, "B", (0.05, -0.22)),
-            (B_m, "Bₘ", (-0.3, 0.0)),
-        ):
+        marks = {"A = Aₘ": (A, -0.52, -0.22), "B": (B, 0.05, -0.22), "Bₘ": (B_m, -0.3, 0.0)}
+        for letters, (point, *aside) in marks.items():
             axes.plot(*point, "o", color="k", ms=5)
-            axes.annotate(letter, point, point + np.array(aside), fontsize=12)
-        axes.text(*(laser - [0.05, 0.0]), "laser", ha="right", va="center")
-        axes.text(*(camera + np.array([0.0, 0.05])), "camera", ha="center")
+            axes.annotate(letters, point, point + aside, fontsize=12)
+        axes.text(laser[0] - 0.05, laser[1], "laser", ha="right", va="center")
+        axes.text(camera[0], camera[1] + 0.05, "camera", ha="center")
         words = (
             "A, B: lit point on the cold, the hot part\n"
             "Aₘ, Bₘ: the points measured there\n"
