@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -277,10 +277,11 @@ def reproduce(
     line = partial(searched, y_mm=LINE_MM, march=SCAN, paper=False)
     every = [setting for air in airs for setting in settings(air)]
     turned = [setting for air in airs for setting in all_poses(air)]
-    nine = searches.curves("nine_rays", every, airs, nine_rays, part(0.88, 0.92))
-    whole = searches.curves("line", every, airs, line, part(0.92, 0.95))
-    poses = searches.curves("line", turned, airs, line, part(0.95, 0.97))
-    scanned = searches.each("dense_scan", SCANS, airs, _scan, part(0.97, 1.0))
+    each = partial(searches.each, airs)
+    nine = searches.curves(each("nine_rays", every, nine_rays, part(0.88, 0.92)))
+    whole = searches.curves(each("line", every, line, part(0.92, 0.95)))
+    poses = searches.curves(each("line", turned, line, part(0.95, 0.97)))
+    scanned = each("dense_scan", SCANS, _scan, part(0.97, 1.0))
     scans = {setting: Reconstruction(**found) for setting, found in scanned}
     curves = Curves(_with_rendered(nine, finished), whole, poses)
     sections = _sections(finished, scenes)
@@ -404,9 +405,9 @@ class Searches:
 
     def each(
         self,
+        airs: Mapping[str, Broadening],
         name: str,
         wanted: Sequence[Setting],
-        airs: Mapping[str, Broadening],
         find: Callable[[Scene, Setting], Any],
         report: Report,
     ) -> Iterator[tuple[Setting, dict[str, Any]]]:
@@ -423,16 +424,11 @@ class Searches:
             yield setting, self.stored(f"{name}_{setting.name}", inputs, make)
 
     def curves(
-        self,
-        name: str,
-        wanted: Sequence[Setting],
-        airs: Mapping[str, Broadening],
-        find: Callable[[Scene, Setting], Curve],
-        report: Report,
+        self, each: Iterable[tuple[Setting, dict[str, Any]]]
     ) -> dict[tuple[Setting, str], Curve]:
-        """The same of searched rays."""
+        """The curves of stored rays."""
         curves = {}
-        for setting, found in self.each(name, wanted, airs, find, report):
+        for setting, found in each:
             sensor = self.scenes.pose(setting.beta_deg).sensor
             curves[setting, SEARCHED] = Curve(setting=setting, sensor=sensor, **found)
         return curves
