@@ -93,7 +93,9 @@ def test_exr_frames_of_ours_give_points_by_the_calibration_beside_them(
     assert undocumented(tmp_path / "out", reporting.FILES) == []
 
 
-def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(tmp_path, unpainted_test):
+def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(
+    tmp_path, undrawn, unpainted_test
+):
     """Two lines that stand upright in two images, found by rows, two peaks each."""
     both = line_image(ROW, 2.0, 200.0) + line_image(np.full(90, 52.0), 2.0, 90.0)
     for name in ("a.png", "b.png"):

@@ -62,7 +62,8 @@ def test_the_command_prints_draws_and_writes(shown, monkeypatch):
     assert undocumented(folder, reporting.FILES) == ["air.nc"]
 
 
-@pytest.mark.parametrize("suffix", [".svg", pytest.param(".pdf", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".svg", ".pdf"])
 def test_a_picture_may_be_of_curves_and_letters(tmp_path, suffix, unpainted_test):
     """Rationale: for a paper; a name with markup in it stays a name."""
     air((5, 5, 5), lambda x, y, z: 0.0).write(tmp_path / "<b>&.nc")

@@ -4,6 +4,7 @@ import base64
 import io
 import re
 from html.parser import HTMLParser
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from virtual_sensor.reporting.page import (
     page_html,
     write_page,
 )
-from virtual_sensor.reporting.pictures import Panel, draw_picture
+from virtual_sensor.reporting.pictures import Panel, draw_picture, write_vector
 from virtual_sensor.reporting.style import (
     COLOURS,
     colour,
@@ -66,6 +67,14 @@ def panels():
 def picture():
     """A drawn picture."""
     return draw_picture("Title " + drawable(NASTY), panels())
+
+
+def test_a_picture_may_be_of_curves_and_letters(tmp_path):
+    """Rationale: for a paper; a title with markup in it stays a title."""
+    write_vector(tmp_path / "a.svg", drawable(NASTY), panels())
+    root = ElementTree.parse(tmp_path / "a.svg").getroot()
+    assert root.tag.endswith("svg")
+    assert len(root.findall(".//{*}image")) == 3
 
 
 def page(picture):

@@ -196,7 +196,11 @@ def test_probe_rays_that_are_given_are_those_of_all_tables(tmp_path):
 
 @pytest.mark.parametrize(
     ("laser", "lit"),
-    [({"line_length": 6}, 3), ({"dots": "0 -5"}, 2), ({"dots": "-12"}, 0)],
+    [
+        ({"line_length": 6}, 3),
+        pytest.param({"dots": "0 -5"}, 2, marks=pytest.mark.slow),
+        ({"dots": "-12"}, 0),
+    ],
     ids=str,
 )
 def test_rays_without_light_have_no_figure_anywhere(tmp_path, laser, lit):

@@ -80,18 +80,20 @@ def test_a_search_by_name_is_that_pairs(scene, tmp_path):
     assert len({round(v, 1) for v in seen.values()}) == 4
 
 
-def test_a_measurement_by_name_is_that_pairs(scene, tmp_path):
+@pytest.mark.parametrize(
+    "words", [[], pytest.param(["--tolerance", "0.05"], marks=pytest.mark.slow)]
+)
+def test_a_measurement_by_name_is_that_pairs(scene, tmp_path, words):
     """Measured, also to a tolerance: the summary names it, and its line agrees with its search."""
     names = ["--camera", "far", "--source", "blue"]
-    for words in ([], ["--tolerance", "0.05"]):
-        folder = tmp_path / f"m{len(words)}"
-        run("measure", scene, *FILM, *names, *words, "-o", folder)
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        assert (summary["camera"], summary["source"]) == ("far", "blue")
-        for state in summary["states"].values():
-            agreement = state["line_minus_search"]
-            assert agreement["compared"] > 50
-            assert agreement["rms_px"] < 0.02
+    folder = tmp_path / "measured"
+    run("measure", scene, *FILM, *names, *words, "-o", folder)
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert (summary["camera"], summary["source"]) == ("far", "blue")
+    for state in summary["states"].values():
+        agreement = state["line_minus_search"]
+        assert agreement["compared"] > 50
+        assert agreement["rms_px"] < 0.02
 
 
 def test_a_sweep_by_name_is_kept_by_its_names(tmp_path):

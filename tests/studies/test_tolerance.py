@@ -173,7 +173,7 @@ def test_columns_beyond_the_line_are_not_judged():
 
 def test_the_command_says_what_was_chosen(tmp_path):
     """Rationale: what was chosen for the user, and why, must be seen without looking for it."""
-    film = ["-D", "width=512", "-D", "height=512"]
+    film = ["-D", "width=256", "-D", "height=256", "-D", "line_radius=0.5"]
     status, out, err = command(
         "measure", "hot_cylinder", *film, "--tolerance", 0.02, "-o", tmp_path / "out"
     )
