@@ -1,7 +1,9 @@
 """Functions for a child process: each ends differently."""
 
+import importlib
 import os
 import signal
+import sys
 import threading
 
 from virtual_sensor.errors import InputError
@@ -80,3 +82,14 @@ def variant_and_radiance(scene):
     from virtual_sensor.engine import mi
 
     return mi.variant(), vs.render(scene)
+
+
+def knew_zipapp():
+    """Whether a module, which is imported while at work, was there before."""
+    there = "zipapp" in sys.modules
+    importlib.import_module("zipapp")
+    return there
+
+
+def knew_zipapp_and_fails():
+    raise InputError(f"{knew_zipapp()}")

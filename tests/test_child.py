@@ -1,5 +1,6 @@
 """A function in a child process may die of anything; the caller gets a result or a clear error."""
 
+import contextlib
 import os
 
 import pytest
@@ -67,6 +68,15 @@ def test_what_it_prints_goes_nowhere(capfd):
     """Rationale: what VTK prints would break the answer, or a user's terminal."""
     assert run("chatter") == b""
     assert capfd.readouterr() == ("", "")
+
+
+def test_what_a_child_imported_the_next_one_has():
+    """Rationale: VTK takes a tenth of a second to load; whether the first one read or refused."""
+    for first in ("knew_zipapp", "knew_zipapp_and_fails"):
+        child._end_all()
+        with contextlib.suppress(InputError):
+            assert not run(first)
+        assert run("knew_zipapp")
 
 
 def test_its_progress_is_reported():

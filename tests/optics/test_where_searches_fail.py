@@ -105,9 +105,9 @@ def test_the_limb_is_told(method):
     assert np.all(found.distance_um[found.status == SearchStatus.FOUND] < 1e-3)
 
 
+@pytest.mark.slow
 def test_what_no_map_can_keep_is_marched(scene, y):
     """Of a tolerance beyond maps: slower, and right to it all the same."""
-    y = y[::5]
     by_maps, marched = (
         ray_search(scene, y, "tabulated", tolerance_px=tolerance) for tolerance in (1e-3, 1e-9)
     )

@@ -124,12 +124,9 @@ def killed(folder, blow, after_s, processes=1):
 
 @pytest.mark.parametrize(
     ("blow", "status"),
-    [
-        pytest.param("SIGINT", 130, marks=pytest.mark.slow),
-        pytest.param("SIGTERM", 143, marks=pytest.mark.slow),
-        ("SIGKILL", -signal.SIGKILL),
-    ],
+    [("SIGINT", 130), ("SIGTERM", 143), ("SIGKILL", -signal.SIGKILL)],
 )
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_end(uninterrupted, meshed, tmp_path, blow, status):
     """Rationale: Ctrl-C, a batch queue's limit, the out-of-memory killer: no time step is lost."""
     folder = copied(meshed, tmp_path)

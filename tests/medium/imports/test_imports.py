@@ -284,7 +284,15 @@ def beside_the_part(points, length=20.0, gap=0.0):
     return around | (abs(points[..., 0]) > 0.5 * length + gap)
 
 
-@pytest.mark.parametrize("kind", ["NaN on a grid", "rows left out", "scattered", "scattered NaN"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "NaN on a grid",
+        "rows left out",
+        "scattered",
+        pytest.param("scattered NaN", marks=pytest.mark.slow),
+    ],
+)
 def test_the_part_is_found_and_filled(pv, kind, tmp_path):
     """Rationale: solvers have no air in the part, and a spline must not see that."""
     x, y, z = X[2:19], Y[4:21], Z[2:26]
