@@ -83,18 +83,22 @@ def test_a_step_of_the_background_loses_no_point_at_any_phase(step):
 
 
 @pytest.mark.parametrize(
-    ("noise", "step"),
+    ("noise", "step", "images", "within"),
     [
-        (1.0, 30.0),
-        pytest.param(1.0, 0.0, marks=pytest.mark.slow),
-        pytest.param(10.0, -50.0, marks=pytest.mark.slow),
+        (1.0, 30.0, 12, 0.2),
+        pytest.param(1.0, 30.0, 48, 0.1, marks=pytest.mark.slow),
+        pytest.param(1.0, 0.0, 48, 0.1, marks=pytest.mark.slow),
+        pytest.param(10.0, -50.0, 48, 0.1, marks=pytest.mark.slow),
     ],
 )
-def test_predicted_sigma_holds_in_any_direction_and_on_a_step(noise, step):
-    """White noise: the noise of what is taken off for the step and the bend counts too."""
+def test_predicted_sigma_holds_in_any_direction_and_on_a_step(noise, step, images, within):
+    """White noise: the noise of what is taken off for the step and the bend counts too.
+
+    Neighbours share their noise: of 12 images the ratio has a standard error of 0.046, of 48 half.
+    """
     rng = np.random.default_rng(int(noise + step) + 100)
     error, sigma = [], []
-    for _ in range(48):
+    for _ in range(images):
         away = straight(rng.uniform(0.0, 180.0), rng.uniform(-1.0, 1.0))
         image = drawn(away, step=step, level=60.0)
         line = line_centres(image + rng.normal(0.0, noise, image.shape), "steger", noise=noise)
@@ -102,8 +106,9 @@ def test_predicted_sigma_holds_in_any_direction_and_on_a_step(noise, step):
         error.append(away(points))
         sigma.append(line.sigma[good])
     observed = np.sqrt(np.mean(np.concatenate(error) ** 2))
-    assert len(np.concatenate(error)) > 48 * 90
-    assert np.sqrt(np.mean(np.concatenate(sigma) ** 2)) / observed == pytest.approx(1.0, abs=0.1)
+    assert len(np.concatenate(error)) > images * 90
+    predicted = np.sqrt(np.mean(np.concatenate(sigma) ** 2))
+    assert predicted / observed == pytest.approx(1.0, abs=within)
 
 
 @pytest.mark.parametrize("width", [1.0, 2.0, pytest.param(4.0, marks=pytest.mark.slow)])
