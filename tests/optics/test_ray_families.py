@@ -144,7 +144,7 @@ def test_starts_change_with_the_pose_as_differences_say(family, places):
     """By SciPy's rotations about a point."""
     s, t, _ = places
     motion = Motion(
-        np.array([1.0, -2.0, 0.5]), np.array([0.02, 0.03, -0.01]), np.array([5.0, 6, 7])
+        ("laser",), np.array([1.0, -2.0, 0.5]), np.array([0.02, 0.03, -0.01]), np.array([5.0, 6, 7])
     )
 
     def moved(amount):

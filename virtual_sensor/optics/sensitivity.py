@@ -37,10 +37,12 @@ _BODIES = {"camera": ("camera",), "laser": ("laser",), "sensor": ("camera", "las
 
 @dataclass(frozen=True)
 class Motion:
-    """Rate at which a rigid body moves with a parameter.
+    """Rate at which parts of the sensor, as one rigid body, move with a parameter.
 
     Attributes
     ----------
+    parts : tuple of str
+        "camera", "laser" or both.
     shift_mm : ndarray of shape (3,)
         Of the pivot, along the world's axes, per unit of the parameter.
     turn_rad : ndarray of shape (3,)
@@ -49,6 +51,7 @@ class Motion:
         World.
     """
 
+    parts: tuple[str, ...]
     shift_mm: Array
     turn_rad: Array
     pivot_mm: Array
@@ -85,15 +88,7 @@ class RayStarts:
         return moved, np.cross(motion.turn_rad, self.direction)
 
 
-@dataclass(frozen=True)
-class PoseParameter:
-    """A motion of parts of the sensor, "camera", "laser" or both, as one rigid body."""
-
-    parts: tuple[str, ...]
-    motion: Motion
-
-
-def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, PoseParameter]:
+def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, Motion]:
     """The pose parameters by name.
 
     ``camera_x``, ``camera_y``, ``camera_z`` are shifts along the world's axes in mm, and
@@ -103,9 +98,8 @@ def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, PosePara
     named, none, pivot = {}, np.zeros(3), np.array(pivot_mm, float)
     for body, parts in _BODIES.items():
         for axis, unit in zip("xyz", np.eye(3), strict=True):
-            shift, turn = Motion(unit, none, pivot), Motion(none, np.radians(unit), pivot)
-            named[f"{body}_{axis}"] = PoseParameter(parts, shift)
-            named[f"{body}_turn_{axis}"] = PoseParameter(parts, turn)
+            named[f"{body}_{axis}"] = Motion(parts, unit, none, pivot)
+            named[f"{body}_turn_{axis}"] = Motion(parts, none, np.radians(unit), pivot)
     return named
 
 
@@ -209,7 +203,7 @@ def _sensitivity(
     scene: SearchScene,
     b: Array,
     asked: Iterable[str],
-    known: Mapping[str, PoseParameter],
+    known: Mapping[str, Motion],
     air: Mapping[str, Field],
     march: March,
 ) -> Sensitivity:
@@ -270,7 +264,7 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
     return y
 
 
-def _known_parameters(scene: SearchScene, pivot_mm: ArrayLike) -> dict[str, PoseParameter]:
+def _known_parameters(scene: SearchScene, pivot_mm: ArrayLike) -> dict[str, Motion]:
     """All pose parameters that the scene has."""
     known = pose_parameters(pivot_mm)
     part = scene.surface
@@ -305,14 +299,14 @@ class _Carried:
     by_air: dict[str, Array]
     hit: NDArray[np.bool_]
 
-    def by(self, name: str, known: Mapping[str, PoseParameter]) -> Array:
+    def by(self, name: str, known: Mapping[str, Motion]) -> Array:
         """Derivatives (N, 3) of the points by a parameter: of the pose, or one of the field."""
-        parameter = known.get(name)
-        if parameter is None:
+        motion = known.get(name)
+        if motion is None:
             return self.by_air.get(name, np.zeros_like(self.point))
-        if self.part not in parameter.parts:
+        if self.part not in motion.parts:
             return np.zeros_like(self.point)
-        return self._follow(*self.rays.by_motion(parameter.motion))
+        return self._follow(*self.rays.by_motion(motion))
 
     def by_coordinate(self) -> list[Array]:
         """Derivatives (N, 3) of the points by the coordinates that name the rays."""
