@@ -249,7 +249,7 @@ def invented(monkeypatch, example):
     return asked
 
 
-def test_the_command_writes_everything_and_prints_the_fronts(invented, tmp_path):
+def test_the_command_writes_everything_and_prints_the_fronts(invented, tmp_path, unpainted_test):
     """Rationale: the folder is what the help promises, and another run replaces it if asked."""
     folder = tmp_path / "charted"
     status, out, err = command("chart", "--quick", "--panel", "rays", "-o", folder)

@@ -251,7 +251,7 @@ def test_a_figure_shows_search_and_frames_in_all_airs(curves):
         assert panel.alt.startswith(panel.title.split(", ")[0])
 
 
-def test_a_figure_without_rays_is_not_drawn(curves):
+def test_a_figure_without_rays_is_not_drawn(curves, unpainted_test):
     """Rationale: an empty picture looks like a result."""
     lost = {
         key: dataclasses.replace(
