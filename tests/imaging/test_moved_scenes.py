@@ -78,7 +78,9 @@ def test_points_are_projected_and_triangulated_as_before(still, moved):
     np.testing.assert_allclose(found, there, rtol=0, atol=1e-3)
 
 
-@pytest.mark.parametrize("transport", ["tabulated", "marched"])
+@pytest.mark.parametrize(
+    "transport", ["tabulated", pytest.param("marched", marks=pytest.mark.slow)]
+)
 def test_frames_show_the_same_line(still, moved, transport):
     """Centres in every column, by maps and by marches."""
     rows = []

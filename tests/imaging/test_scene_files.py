@@ -369,7 +369,7 @@ def test_other_variants_make_the_same_frame(variant, tmp_path):
         f"activate({variant!r})\n"
         f"np.save({str(file)!r}, vs.render(vs.load_scene('cold_cylinder', **{film})))"
     )
-    subprocess.run([sys.executable, "-c", program], check=True)
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)
     ours = vs.render(vs.load_scene("cold_cylinder", **film))
     assert ours.max() > 0.0
     np.testing.assert_allclose(np.load(file), ours, rtol=1e-5)

@@ -230,6 +230,7 @@ def test_cylinder_is_recognised():
     assert not isinstance(vs.load_scene("stepped_shaft").surface, Cylinder)
 
 
+@pytest.mark.slow
 def test_shipped_scenes_are_found_from_anywhere(tmp_path):
     """By name, from a folder that knows nothing of the checkout."""
     program = "import virtual_sensor as vs; print(vs.load_scene('stepped_shaft').path.name)"

@@ -81,7 +81,7 @@ def test_what_changes_a_scene_is_searched_again(load, prepared):
 
 def test_what_is_kept_is_bounded_and_goes_with_its_scene(load, prepared):
     """Rationale: frames of a sweep have a scene each; a film's worth of each would fill memory."""
-    scenes = [load(beta=beta, spp=1) for beta in range(6)]
+    scenes = [load(beta=beta, width=64, height=64, spp=1) for beta in range(6)]
     for scene in scenes:
         vs.render(scene)
     vs.render(scenes[-1])

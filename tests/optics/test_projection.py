@@ -83,7 +83,7 @@ def test_ten_thousand_points_have_the_pixels_of_marched_lines_of_sight(scene, po
     assert np.abs(scene.camera.project(points) - marched.pixel).max() > 5.0
 
 
-@pytest.mark.parametrize("tolerance_px", [0.02, 0.005, 0.002])
+@pytest.mark.parametrize("tolerance_px", [0.02, 0.005, pytest.param(0.002, marks=pytest.mark.slow)])
 def test_the_error_keeps_the_tolerance_that_is_asked_for(scene, some, marched, tolerance_px):
     """Rationale: who needs less has it sooner."""
     found = projected_points(scene, some, method="tabulated", tolerance_px=tolerance_px)

@@ -178,8 +178,8 @@ def test_no_ray_at_all_may_meet_the_cylinder(scene):
     ("laser", "lit"),
     [
         ({"line_length": 6}, [0.0, -1.25, -2.5]),
-        ({"line_length": 6, "fan": 1}, [0.0, -1.25, -2.5]),
-        ({"line_length": 20}, NINE),  # to its very end
+        pytest.param({"line_length": 6, "fan": 1}, [0.0, -1.25, -2.5], marks=pytest.mark.slow),
+        pytest.param({"line_length": 20}, NINE, marks=pytest.mark.slow),  # to its very end
         ({"dots": "-2.5 -5.1"}, [-2.5, -5.0]),  # 0.1 mm beside the middle of a dot
         ({"dots": "-12"}, []),
     ],

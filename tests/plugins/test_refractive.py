@@ -188,7 +188,9 @@ def test_radiance_of_a_diffuse_plane_is_lamberts(screened_frame):
 
 
 @pytest.mark.parametrize("transport", ["tabulated", "marched"])
-@pytest.mark.parametrize(("hot", "fan"), [(False, 3.5), (True, 0), (True, 3.5)])
+@pytest.mark.parametrize(
+    ("hot", "fan"), [(False, 3.5), pytest.param(True, 0, marks=pytest.mark.slow), (True, 3.5)]
+)
 def test_radiance_is_the_light_between_neighbouring_rays(hot, fan, transport, tmp_path):
     """Rays of neighbouring pixels carry what lies between their coordinates, onto the area seen.
 
