@@ -139,6 +139,8 @@ def test_a_mesh_too_coarse_for_the_wall_layer_is_refused():
     check_wall_layer(hot(cell_mm=1.2))
     with pytest.raises(InputError):
         check_wall_layer(hot(cell_mm=1.3))
+    with pytest.raises(InputError, match=r"would grow to .* give a smaller cell width"):
+        check_wall_layer(hot(cell_mm=5.0))
 
 
 def test_a_simulated_nusselt_number_replaces_the_expected_one():

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 
 TOP_MM = 305.0
@@ -47,6 +48,11 @@ class Division:
     @classmethod
     def between(cls, length: float, first: float, last: float) -> Division:
         """Cells that grow geometrically from `first` to `last` over `length`, roughly."""
+        if max(first, last) >= length:
+            raise InputError(
+                f"cells would grow to {max(first, last):.3g} mm where there are {length:.3g} mm;"
+                " give a smaller cell width"
+            )
         growth = (length - first) / (length - last)
         even = abs(growth - 1.0) < 1e-9
         cells = length / first if even else 1.0 + math.log(last / first) / math.log(growth)
@@ -90,7 +96,13 @@ class CylinderMesh:
 
 
 def cylinder_mesh(flow: HeatFlow) -> CylinderMesh:
-    """Lay out the mesh: cells `flow.cell_mm` wide across the plume, the others in proportion."""
+    """Lay out the mesh: cells `flow.cell_mm` wide across the plume, the others in proportion.
+
+    Raises
+    ------
+    InputError
+        If there is no room for cells so wide.
+    """
     R, c = flow.radius_mm, flow.cell_mm
     axis, square, wide = -R, 2.0 * R, max(60.0, 4.5 * R)
     low, s, q = axis - square - 20.0, R / math.sqrt(2.0), 0.4 * R
