@@ -2,6 +2,8 @@
 
 import contextlib
 import os
+import select
+import signal
 
 import pytest
 
@@ -51,7 +53,7 @@ def test_a_server_that_is_ended_while_its_death_is_noticed_has_died(monkeypatch)
 
     monkeypatch.setattr(server.process, "wait", waited)
     server.process.kill()
-    assert server.ask(("child_functions:refuse", b""), print) == ("death", b"")
+    assert server.ask(("child_functions:refuse", b""), print) == ("death", (-signal.SIGKILL, b""))
     server.end()
 
 
@@ -98,3 +100,29 @@ def test_ctrl_c_ends_the_child_too():
         run("report_and_hang", report=interrupted)
     with pytest.raises(ProcessLookupError):
         os.kill(child[0], 0)
+
+
+def test_a_death_costs_no_import():
+    """Rationale: of a folder of damaged files each had VTK imported again, which takes a second."""
+    run("knew_zipapp")
+    run("knew_zipapp")
+    server = child._idle[-1]
+    for name, end in (("abort", "SIGABRT"), ("leave", "exit status 3")):
+        with pytest.raises(InputError, match=end):
+            run(name)
+    assert run("knew_zipapp")
+    assert child._idle[-1] is server
+
+
+def test_an_answer_that_is_cut_off_is_a_death():
+    """Rationale: the rest of a message would be taken for the next answer."""
+    run("joined")
+    answers = child._idle[-1].process.stdout
+
+    def kill(reader):
+        select.select([answers], [], [])  # it answers, with more than a pipe holds
+        os.kill(reader, signal.SIGKILL)
+
+    with pytest.raises(InputError, match=r"crashed \(SIGKILL\)"):
+        run("report_and_answer", 5_000_000, report=kill)
+    assert run("joined", "a", "b") == "a b"

@@ -8,8 +8,8 @@ Libraries that read files in C++ abort, crash or allocate without end on damaged
 is a fork server: for each request on standard input it imports the function's module and forks a
 child, which answers on standard output; what the function itself prints goes nowhere. The next
 child need not import that module again, nor what this one imported while it was at work: with the
-answer it names these, and the next request has the server import them. The server dies as its
-child died, and with its parent.
+answer it names these, and the next request has the server import them. The server reports its
+child's death; it dies itself where that was in the middle of a message, and with its parent.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import mmap
 import os
 import pickle
 import resource
@@ -91,7 +92,7 @@ def run_in_child(
         kind, answer = server.ask((target, content), report or (lambda *progress: None))
     finally:
         timer.cancel()
-        if kind in ("result", "error") and not expired.is_set():
+        if kind and not expired.is_set() and server.process.poll() is None:
             _idle.append(server)
         else:
             server.end()
@@ -101,12 +102,12 @@ def run_in_child(
         raise answer
     if expired.is_set():
         raise InputError(f"{subject}: was not read within {seconds:g} s; {REMEDY}")
-    if kind == "error" or b"bad_alloc" in answer:
+    status, complaints = (0, b"") if kind == "error" else answer
+    if kind == "error" or b"bad_alloc" in complaints:
         raise InputError(
             f"{subject}: asks for more memory than the {memory / 1e9:.3g} GB that it may have;"
             f" {REMEDY}"
         )
-    status = server.process.returncode
     how = signal.Signals(-status).name if status < 0 else f"exit status {status}"
     raise InputError(f"{subject}: what reads it crashed ({how}); {REMEDY}")
 
@@ -134,7 +135,10 @@ class _ForkServer:
         )
 
     def ask(self, request: tuple[str, bytes], report: Callable[..., None]) -> tuple[str, Any]:
-        """Send a request and give the last message: "result" or "error"; or "death", complaints."""
+        """Send a request and give the last message: "result", "error" or "death" and its content.
+
+        That of a death is the child's exit status and what it wrote to standard error.
+        """
         assert self.process.stdin
         assert self.process.stdout
         start = os.fstat(self.complaints.fileno()).st_size
@@ -147,14 +151,17 @@ class _ForkServer:
                     report(*content)
                 elif kind == "imported":
                     self.imported = content
+                elif kind == "death":
+                    status = content
+                    break
                 else:
                     return kind, content
         except (BrokenPipeError, EOFError, pickle.UnpicklingError, ValueError):
-            self.process.wait()
-            with contextlib.suppress(ValueError):  # closed by `end`, in another thread
-                self.complaints.seek(start)
-                return "death", self.complaints.read()
-            return "death", b""
+            status = self.process.wait()
+        with contextlib.suppress(ValueError):  # closed by `end`, in another thread
+            self.complaints.seek(start)
+            return "death", (status, self.complaints.read())
+        return "death", (status, b"")
 
     def end(self) -> None:
         """End it, with a child that it has."""
@@ -198,10 +205,14 @@ def main(parent: int) -> None:
     interrupts.tie_to_parent(parent)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     children: list[int] = []
+    answering = mmap.mmap(-1, 1)  # shared with the child: 1 in the middle of a message
+    stopped = False
 
     def stop(*_: object) -> None:
+        nonlocal stopped
         if not children:
             os._exit(1)
+        stopped = True
         os.kill(children[0], signal.SIGKILL)
 
     signal.signal(signal.SIGTERM, stop)
@@ -220,22 +231,29 @@ def main(parent: int) -> None:
             try:
                 signal.signal(signal.SIGTERM, signal.SIG_DFL)
                 signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
-                _answer(server, target, content)
+                _answer(server, target, content, answering)
             finally:  # libraries need not be shut down, and some would hang or crash then
                 os._exit(1)
         children.append(child)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         children.clear()
+        if stopped:  # when its child had answered, too
+            os._exit(1)
+        if status == ANSWERED:
+            continue
+        if not answering[0]:
+            sys.stdout.buffer.write(pickle.dumps(("death", status)))
+            sys.stdout.buffer.flush()
+            continue
         if status < 0:
             with contextlib.suppress(OSError):  # SIGKILL has no handler
                 signal.signal(-status, signal.SIG_DFL)
             os.kill(server, -status)
-        if status != ANSWERED:
-            os._exit(status)
+        os._exit(status)
 
 
-def _answer(server: int, target: str, content: bytes) -> None:
+def _answer(server: int, target: str, content: bytes, answering: mmap.mmap) -> None:
     """Call the function and send what it returns or raises, in the child."""
     interrupts.tie_to_parent(server)
     answers = os.fdopen(os.dup(1), "wb")
@@ -245,8 +263,11 @@ def _answer(server: int, target: str, content: bytes) -> None:
     here = set(sys.modules)
 
     def send(kind: str, content: Any) -> None:
-        answers.write(pickle.dumps((kind, content), protocol=5))
+        message = pickle.dumps((kind, content), protocol=5)
+        answering[0] = 1
+        answers.write(message)
         answers.flush()
+        answering[0] = 0
 
     def imported() -> None:
         with contextlib.suppress(MemoryError):
