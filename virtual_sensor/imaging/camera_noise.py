@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import c, h
 
 from virtual_sensor.arrays import (
     LARGEST,
@@ -25,6 +24,7 @@ from virtual_sensor.arrays import (
     unmasked,
     whole_number,
 )
+from virtual_sensor.devices.planck import c, h
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
