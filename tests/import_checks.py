@@ -48,6 +48,7 @@ def same(made, shape=VALUES.shape):
 
 
 def refused(path, match, **choices):
+    """Import in vain; the message is one line that begins with the file's name."""
     with pytest.raises(InputError, match=match) as caught:
         imported(path, **choices)
     assert f"{caught.value}".startswith(f"{path}: ")

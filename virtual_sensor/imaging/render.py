@@ -34,7 +34,7 @@ _PREPARED: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
 
 @dataclass(frozen=True, eq=False)
-class LitPixels:
+class PixelTruth:
     """The pixels of a frame that may be lit, and the truth at their centres.
 
     Attributes
@@ -69,14 +69,14 @@ class Frame:
     ----------
     radiance : ndarray of shape (H, W)
         W/(mm^2 sr), averaged over each pixel.
-    truth : LitPixels
+    truth : PixelTruth
         The truth where there is one; `point_mm` and its kin are images of it.
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
 
     radiance: Image
-    truth: LitPixels
+    truth: PixelTruth
     report: RenderReport
 
     @cached_property
@@ -200,7 +200,7 @@ def render_uncached(scene: Scene, spp: int | None = None) -> Image:
         return image
 
 
-def lit_pixels(scene: Scene) -> LitPixels:
+def lit_pixels(scene: Scene) -> PixelTruth:
     """The pixels that the sources light, with the truth at their centres, and no frame."""
     check_scene_given("lit_pixels", scene)
     with ONE_FRAME:
@@ -243,7 +243,7 @@ def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
     return prepared
 
 
-def _truth(prepared: Prepared) -> LitPixels:
+def _truth(prepared: Prepared) -> PixelTruth:
     lit, sources = prepared.lit, prepared.arrangement.sources
     index, sight, count = lit.index, lit.sight, lit.index.size
     coordinates = {name: np.full((count, 2), np.nan, np.float32) for name in sources}
@@ -261,7 +261,7 @@ def _truth(prepared: Prepared) -> LitPixels:
         point[reached] = points[reached]
         if camera := prepared.arrangement.camera:
             depth[reached] = camera.pose.to_local(points)[reached, 2]
-    return LitPixels(index, point, depth, coordinates, statuses, lit.report)
+    return PixelTruth(index, point, depth, coordinates, statuses, lit.report)
 
 
 def _checked(

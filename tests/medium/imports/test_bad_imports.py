@@ -6,6 +6,7 @@ import numpy as np
 import plume_files as plume
 import pytest
 from command_line import command
+from import_checks import refused
 from plume_files import K, X, Y, Z, lattice, temperature, warped
 
 from virtual_sensor.errors import InputError
@@ -24,14 +25,6 @@ def pv():
 def npz(folder, x=X, y=Y, z=Z, **arrays):
     np.savez(folder / "a.npz", x=x, y=y, z=z, **(arrays or {"T": VALUES}))
     return folder / "a.npz"
-
-
-def refused(path, match, **choices):
-    """Import in vain; the message is one line that begins with the file's name."""
-    with pytest.raises(InputError, match=match) as caught:
-        import_field(path, Choices(**choices))
-    assert f"{caught.value}".startswith(f"{path}: ")
-    assert "\n" not in f"{caught.value}"
 
 
 @pytest.mark.parametrize(
