@@ -98,3 +98,7 @@ def knew_zipapp_and_fails():
 def report_and_answer(size, *, report):
     report(os.getpid())
     return b"x" * size
+
+
+def import_what_takes_a_gigabyte():
+    return len(importlib.import_module("takes_a_gigabyte").SPACE)

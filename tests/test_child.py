@@ -81,6 +81,16 @@ def test_what_a_child_imported_the_next_one_has():
         assert run("knew_zipapp")
 
 
+def test_what_was_imported_before_is_no_memory_of_the_next_one():
+    """Rationale: with VTK loaded, a child that may have 0.5 GB could not even say what is wrong."""
+    for _ in range(2):
+        assert run("import_what_takes_a_gigabyte") == 10**9
+    assert run("large", 50_000_000, memory_bytes=500_000_000) == b"x" * 50_000_000
+    with pytest.raises(InputError, match=r"asks for more memory than the 0\.5 GB"):
+        run("claim_memory", memory_bytes=500_000_000)
+    child._end_all()
+
+
 def test_its_progress_is_reported():
     """Rationale: an import of minutes has a bar."""
     told = []

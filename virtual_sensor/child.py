@@ -61,7 +61,8 @@ def run_in_child(
     subject : str
         What is read, such as a file's path: messages about the child's end begin with it.
     memory_bytes : int, optional
-        Address space of the child; as much as the machine has memory by default, and at most.
+        That the child may take beyond what is loaded already; as much as the machine has by
+        default, and at most.
     seconds : float, optional
         The child is ended after this time. No limit by default: a large file takes its time.
     report : callable, optional
@@ -115,6 +116,11 @@ def run_in_child(
 def physical_memory() -> int:
     """Bytes of memory that this machine has."""
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+
+
+def address_space() -> int:
+    """Bytes of address space that this process has, libraries included."""
+    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
 class _ForkServer:
@@ -277,7 +283,8 @@ def _answer(server: int, target: str, content: bytes, answering: mmap.mmap) -> N
         arguments, memory, reports, folder, sys.path = pickle.loads(content)
         os.chdir(folder)
         _, most = resource.getrlimit(resource.RLIMIT_AS)
-        limit = memory if most == resource.RLIM_INFINITY else min(memory, most)
+        limit = address_space() + memory
+        limit = limit if most == resource.RLIM_INFINITY else min(limit, most)
         resource.setrlimit(resource.RLIMIT_AS, (limit, most))
         module, _, name = target.partition(":")
         function = getattr(importlib.import_module(module), name)
