@@ -5,12 +5,15 @@ worker computes with its share of the cores. A run of single files is done by th
 """
 
 import contextlib
+import gc
 import os
 import signal
 from collections import Counter
 from pathlib import Path
 
 import pytest
+
+from virtual_sensor.cli import GARBAGE_AT
 
 # Started in the background of a shell, Ctrl-C is ignored, and by the commands that tests start too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -31,6 +34,12 @@ def pytest_collection_modifyitems(items):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         tests = Counter(item.path for item in items)
         items.sort(key=lambda item: (-slow[item.path], -tests[item.path], item.path))
+
+
+def pytest_collection_finish():
+    """Collect garbage as seldom as the commands do, and of no module that stays."""
+    gc.freeze()
+    gc.set_threshold(GARBAGE_AT)
 
 
 def pytest_xdist_auto_num_workers(config):
