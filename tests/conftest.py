@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from virtual_sensor.cli import GARBAGE_AT
+from virtual_sensor.cli import GC_THRESHOLD
 
 # Started in the background of a shell, Ctrl-C is ignored, and by the commands that tests start too.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -39,7 +39,7 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """Collect garbage as seldom as the commands do, and of no module that stays."""
     gc.freeze()
-    gc.set_threshold(GARBAGE_AT)
+    gc.set_threshold(GC_THRESHOLD)
 
 
 def pytest_xdist_auto_num_workers(config):

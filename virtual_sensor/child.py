@@ -118,7 +118,7 @@ def physical_memory() -> int:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
 
 
-def address_space() -> int:
+def _address_space() -> int:
     """Bytes of address space that this process has, libraries included."""
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
@@ -283,7 +283,7 @@ def _answer(server: int, target: str, content: bytes, answering: mmap.mmap) -> N
         arguments, memory, reports, folder, sys.path = pickle.loads(content)
         os.chdir(folder)
         _, most = resource.getrlimit(resource.RLIMIT_AS)
-        limit = address_space() + memory
+        limit = _address_space() + memory
         limit = limit if most == resource.RLIM_INFINITY else min(limit, most)
         resource.setrlimit(resource.RLIMIT_AS, (limit, most))
         module, _, name = target.partition(":")

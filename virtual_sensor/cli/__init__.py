@@ -13,13 +13,13 @@ from virtual_sensor import interrupts
 
 __all__ = ["app", "main"]
 
-GARBAGE_AT = 50_000  # objects more than at the last collection; Python's 700 cost 8 % of `measure`
+GC_THRESHOLD = 50_000  # objects since the last collection; Python's 700 cost 8 % of `measure`
 
 
 def main() -> None:
     """Run the command that `sys.argv` gives, and exit with its status."""
     ours = interrupts.install()
-    gc.set_threshold(GARBAGE_AT)  # libraries make many objects while they load, which all stay
+    gc.set_threshold(GC_THRESHOLD)  # libraries make many objects while they load, which all stay
     for number in range(3):  # a stream that is closed would be the next file that is opened
         try:
             os.fstat(number)

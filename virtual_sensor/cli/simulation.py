@@ -16,7 +16,7 @@ GOES_ON = "the simulated flow stays, and the same command goes on"
 
 @dataclass(frozen=True)
 class RunOptions:
-    """When a simulation ends, and what is kept of it.
+    """When a simulation ends, and what is saved of it.
 
     Attributes
     ----------

@@ -27,8 +27,9 @@ Mask = NDArray[np.bool_]
 MANY = 2000
 """So many laser rays lie close enough for the short cut."""
 
-_LADDER = ((2.0, 2001), (0.5, 301))  # long steps, mm: 2e-3 and 1e-5 px off on the shipped field;
-# and at how many nodes it is seen by how much they err
+# Levels of the march, coarse to fine: step in mm (2e-3 and 1e-5 px off on the shipped field), and
+# the number of nodes at which its error is determined.
+_LEVELS = ((2.0, 2001), (0.5, 301))
 _GAIN = 4.0  # at least so much less do cubics err when their nodes are doubled
 _ALLOWED_PX = 1e-6  # estimate of what is interpolated wrongly
 _NEAR_MM = 0.01  # a point farther from where it is expected lies behind an edge, or is hidden
@@ -102,14 +103,14 @@ def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) 
 
 
 def newton_along_line(
-    scene: SearchScene, b: Array, ladder: tuple[tuple[float, int], ...] = _LADDER
+    scene: SearchScene, b: Array, levels: tuple[tuple[float, int], ...] = _LEVELS
 ) -> Roots:
     """Search by Newton's method with `REFERENCE`, with fine marches at some places b only.
 
     Every ray is marched with long steps, to the surface and back, from where its neighbours predict
     that its pixel is: what is seen is off by some 1e-5 px, and one of Newton's steps, without a
     march, puts the pixel right.  By how much long steps err is interpolated between nodes, which
-    are searched likewise with shorter ones (`ladder`).  Rays where that is not good to 1e-6 px by
+    are searched likewise on the finer `levels`.  Rays where that is not good to 1e-6 px by
     an estimate, or that see something else than their point, are searched with `newton`; and so
     are all where hits are rounded to float32.
     """
@@ -117,7 +118,7 @@ def newton_along_line(
     few = len(b) < MANY or not np.isfinite(b).all() or np.ptp(b) == 0.0
     if scene.medium is None or rounded or few:
         return newton(scene, b, REFERENCE)
-    (step_mm, nodes), *finer = ladder
+    (step_mm, nodes), *finer = levels
     camera, long = scene.camera, _steps_of(step_mm)
     at = np.linspace(b.min(), b.max(), nodes)
     table, settled = _long_steps(scene, at, long, tuple(finer))
@@ -185,7 +186,7 @@ def _steps_of(step_mm: float) -> March:
 
 def _rough(march: March) -> March:
     """The march with long steps."""
-    return replace(march, step_mm=max(march.step_mm, _LADDER[0][0]))
+    return replace(march, step_mm=max(march.step_mm, _LEVELS[0][0]))
 
 
 def _roots(scene: SearchScene, target: Array, march: March) -> tuple[Array, Array, int]:

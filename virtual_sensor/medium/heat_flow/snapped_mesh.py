@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.heat_flow.mesh import TOP_MM, Division, dictionary, listed
-from virtual_sensor.medium.imports.meshes import pyvista, told_by_vtk
+from virtual_sensor.medium.imports.meshes import pyvista, raise_vtk_errors
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ def read_part(path: Path) -> Part:
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
-    with naming(path), told_by_vtk():
+    with naming(path), raise_vtk_errors():
         surface = pyvista().STLReader(f"{path}").read()
     if not surface.n_cells:
         raise InputError(f"{path}: holds no triangles; is it an STL file?")

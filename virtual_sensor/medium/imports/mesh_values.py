@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from virtual_sensor.medium.imports.meshes import moved, pyvista, told_by_vtk
+from virtual_sensor.medium.imports.meshes import moved, pyvista, raise_vtk_errors
 from virtual_sensor.medium.imports.sources import Mesh
 from virtual_sensor.medium.imports.vtk_arrays import cell_corners, data_of, with_only
 
@@ -105,7 +105,7 @@ def sample(
         if not len(part):
             continue
         target = pv.RectilinearGrid(*(part if a == longest else inner[a] for a in range(3)))
-        with told_by_vtk():
+        with raise_vtk_errors():
             found = target.sample(cells)
         x = target.points
         value = found["f"] + 0.5 * ((found["g"] * x).sum(axis=1) - found["gp"])
@@ -253,7 +253,7 @@ def _mean_slopes(cells: Any, values: np.ndarray) -> tuple[np.ndarray, np.ndarray
     of_each.SetInputData(bare)
     of_each.SetVectorModeToComputeGradient()
     of_each.SetTensorModeToPassTensors()
-    with told_by_vtk(fatal=None):
+    with raise_vtk_errors(fatal=None):
         of_each.Update()
         slopes = pyvista().wrap(of_each.GetOutput()).cell_data["ScalarGradient"]
     slopes = np.nan_to_num(np.asarray(slopes, dtype=np.float64), posinf=0.0, neginf=0.0)

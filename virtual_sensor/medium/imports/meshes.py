@@ -121,7 +121,7 @@ def read_vtk(path: Path) -> Source:
         parallel = "P" if suffix in PARALLEL else ""
         reader = getattr(vtkIOXML, f"vtkXML{parallel}{DATA_SETS[suffix[-1]]}Reader")()
     reader.SetFileName(f"{path}")
-    with told_by_vtk():
+    with raise_vtk_errors():
         reader.Update()
         data = pv.wrap(reader.GetOutput())
     return _source(data, "", _version(pv))
@@ -183,7 +183,7 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
     if not control.is_file():
         raise InputError("is no OpenFOAM case: there is no system/controlDict in that folder")
     readers = {}
-    with told_by_vtk(DAMAGED_CASE):
+    with raise_vtk_errors(DAMAGED_CASE):
         for kind in ("reconstructed", "decomposed"):
             if kind == "decomposed" and not (case / "processor0").is_dir():
                 continue
@@ -205,7 +205,7 @@ def read_openfoam(path: Path, time_s: float | None, region: str | None = None) -
         raise InputError(COLLATED if collated else "has no time folders; run the case first")
     wanted = pick_time(everything, time_s)
     kind = next(kind for kind, each in times.items() if wanted in each)
-    with told_by_vtk(DAMAGED_CASE):
+    with raise_vtk_errors(DAMAGED_CASE):
         readers[kind].set_active_time_value(wanted)
         blocks = readers[kind].read()
     regions = [name for name in blocks.keys() if _mesh_of(blocks[name]) is not None]  # noqa: SIM118
@@ -259,7 +259,7 @@ def moved(cells: Any, points: np.ndarray) -> Any:
 
 
 @contextmanager
-def told_by_vtk(fatal: str | None = "[Ee]rror|ERROR") -> Iterator[None]:
+def raise_vtk_errors(fatal: str | None = "[Ee]rror|ERROR") -> Iterator[None]:
     """Raise what VTK complains of, in place of its prints, if these words are in it."""
     from vtkmodules.vtkCommonCore import vtkLogger
 
