@@ -1,4 +1,4 @@
-"""Write the data dictionary beside this file: ``python docs/make_data_dictionary.py``."""
+"""Write ``reference/data_dictionary.md``: ``python docs/make_data_dictionary.py``."""
 
 import pkgutil
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from virtual_sensor.records import Described, documented
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.tables import TextTable
 
-PAGE = Path(__file__).with_name("data_dictionary.md")
+PAGE = Path(__file__).parent / "reference/data_dictionary.md"
 
 
 def files() -> dict[str, tuple[FileOf, ...]]:

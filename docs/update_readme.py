@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 
 HERE = Path(__file__).parent
+PICTURES = HERE / "pictures"
 README = HERE.parent / "README.md"
 END = "<!-- end of table -->"
 
@@ -24,26 +25,36 @@ def main(
     """Replace what stands between the marks, and the pictures."""
     if measured:
         replace("<!-- table: measure -->\n", measured / "table.md")
-        shutil.copy(measured / "report.png", HERE / "hot_cylinder.png")
+        shutil.copy(measured / "report.png", PICTURES / "hot_cylinder.png")
     if converged:
         replace(
-            "<!-- table: field convergence -->\n", converged / "convergence.md", HERE / "fields.md"
+            "<!-- table: field convergence -->\n",
+            converged / "convergence.md",
+            HERE / "how_to/own_air.md",
         )
-        shutil.copy(converged / "convergence.png", HERE / "convergence.png")
+        shutil.copy(converged / "convergence.png", PICTURES / "convergence.png")
     if reproduced:
         report = reproduced / "report"
-        replace("<!-- table: statements -->\n", report / "statements.md", HERE / "reproduction.md")
-        shutil.copy(report / "figure_7.png", HERE / "figure_7.png")
+        replace(
+            "<!-- table: statements -->\n",
+            report / "statements.md",
+            HERE / "explanation/reproduction.md",
+        )
+        shutil.copy(report / "figure_7.png", PICTURES / "figure_7.png")
     if charted:
-        replace("<!-- table: chart -->\n", charted / "front.md", HERE / "speed_accuracy.md")
-        shutil.copy(charted / "chart.png", HERE / "speed_accuracy.png")
+        replace(
+            "<!-- table: chart -->\n", charted / "front.md", HERE / "explanation/speed_accuracy.md"
+        )
+        shutil.copy(charted / "chart.png", PICTURES / "speed_accuracy.png")
         for panel in ("rays", "frames", "search", "lines"):  # that can be read on a phone
-            shutil.copy(charted / f"{panel}.png", HERE / f"speed_accuracy_{panel}.png")
+            shutil.copy(charted / f"{panel}.png", PICTURES / f"speed_accuracy_{panel}.png")
     if peers:
-        replace("<!-- table: peers -->\n", peers / "peers.md", HERE / "speed_accuracy.md")
+        replace(
+            "<!-- table: peers -->\n", peers / "peers.md", HERE / "explanation/speed_accuracy.md"
+        )
     if tried:
-        replace("<!-- table: trial -->\n", tried / "table.md", HERE / "detectors.md")
-        shutil.copy(tried / "signal.png", HERE / "trial_signal.png")
+        replace("<!-- table: trial -->\n", tried / "table.md", HERE / "explanation/detectors.md")
+        shutil.copy(tried / "signal.png", PICTURES / "trial_signal.png")
 
 
 def replace(begin: str, table: Path, page: Path = README) -> None:

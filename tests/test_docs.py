@@ -13,8 +13,11 @@ import virtual_sensor as vs
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.metrology.centres import Status
 
-SCENES = Path(__file__).parents[1] / "docs" / "scenes.md"
-DETECTORS = Path(__file__).parents[1] / "docs" / "detectors.md"
+DOCS = Path(__file__).parents[1] / "docs"
+SCENE_FILES = DOCS / "reference" / "scene_files.md"
+SEVERAL = DOCS / "how_to" / "several_cameras.md"
+SOURCE = DOCS / "how_to" / "own_source.md"
+DETECTORS = DOCS / "explanation" / "detectors.md"
 
 
 def test_the_python_of_the_page_on_detectors_runs_from_its_top_to_its_end():
@@ -34,9 +37,9 @@ def test_the_python_of_the_page_on_detectors_runs_from_its_top_to_its_end():
     assert np.all(line.sigma[np.isfinite(line.sigma)] > 0.05)
 
 
-def test_the_shape_of_the_page_on_scenes_loads(tmp_path):
+def test_the_shape_of_the_page_on_scene_files_loads(tmp_path):
     """A bracket of 2 x 1 x 0.5 inches, by trimesh."""
-    shape = re.search(r"```xml\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)[1]
+    shape = re.search(r"```xml\n(.*?)```", SCENE_FILES.read_text(encoding="utf-8"), re.DOTALL)[1]
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "bracket.stl")
     cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     path = tmp_path / "scene.xml"
@@ -45,14 +48,13 @@ def test_the_shape_of_the_page_on_scenes_loads(tmp_path):
     np.testing.assert_allclose(part.bbox().max, [25.4, 12.7, 6.35 - 3.0], atol=1e-5)
 
 
-def scenes_block(word):
-    """The Python of the page on scenes in which a word stands."""
-    blocks = re.findall(r"```python\n(.*?)```", SCENES.read_text(encoding="utf-8"), re.DOTALL)
-    (block,) = (block for block in blocks if word in block)
-    return block
+def block(page):
+    """The only Python of a page."""
+    (found,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    return found
 
 
-def test_the_two_cameras_and_lasers_of_the_page_on_scenes_are_told_apart(tmp_path, monkeypatch):
+def test_the_two_cameras_and_lasers_of_their_page_are_told_apart(tmp_path, monkeypatch):
     """What is shown runs: the points of the pair lie on the part, to what is straight about it."""
     cameras, lasers = [("near", 0, 1), ("far", 20, 1)], [("red", 0, 0), ("blue", 15, 4)]
     text = text_of("cold_cylinder", cameras, lasers)
@@ -62,7 +64,7 @@ def test_the_two_cameras_and_lasers_of_the_page_on_scenes_are_told_apart(tmp_pat
     (tmp_path / "two_by_two.xml").write_text(text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     told: dict[str, Any] = {"vs": vs, "y_mm": [0.0, -4.0]}
-    exec(scenes_block("two_by_two"), told)
+    exec(block(SEVERAL), told)
     assert told["image"].max() > 0.0
     assert np.isfinite(told["found"].pixel).all()
     points = told["points"][np.isfinite(told["points"][:, 0])]
@@ -70,9 +72,9 @@ def test_the_two_cameras_and_lasers_of_the_page_on_scenes_are_told_apart(tmp_pat
     np.testing.assert_allclose(np.hypot(points[:, 1], points[:, 2] + 13.5), 13.5, atol=0.02)
 
 
-def test_the_source_of_the_page_on_scenes_lights_a_part(tmp_path):
+def test_the_source_of_its_page_lights_a_part(tmp_path):
     """Its middle ray meets the part where the laser's does, and a ray beside it closer by."""
-    exec(scenes_block("focused_sheet"), {})
+    exec(block(SOURCE), {})
     cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     emitter = '<emitter type="focused_sheet"><float name="focus" value="380"/><transform'
     text = re.sub(r'<emitter type="laser_line".*?<transform', emitter, cold, flags=re.DOTALL)

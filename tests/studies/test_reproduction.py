@@ -619,10 +619,12 @@ def test_the_broadened_air_bears_the_paper_out(whole):
 @pytest.mark.slow
 def test_the_table_in_the_documentation_is_the_programs(whole):
     """Rationale: the same verdicts, and numbers to their last digit, as readers find them."""
-    page = (Path(__file__).parents[2] / "docs/reproduction.md").read_text(encoding="utf-8")
+    page = Path(__file__).parents[2] / "docs/explanation/reproduction.md"
     printed, made = (
         [line.split(" | ") for line in text.splitlines() if line.startswith("| 5.")]
-        for text in (page, (whole[0] / "report/statements.md").read_text(encoding="utf-8"))
+        for text in (
+            file.read_text(encoding="utf-8") for file in (page, whole[0] / "report/statements.md")
+        )
     )
     assert len(printed) == len(made) == len(STATEMENTS)
     number = re.compile(r"-?\d+\.?\d*(?:e-\d+)?")

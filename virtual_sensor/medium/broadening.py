@@ -37,7 +37,8 @@ def blurred(field: IndexField, sigma_mm: float) -> IndexField:
 
     Notes
     -----
-    Beermann et al. 2018 simulated on a mesh of several mm; `docs/fields.md`, "Broadened air".
+    Beermann et al. 2018 simulated on a mesh of several mm ("Broadened air" in
+    `docs/how_to/own_air.md`).
     """
     if sigma_mm == 0.0:
         return field

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 WIDEN = 2.75
 """A plume widened so much and then blurred also keeps the paper's *orders*, which no blur alone
-does; found by trying factors from 1 to 3.5 (docs/reproduction.md)."""
+does; found by trying factors from 1 to 3.5 (docs/explanation/reproduction.md)."""
 
 FAMILIES: dict[str, Callable[[float], Broadening]] = {
     BLURRED: lambda blur_mm: Broadening(blur_mm),
