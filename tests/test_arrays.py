@@ -48,8 +48,8 @@ EMPTY = {
     "Pinhole.project": lambda: HOT.sensor.camera.project(POINTS),
     "Pinhole.lines_of_sight": lambda: HOT.sensor.camera.lines_of_sight(PIXELS),
 }
-# What takes a name, a scene or an image: an image has pixels.
-OTHERS = {"load_scene", "render", "render_frame", "record", "line_centres"}
+# What takes a name, a scene, an image or its line: an image has pixels.
+OTHERS = {"compare_line", "load_scene", "render", "render_frame", "record", "line_centres"}
 
 
 def lengths(result):

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.centres import Status as Status
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
     from virtual_sensor.metrology.triangulation import triangulate as triangulate
+    from virtual_sensor.metrology.truth import compare_line as compare_line
     from virtual_sensor.optics.projection import project as project
     from virtual_sensor.optics.ray_search import ray_search as ray_search
     from virtual_sensor.optics.ray_status import RayStatus as RayStatus
@@ -45,6 +46,7 @@ _HOME = {
     "RayStatus": "optics.ray_status",
     "Status": "metrology.centres",
     "air_refractivity": "medium.air",
+    "compare_line": "metrology.truth",
     "line_centres": "metrology.line_peaks",
     "load_scene": "imaging.scene",
     "project": "optics.projection",

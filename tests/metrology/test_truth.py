@@ -1,10 +1,12 @@
 """The comparison of centres with the truth neither hides a difference nor makes one up."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
 from virtual_sensor.metrology.truth import TrueLine, TruthStatus, compare_dots, compare_line
@@ -432,3 +434,21 @@ def test_a_column_that_sees_one_whole_line_is_not_cut():
     assert (result.count, result.expected, result.cut) == (WIDTH, WIDTH, 0)
     result = compare_line(line(ROWS + 60.0), truth)
     assert (result.count, result.cut_centres, result.cut) == (0, WIDTH, 0)
+
+
+def test_a_frame_and_an_array_of_rows_serve_as_truth():
+    """Rationale: a user has a frame, or drew the line; neither should need to know TrueLine."""
+    light = (np.arange(float(HEIGHT))[:, None] - ROWS) * 0.02
+    frame = SimpleNamespace(
+        source_coordinates={"laser": light},
+        radius_mm={"laser": 0.1},
+        source_name=lambda name: name or "laser",
+        coordinates=lambda name: np.stack([light, 0.0 * light], axis=-1),
+    )
+    found = line(ROWS + 0.25)
+    for truth in (frame, ROWS):
+        result = compare_line(found, truth)
+        assert result.count > WIDTH - 10, type(truth)
+        np.testing.assert_allclose(result.error_px, 0.25, atol=1e-9)
+    with pytest.raises(InputError, match="give a frame"):
+        compare_line(found, 3.0)

@@ -71,12 +71,15 @@ class Frame:
         W/(mm^2 sr), averaged over each pixel.
     truth : PixelTruth
         The truth where there is one; `point_mm` and its kin are images of it.
+    radius_mm : dict
+        By source, the 1/e^2 radius of its line.
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
 
     radiance: Image
     truth: PixelTruth
+    radius_mm: Mapping[str, float]
     report: RenderReport
 
     @cached_property
@@ -102,14 +105,18 @@ class Frame:
         InputError
             If there is no such source, or there are several.
         """
-        held = self.source_coordinates
+        return self.source_coordinates[self.source_name(source)]
+
+    def source_name(self, source: str | None = None) -> str:
+        """The name of a source, or of the only one; an InputError where that is none."""
+        held = self.radius_mm
         name = next(iter(held)) if source is None and len(held) == 1 else source
-        if name not in held:
+        if name is None or name not in held:
             raise InputError(
                 f"the frame has the sources {', '.join(held) or '(none)'}, and not '{source}'; say"
                 " which (source=)"
             )
-        return held[name]
+        return name
 
     @cached_property
     def lit(self) -> NDArray[np.bool_]:
@@ -178,7 +185,8 @@ def render_frame(
     with ONE_FRAME:
         prepared = _prepared(scene)
         exposure, report = prepared.exposed(samples, seed, progress)
-        return Frame(exposure.image(), _truth(prepared), report)
+        radius_mm = {name: light.radius_mm for name, light in scene.sources.items()}
+        return Frame(exposure.image(), _truth(prepared), radius_mm, report)
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:

@@ -8,12 +8,15 @@ says how many it left out, and why.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt
 
+from virtual_sensor.arrays import numbers_of
+from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
 
@@ -149,6 +152,18 @@ class TrueLine:
         status[np.isfinite(row)] = TruthStatus.KNOWN
         return cls(row, _to_ends(row, _SAME_LINE_PX), status).seen_in(across_mm, radius_mm)
 
+    @classmethod
+    def of_frame(cls, frame: Any, source: str | None = None) -> "TrueLine":
+        """A source's line in a rendered `Frame`; the name can be left out where it is the only one.
+
+        Raises
+        ------
+        InputError
+            If there is no such source, or there are several.
+        """
+        name = frame.source_name(source)
+        return cls.of_coordinates(frame.coordinates(name)[:, :, 0], frame.radius_mm[name])
+
     def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> "TrueLine":
         """The same line, CUT where a frame shows that an edge hides a part of its profile."""
         known = np.isfinite(self.row)
@@ -269,7 +284,12 @@ class LineErrors:
 
 
 def compare_line(
-    line: LineCentres, truth: TrueLine, *, end_px: float = 0.0, cut: bool = False
+    line: LineCentres,
+    truth: Any,
+    *,
+    source: str | None = None,
+    end_px: float = 0.0,
+    cut: bool = False,
 ) -> LineErrors:
     """Compare the centres that are OK with the truth.
 
@@ -280,12 +300,21 @@ def compare_line(
     ----------
     line : LineCentres
         Of an image whose columns are searched, or of lines of any direction.
-    truth : TrueLine
+    truth : TrueLine, Frame or array_like of shape (W,)
+        A rendered frame knows its line; an array has its row in each column, NaN where none is.
+    source : str, optional
+        Of a frame: the source whose line it is, where the frame has several.
     end_px : float
         Centres nearer to an end of the line are left out.
     cut : bool
         Whether columns are compared in which an edge hides a part of the profile.
+
+    Raises
+    ------
+    InputError
+        If the frame has no such source, or the truth is of another image.
     """
+    truth = _true_line(truth, source)
     width = truth.row.shape[1]
     status = truth.status
     if cut:
@@ -317,6 +346,21 @@ def compare_line(
         int(is_cut.sum()),
         {s: int(n) for s in TruthStatus if s != TruthStatus.KNOWN and (n := np.sum(why == s))},
     )
+
+
+def _true_line(truth: Any, source: str | None) -> TrueLine:
+    """The truth, however it is given."""
+    if isinstance(truth, TrueLine):
+        return truth
+    if hasattr(truth, "source_coordinates"):
+        return TrueLine.of_frame(truth, source)
+    rows = numbers_of("compare_line: truth", truth)
+    if rows.ndim not in (1, 2):
+        raise InputError(
+            f"compare_line: truth has shape {rows.shape}; give a frame (render_frame), or the"
+            " line's row in each column"
+        )
+    return TrueLine.of_rows(rows)
 
 
 def _nearest(rows: Array, u: Array, v: Array, column: Index) -> tuple[Array, Index]:

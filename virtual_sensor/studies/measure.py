@@ -273,7 +273,7 @@ def _measure_state(
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     line = line_centres(frame.radiance)
     laser, across_mm = scene.sensor.laser, frame.coordinates()[:, :, 0]
-    by_frame = compare_line(line, TrueLine.of_coordinates(across_mm, laser.radius_mm), cut=True)
+    by_frame = compare_line(line, frame, cut=True)
     compared: LineErrors | DotErrors
     if laser.dots_mm.size:
         compared = compare_dots(dot_centres(frame.radiance), dense.pixel)

@@ -206,7 +206,7 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
     for number, (kind, state) in enumerate(states):
         report(f"rendering the {kind}", 0.5 * number * _FRAMES_SHARE)
         frame = render_frame(state)
-        truth = TrueLine.of_coordinates(frame.coordinates()[:, :, 0], state.sensor.laser.radius_mm)
+        truth = TrueLine.of_frame(frame)
         width = float(np.nanmedian(line_centres(frame.radiance).width))
         for peak in FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E:
             condition = Condition.of_peak(kind, round(width, 2), peak, DARK_NOISES_E[0])
