@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.display import Displayed
 from virtual_sensor.files import written_whole
 
 UNITS = {
@@ -49,7 +49,7 @@ def unit_of(name: str) -> str:
     return UNITS[max(found, key=len)] if found else ""
 
 
-class Record:
+class Record(Displayed):
     """Mixin of a frozen dataclass whose fields are a JSON object's."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -95,22 +95,12 @@ class Table(Record):
         for values in zip(*columns.values(), strict=True):
             yield dict(zip(columns, values, strict=True))
 
+    def _line(self) -> str:
+        columns = self.columns()
+        return f"{len(self)} rows of {', '.join(columns)}"
+
     def __len__(self) -> int:
         return next((len(column) for column in self.columns().values()), 0)
-
-    def to_dataframe(self) -> Any:
-        """The table as a `pandas.DataFrame`.
-
-        Raises
-        ------
-        InputError
-            If pandas is not installed.
-        """
-        try:
-            import pandas
-        except ImportError:
-            raise InputError("to_dataframe: pandas is missing; pip install pandas") from None
-        return pandas.DataFrame(self.columns())
 
 
 def _with_key(name: str, key: str) -> str:

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from virtual_sensor.display import Displayed, listed, span, tally
 
 Array = NDArray[np.float64]
 
@@ -32,7 +34,7 @@ class Status(IntEnum):
 
 
 @dataclass(frozen=True)
-class LineCentres:
+class LineCentres(Displayed):
     """Centres of a laser line; NaN where `status` is not OK.
 
     The arrays have one shape: (W,) where each of W columns is searched for its highest peak, or
@@ -59,6 +61,10 @@ class LineCentres:
         `Status` of each.
     """
 
+    _units: ClassVar = dict.fromkeys(("column", "row", "sigma", "width"), "px")
+    _statuses: ClassVar = {"status": Status}
+    _by_row: ClassVar = True
+
     column: NDArray[Any]
     row: NDArray[Any]
     sigma: Array
@@ -74,6 +80,11 @@ class LineCentres:
         blank, along = np.full(row.size, np.nan), np.full(row.size, 90.0)
         status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
         return cls(np.arange(row.size), row, blank, blank, blank, blank, along, status)
+
+    def _line(self) -> str:
+        along = self.normal_deg.size and np.all(self.normal_deg == 0.0)
+        where = span("columns", self.column) if along else span("rows", self.row)
+        return listed(tally(self.status, Status.OK), where)
 
     @property
     def pixel(self) -> Array:

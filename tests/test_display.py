@@ -1,0 +1,85 @@
+"""Objects speak: a line, a table with a picture, files, data frames."""
+
+import json
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib import pyplot
+from matplotlib.figure import Figure
+
+from virtual_sensor.display import LONGEST_LINE, Displayed
+from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.centres import LineCentres
+
+ROW = np.array([1021.0, np.nan, 1279.0, 1100.0])
+
+
+@pytest.fixture
+def line():
+    return LineCentres.of_rows(ROW)
+
+
+def test_a_line_says_how_many_centres_it_has(line):
+    assert repr(line) == "LineCentres: 3 of 4 ok, rows 1021 to 1279"
+    assert repr(LineCentres.of_rows(np.zeros(0))) == "LineCentres: 0 of 0 ok"
+    assert repr(LineCentres.of_rows(np.full(3, np.nan))) == "LineCentres: 0 of 3 ok"
+
+
+def test_a_repr_is_one_short_line_whatever_is_in_the_object():
+    class Chatty(Displayed):
+        def _line(self):
+            return "much\nof \x1b it " * 100
+
+    class Broken(Displayed):
+        def _line(self):
+            raise KeyError("half made")
+
+    assert LONGEST_LINE - 5 < len(repr(Chatty())) <= LONGEST_LINE
+    assert repr(Chatty()).isprintable()
+    assert repr(Broken()) == "Broken"
+
+
+def test_a_notebook_shows_line_table_and_picture_and_is_told_no_error(line, monkeypatch):
+    html = line._repr_html_()
+    assert "3 of 4 ok" in html
+    assert "3 ok" in html
+    assert "1 no_peak" in html
+    assert "data:image/png;base64," in html
+    broken = LineCentres.of_rows(ROW)
+    object.__setattr__(broken, "status", "no array")
+    assert "LineCentres" in broken._repr_html_()
+
+
+def test_a_plot_leaves_the_users_matplotlib_as_it_was(line):
+    matplotlib.get_backend()  # it is chosen when first asked for
+    before = matplotlib.rcParams.copy()
+    axes = Figure().add_subplot()
+    assert line.plot(axes) is axes
+    assert axes.lines
+    own = line.plot()
+    pyplot.close(own.figure)
+    line._repr_html_()
+    assert matplotlib.rcParams == before
+    with pytest.raises(InputError, match="give an Axes"):
+        line.plot("here")
+
+
+def test_it_is_saved_as_its_suffix_says_or_not_at_all(line, tmp_path):
+    for name in ("a.csv", "a b.json", "ü.npz", "a.PNG", "a.svg", "a.pdf"):
+        assert line.save(tmp_path / name).stat().st_size > 100
+    read = json.loads((tmp_path / "a b.json").read_text())
+    assert read["row"] == [1021.0, None, 1279.0, 1100.0]
+    assert read["status"] == ["ok", "no_peak", "ok", "ok"]
+    np.testing.assert_array_equal(np.load(tmp_path / "ü.npz")["row"], ROW)
+    with pytest.raises(InputError, match=r"a\.xlsx: .*\.csv, \.json, \.npz, \.pdf, \.png or \.svg"):
+        line.save(str(tmp_path / "a.xlsx"))
+    with pytest.raises(InputError, match=r"a\.csv"):
+        line.save(tmp_path / "a.csv" / "b.csv")
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_data_frame_has_a_row_for_each_centre(line):
+    frame = line.to_dataframe()
+    assert frame["status"].tolist() == ["ok", "no_peak", "ok", "ok"]
+    assert frame["row"].iloc[2] == 1279.0

@@ -1,0 +1,155 @@
+"""Objects that say what they are: in one line, as a table with a picture, as a file, as data frame.
+
+What is drawn and written stands in `reporting.objects` and `reporting.object_files`; they are
+loaded when they are first asked for, and matplotlib or pandas with them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Mapping
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from virtual_sensor.errors import printable
+
+LONGEST_LINE = 200
+"""No object's repr has more characters."""
+
+
+class Displayed:
+    """Mixin of a dataclass that a user meets; each may write a `_line` of its own.
+
+    >>> line
+    LineCentres: 972 of 2048 ok, rows 1021 to 1279
+    >>> line.plot().set_title("my line")
+    >>> line.save("line.csv")
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {}
+    """Of fields whose names don't end in their unit."""
+    _statuses: ClassVar[Mapping[str, type[IntEnum]]] = {}
+    """What the numbers of these fields stand for."""
+    _by_row: ClassVar[bool] = False
+    """Whether the arrays have a row for each of many things, so that they are a table's columns."""
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        if "__repr__" not in vars(cls):  # a dataclass would write its own over an inherited one
+            cls.__repr__ = Displayed.__repr__  # type: ignore[method-assign]
+
+    def _line(self) -> str:
+        """What a person wants to know of it, in a line behind its class's name."""
+        return ", ".join(
+            f"{each.name} {brief(getattr(self, each.name))}"
+            for each in dataclasses.fields(self)  # type: ignore[arg-type]
+            if each.repr
+        )
+
+    def __repr__(self) -> str:
+        name = type(self).__name__
+        try:
+            words = " ".join(printable(self._line()).split())
+        except Exception:  # a debugger asks half-made objects too
+            return name
+        line = f"{name}: {words}" if words else name
+        return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 3].rstrip()}..."
+
+    def _repr_html_(self) -> str:
+        html: str = _reporting("objects").html_of(self)
+        return html
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw it and give the axes: matplotlib's `Axes` that are given, or those of a new figure.
+
+        Raises
+        ------
+        InputError
+            If there is nothing to see in it.
+        """
+        return _reporting("objects").plot(self, ax)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it to a file whose suffix says what it is, whole or not at all; give the path.
+
+        All have .json and .npz (the fields) and .csv (the columns of `to_dataframe`); what can be
+        drawn has .png, .svg and .pdf; points have .ply, fields .nc, frames .exr and .tif.
+
+        Raises
+        ------
+        InputError
+            If it has no such format, with those that it has; or it can't be written.
+        """
+        written: Path = _reporting("object_files").save(self, path)
+        return written
+
+    def to_dataframe(self) -> Any:
+        """It as a `pandas.DataFrame`: a row for each centre, ray, point, ...; or one of all.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed.
+        """
+        return _reporting("object_files").data_frame(self)
+
+
+def _reporting(module: str) -> Any:
+    """A module that lies above: it is only known to whoever asks an object for its picture."""
+    return importlib.import_module(f"virtual_sensor.reporting.{module}")
+
+
+def brief(value: Any) -> str:
+    """A value in a few characters: an array by its shape, a mapping by its keys."""
+    if isinstance(value, np.ndarray) and value.ndim:
+        return f"({', '.join(map(str, value.shape))}{',' if value.ndim == 1 else ''})"
+    if isinstance(value, IntEnum):
+        return value.name.lower()
+    if isinstance(value, float | np.floating):
+        return f"{value:.6g}"
+    if isinstance(value, Path):
+        return value.name
+    if isinstance(value, Mapping):
+        return _few(value)
+    if isinstance(value, list | tuple):
+        return f"{len(value)} x {type(value[0]).__name__}" if len(value) > 4 else _bracketed(value)
+    if dataclasses.is_dataclass(value):
+        return type(value).__name__
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _bracketed(values: list[Any] | tuple[Any, ...]) -> str:
+    return f"({', '.join(map(brief, values))})"
+
+
+def _few(names: Mapping[Any, Any]) -> str:
+    shown = ", ".join(f"{name}" for name in list(names)[:4])
+    return f"{{{shown}{', ...' if len(names) > 4 else ''}}}"
+
+
+def tally(status: ArrayLike, good: IntEnum) -> str:
+    """How many of them are good: "972 of 2048 ok"."""
+    status = np.asarray(status)
+    return f"{np.sum(status == good)} of {status.size} {good.name.lower()}"
+
+
+def span(name: str, values: ArrayLike, unit: str = "") -> str:
+    """From the least to the largest finite one: "rows 1021 to 1279"; "" where none is finite."""
+    values = np.asarray(values, float)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return ""
+    low, high = (f"{number:.5g}" for number in (finite.min(), finite.max()))
+    words = f"{name} {low}" if low == high else f"{name} {low} to {high}"
+    return f"{words} {unit}".rstrip()
+
+
+def listed(*parts: str) -> str:
+    """Parts of a line, those that say something."""
+    return ", ".join(filter(None, parts))
