@@ -13,8 +13,8 @@ from virtual_sensor.medium.index_field import IndexField
 
 AMBIENT = 2.7e-4
 TOP_MM = 100.0
-CAMERA = '<lookat origin="0, 0, 300" target="0, 0, 0" up="-1, 0, 0"/>'
-LASER = '<lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>'
+CAMERA = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="-1, 0, 0"/>'
+LASER = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="0, 1, 0"/>'
 
 
 @pytest.fixture

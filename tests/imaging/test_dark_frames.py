@@ -44,7 +44,7 @@ def on_plate(*replaced):
 
 CASES = {
     "far clip": (
-        COLD.replace('value="1000"', 'value="200"'),
+        COLD.replace('value="100000"', 'value="200"'),
         "",
         '<sensor id="camera">: far_clip is 200 mm',
     ),

@@ -20,8 +20,8 @@ from virtual_sensor.imaging.scene_file import (
 )
 
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
-LASER_PLACE = '<lookat origin="0, 0, 300" target="0, 0, 0" up="0, 1, 0"/>'
-CAMERA_PLACE = '<lookat origin="0, 0, 300" target="0, 0, 0" up="-1, 0, 0"/>'
+LASER_PLACE = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="0, 1, 0"/>'
+CAMERA_PLACE = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="-1, 0, 0"/>'
 STEEL = re.search(r" *<bsdf.*?</bsdf>\n", COLD, re.DOTALL)[0]
 SHAPES = re.search(r" *<shape.*</shape>\n", COLD, re.DOTALL)[0]
 STEEL_HEAD = '<bsdf type="diffuse" id="steel">'
@@ -218,7 +218,7 @@ FAULTS = {
         '<sensor type="perspective">: to_world scales or shears',
     ),
     "laser far": (
-        changed(LASER_PLACE, LASER_PLACE.replace("300", "1e20")),
+        changed(LASER_PLACE, LASER_PLACE.replace("$distance", "1e20")),
         "mm from the origin; lengths are in mm",
     ),
     "no direction": (changed(LASER_PLACE, LASER_PLACE.replace("0, 1, 0", "0, 0, 1")), "lookat"),
@@ -310,7 +310,7 @@ def test_what_is_ignored_or_assumed_is_noted(tmp_path):
     medium = '<medium name="interior" type="homogeneous"/>'
     ball = f'<shape type="sphere"><float name="radius" value="1"/>{medium}</shape>'
     tiny = '<shape type="sphere"><float name="radius" value="0.015"/><ref id="steel"/></shape>\n'
-    metres = COLD.replace(SHAPES, tiny).replace("0, 0, 300", "0, 0, 0.3")
+    metres = COLD.replace(SHAPES, tiny).replace("0, 0, $distance", "0, 0, 0.3")
     mirror = f'<scale x="-1"/>{CAMERA_PLACE}'
     for text, words in (
         (added(ball), r'line \d+: <medium type="homogeneous">: ignored'),

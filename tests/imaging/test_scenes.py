@@ -146,7 +146,7 @@ def test_a_time_picks_an_instant_of_the_field(gusty):
     assert other.parameters == between.parameters | {"time": "2"}
     wider = other.with_parameters(width=100)
     np.testing.assert_array_equal(wider.field.refractivity(p), n_between)
-    assert wider.parameters == other.parameters | {"width": "100"}
+    assert wider.parameters == other.parameters | {"width": "100", "pixel": "112.64"}
 
 
 def test_another_instant_is_as_broad(gusty):
@@ -311,7 +311,7 @@ REFUSED = {
     "not a scene": ("<mesh/>", ["<mesh>", "<scene>"]),
     "property misspelt": (
         COLD.replace('name="power"', 'name="pwoer"'),
-        ["line 4", '<emitter type="laser_line">', '"pwoer"', "correct its name"],
+        ["line 5", '<emitter type="laser_line">', '"pwoer"', "correct its name"],
     ),
     "plugin misspelt": (
         COLD.replace('type="diffuse"', 'type="difuse"'),

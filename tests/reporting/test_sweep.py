@@ -106,8 +106,11 @@ def test_a_parameter_has_the_unit_that_the_scene_says():
     units = {
         "of the cylinder, degC: chooses the field": "°C",
         "flow time of the air, s; empty: the field's last": "s",
-        "film, px; the field of view stays 45.056 mm": "px",
-        "of the part at 532 nm: 0, no glow; oxidised steel: 0.8": "",
+        "film, px; alone it leaves the field of view": "px",
+        "um; where given, film_width is width times it": "µm",
+        "of the laser, nm": "nm",
+        "degrees; unless given, it follows from focal_length": "°",
+        "of the part at the wavelength: 0, no glow; oxidised steel: 0.8": "",
         "mm": "mm",
     }
     found = {words: unit_of(SweptParameter("x", words, ())) for words in units}

@@ -73,6 +73,10 @@ _COMPLAINTS = (
         r'<\2> lacks its attribute "\1"; add it',
     ),
     (
+        r"invalid lookat transformation",
+        "<lookat>: its origin is its target, or it looks along its up; change one (distance=0?)",
+    ),
+    (
         r'included file "([^"]*)" not found',
         r'<include>: there is no file "\1" where "filename" says; correct it',
     ),
@@ -164,7 +168,6 @@ def warnings_of(main: Path, heard: list[str]) -> list[str]:
 
 def load(
     files: list[SceneFile],
-    given: dict[str, str],
     values: dict[str, str],
     here: Path,
     poses: Mapping[str, NDArray[np.float64]],
@@ -175,8 +178,8 @@ def load(
     ----------
     files : list of SceneFile
         The scene's, and those that it includes.
-    given, values : dict
-        Parameters as given, and as used.
+    values : dict
+        Of all its parameters.
     here : Path
         Folder from which relative paths start, beside the scene's own.
     poses : Mapping
@@ -186,9 +189,10 @@ def load(
     config = mi.parser.ParserConfig(mi.variant())
     # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
     config.merge_equivalent = config.merge_meshes = False
+    config.unused_parameters = mi.LogLevel.Debug  # such as those that `fov` is worked out from
     with _among(main.parent, here), ExitStack() as temporary, _listening() as heard:
         try:
-            state = mi.parser.parse_string(config, files[0].text, **given)
+            state = mi.parser.parse_string(config, files[0].text, **values)
             _name(state)
             _place(state, poses)
             notes = [

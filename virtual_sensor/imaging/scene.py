@@ -46,6 +46,7 @@ from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable, sha256_of
+from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
     SceneFile,
@@ -515,7 +516,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
 def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Array]) -> _Stage:
     """Have Mitsuba load a scene."""
     files, values, folders = _read(path, given, here)
-    loaded = load(files, given, values, here, poses)
+    loaded = load(files, values, here, poses)
     if not isinstance(loaded.scene.integrator(), refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
@@ -573,6 +574,8 @@ def _read(
         raise InputError(f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}")
     if "temperature" in values:
         _check_temperature(path, values["temperature"])
+    with naming(path):
+        values = with_field_of_view(values, given)
     return files, values, list(folders)
 
 
