@@ -37,6 +37,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.optics.ray_families",
     "virtual_sensor.optics.sensor_geometry",
     "virtual_sensor.poses",
+    "virtual_sensor.statuses",
 )
 METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
 SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))

@@ -1,36 +1,74 @@
 """Line centres: what every detector gives, and why a centre is missing."""
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, listed, span, tally
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 
 
-class Status(IntEnum):
+class Status(StatusEnum):
     """Why there is a centre, or none."""
 
-    OK = 0
-    NO_PEAK = 1
-    SATURATED = 2
-    TOO_NARROW = 3
-    AT_BORDER = 4
-    LINE_END = 5
-    POOR_FIT = 6
-    BAD_PIXELS = 7
-    SKEWED = 8
-    """Lopsided: a second line in its skirt, or a step of the background, shifts the centre."""
-    DOUBLED = 9
-    """Two peaks of much the same height, apart or merged into one flat one."""
-    CUT = 10
-    """An edge hides a part of the profile: what is left of it has another centre."""
-    OVERLAPPING = 11
-    """The line of another source lies in the same pixels, or next to them."""
+    OK = 0, "The centre was found."
+    NO_PEAK = (
+        1,
+        "No line stands out of the noise: if there is one, expose longer or lower min_amplitude.",
+    )
+    SATURATED = (
+        2,
+        "Pixels of the line are clipped: expose less, or state the grey value at which the camera "
+        "clips (saturation).",
+    )
+    TOO_NARROW = (
+        3,
+        "The line is too narrow for the pixels, below 0.5 px sigma: use more pixels (width, "
+        "height), a wider line (line_radius) or some defocus.",
+    )
+    AT_BORDER = (
+        4,
+        "The line reaches the image's border: move the part or the camera to see it whole.",
+    )
+    LINE_END = (
+        5,
+        "The line ends here, where its profile is another one: leave these columns out, or use a "
+        "longer line.",
+    )
+    POOR_FIT = (
+        6,
+        "The profile is no line's, or broader than max_sigma: look for stray light, or raise "
+        "max_sigma.",
+    )
+    BAD_PIXELS = (
+        7,
+        "Pixels of the line are missing (NaN, infinite or masked): give the image without holes "
+        "there.",
+    )
+    SKEWED = (
+        8,
+        "The profile is lopsided, as a second line in its skirt or a step of the background shifts "
+        "the centre: remove reflections and stray light.",
+    )
+    DOUBLED = (
+        9,
+        "There are two peaks of much the same height, apart or merged into a flat one: ask for "
+        "both (peaks=2), or remove the reflection.",
+    )
+    CUT = (
+        10,
+        "An edge hides a part of the profile, and what is left has another centre: look from "
+        "another side, or leave these columns out.",
+    )
+    OVERLAPPING = (
+        11,
+        "The line of another source lies in the same pixels, or next to them: switch the sources "
+        "on one after the other.",
+    )
 
 
 @dataclass(frozen=True)
@@ -58,7 +96,7 @@ class LineCentres(Displayed):
         Direction in which the centre was sought, degrees from +u towards +v: 90 along columns,
         0 along rows, the line's normal where it may have any direction.
     status : ndarray of uint8
-        `Status` of each.
+        `Status` of each: ``Status.of(line.status)`` gives the members, which have a message.
     """
 
     _units: ClassVar = dict.fromkeys(("column", "row", "sigma", "width"), "px")

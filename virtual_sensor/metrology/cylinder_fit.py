@@ -5,7 +5,6 @@ and unit are those of the points, the world's in mm.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +13,7 @@ from scipy.special import ndtri, stdtrit
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 
@@ -24,16 +24,18 @@ _TRIED, _REFINED = 60, 6  # directions of the axis that are tried out for a star
 _SAMPLED = 100  # points that take part in that
 
 
-class FitStatus(IntEnum):
+class FitStatus(StatusEnum):
     """How a fit ended."""
 
-    FITTED = 0
-    TOO_FEW = 1
-    """No more points than unknowns."""
-    UNDETERMINED = 2
-    """More than one cylinder goes through the points: they lie on a line or a plane, say, or all in
-    one section while the direction is free."""
-    NOT_CONVERGED = 3
+    FITTED = 0, "The cylinder was found."
+    TOO_FEW = 1, "There are no more points than unknowns: give more finite points."
+    UNDETERMINED = (
+        2,
+        "More than one cylinder goes through the points, which lie on a line or a plane, say, or "
+        "all in one section while the direction is free: give the axis (direction), or points that "
+        "span more of the surface.",
+    )
+    NOT_CONVERGED = 3, "The fit did not converge: look for outliers, or give the axis (direction)."
 
 
 @dataclass(frozen=True)

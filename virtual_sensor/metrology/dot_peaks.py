@@ -1,7 +1,6 @@
 """Centroids of laser dots: the paper's discrete laser rays as a camera sees them."""
 
 from dataclasses import dataclass
-from enum import IntEnum
 
 import cv2
 import numpy as np
@@ -9,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import SMALLEST, number_within, whole_number
 from virtual_sensor.metrology.line_profiles import QUARTILE, checked_image, saturation_level
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 
@@ -18,17 +18,34 @@ SAMPLE = 1 << 18  # so many pixels are enough for background and noise
 SPLITS = (0.35, 0.5, 0.65, 0.8)  # relative heights at which two merged dots come apart
 
 
-class DotStatus(IntEnum):
+class DotStatus(StatusEnum):
     """Why a dot has a centre, or has none."""
 
-    OK = 0
-    TOO_SMALL = 1
-    AT_BORDER = 2
-    OVERLAPPING = 3
-    SATURATED = 4
-    BAD_PIXELS = 5
-    NO_CENTRE = 6
-    """Its surroundings are as bright as it is: there is no light whose centroid it would be."""
+    OK = 0, "The centre was found."
+    TOO_SMALL = (
+        1,
+        "The dot has fewer pixels than min_area: lower it, or use larger dots or more pixels.",
+    )
+    AT_BORDER = (
+        2,
+        "The dot reaches the image's border: move the part or the camera so that it is seen whole.",
+    )
+    OVERLAPPING = 3, "Another dot is too near: use fewer or smaller dots."
+    SATURATED = (
+        4,
+        "Pixels of the dot are clipped: expose less, or state the grey value at which the camera "
+        "clips (saturation).",
+    )
+    BAD_PIXELS = (
+        5,
+        "Pixels of the dot are missing (NaN, infinite or masked): give the image without holes "
+        "there.",
+    )
+    NO_CENTRE = (
+        6,
+        "Its surroundings are as bright as the dot, so there is no light whose centroid it would "
+        "be: lower the background.",
+    )
 
 
 @dataclass(frozen=True)

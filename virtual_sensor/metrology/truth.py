@@ -7,7 +7,6 @@ says how many it left out, and why.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from virtual_sensor.arrays import numbers_of
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -36,22 +36,31 @@ _SAME_LINE_PX = 3.0  # in adjoining columns
 _DOT_REACH_PX = 3.0
 
 
-class TruthStatus(IntEnum):
+class TruthStatus(StatusEnum):
     """What is known of a line in a column, or why a centre there is compared with nothing."""
 
-    KNOWN = 0
-    NO_LINE = 1
-    """The line does not cross the column."""
-    BROKEN = 2
-    """The line is parted here: by an edge, or by rays that the camera does not see."""
-    FOLDED = 3
-    """The searched line turns back: behind a caustic a column sees it twice."""
-    FEW_RAYS = 4
-    """A part of the searched line of fewer than four rays."""
-    CUT = 5
-    """The row is known, but an edge hides a part of the profile, whose centre then is another."""
-    NEAR_END = 6
-    """Nearer to an end of the line than a comparison allows."""
+    KNOWN = 0, "The line's true row is known."
+    NO_LINE = 1, "The line does not cross the column: nothing is to be found there."
+    BROKEN = (
+        2,
+        "The line is parted here, by an edge or by rays that the camera does not see: these "
+        "columns are not compared.",
+    )
+    FOLDED = (
+        3,
+        "The searched line turns back, as behind a caustic a column sees it twice: these columns "
+        "are not compared.",
+    )
+    FEW_RAYS = 4, "A part of the searched line of fewer than four rays: search more of them."
+    CUT = (
+        5,
+        "The row is known, but an edge hides a part of the profile, whose centre then is another: "
+        "these columns are not compared.",
+    )
+    NEAR_END = (
+        6,
+        "Nearer to an end of the line than a comparison allows: these columns are not compared.",
+    )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ is conserved in a tube of rays.
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 from virtual_sensor.arrays import determinant, solved
@@ -19,6 +18,7 @@ from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface, Surface
+from virtual_sensor.statuses import StatusEnum
 
 _SETTLED_MM = 5e-3  # of a miss: Newton's correction of it leaves about 0.01 um
 _MAX_MARCHES = 8
@@ -27,17 +27,13 @@ CLEARANCE_MM = 0.05
 """Shadows are searched up to here before the point itself."""
 
 
-class LightStatus(IntEnum):
+class LightStatus(StatusEnum):
     """Whether a source reaches a point."""
 
-    LIT = 0
-    """A ray of these coordinates arrives (its intensity may still be nil)."""
-    SHADOWED = 1
-    """The ray is blocked."""
-    FOLDED = 2
-    """Newton found no single ray: a caustic, or rays turned away."""
-    NO_POINT = 3
-    """There was no point to light."""
+    LIT = 0, "A ray of these coordinates arrives, though its intensity may be nil."
+    SHADOWED = 1, "The ray is blocked: another part of the surface stands in the light."
+    FOLDED = 2, "No single ray was found, at a caustic or where rays turn away: the pixel is black."
+    NO_POINT = 3, "There was no point to light: the line of sight meets no surface."
 
 
 @dataclass

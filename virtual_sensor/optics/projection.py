@@ -6,7 +6,6 @@ meets the point. Parts hide nothing: a point within one or behind it has its pix
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import MapStatus, NoMapError
 from virtual_sensor.optics.sight import check_scene_given, chosen
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 
@@ -29,19 +29,21 @@ MANY = 5000
 """So many points are projected by maps."""
 
 
-class ProjectionStatus(IntEnum):
+class ProjectionStatus(StatusEnum):
     """Whether a point has a pixel, and if not, why."""
 
-    OK = 0
-    """The pixel is good to the tolerance; it may lie beside the sensor."""
-    NO_POINT = 1
-    """The point is not finite."""
-    BEHIND = 2
-    """The point is behind the camera, or in its plane."""
-    OFF = 3
-    """The point would be seen more than half an image beside the sensor."""
-    FOLDED = 4
-    """A caustic: more than one pixel may see the point, or no line of sight was found."""
+    OK = 0, "The pixel is good to the tolerance; it may lie beside the sensor."
+    NO_POINT = 1, "The point is not finite: give numbers."
+    BEHIND = 2, "The point is behind the camera, or in its plane: no pixel sees it."
+    OFF = (
+        3,
+        "The point would be seen more than half an image beside the sensor: turn the camera to it.",
+    )
+    FOLDED = (
+        4,
+        "A caustic, where more than one pixel may see the point, or no line of sight was found: "
+        "leave this point out.",
+    )
 
 
 @dataclass(frozen=True)

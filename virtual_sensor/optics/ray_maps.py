@@ -17,7 +17,6 @@ of such a box, and the forward one marks the places.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -33,6 +32,7 @@ from virtual_sensor.optics.grid_tables import Grid, LinearTable, SplineTable
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
+from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
 
@@ -63,15 +63,15 @@ class CausticError(NoMapError):
     """The map folds: two rays of the family pass through one point of its box."""
 
 
-class MapStatus(IntEnum):
+class MapStatus(StatusEnum):
     """What a map says of a place."""
 
-    OK = 0
-    """The values are within the map's error."""
-    OFF = 1
-    """The place is not in the map's box, or the ray through it is not."""
-    FOLDED = 2
-    """At or beyond a caustic: more than one ray may pass there."""
+    OK = 0, "The values are within the map's error."
+    OFF = (
+        1,
+        "The place is not in the map's box, or the ray through it is not: march this ray instead.",
+    )
+    FOLDED = 2, "At or beyond a caustic, where more than one ray may pass: leave this place out."
 
 
 @dataclass(frozen=True)

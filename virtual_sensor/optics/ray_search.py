@@ -7,7 +7,6 @@ and batched over all laser rays at once.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +26,7 @@ from virtual_sensor.optics.sight import (
     incidence_points,
     seen_points,
 )
+from virtual_sensor.statuses import StatusEnum
 
 __all__ = [
     "REFERENCE",
@@ -46,21 +46,30 @@ _MOST_STEPS = 1000  # of the paper's search: its step is halved in each
 _LEAN = 5e-3  # a bent line of sight leans from the straight one by some milliradians
 
 
-class SearchStatus(IntEnum):
+class SearchStatus(StatusEnum):
     """How a laser ray's search ended."""
 
-    FOUND = 0
-    """The pixel is good to r_max."""
-    ABOVE_RADIUS = 1
-    """The best pixel's distance is above r_max: the paper's first warning."""
-    UNDERCUT = 2
-    """The pixel sees something else in front of the point, or behind it: not used."""
-    LASER_MISSED = 3
-    """The laser ray meets no surface."""
-    OUTSIDE_IMAGE = 4
-    """The pixel would lie outside the sensor."""
-    UNLIT = 5
-    """The laser sends no light along this ray: it is beyond the line, or at no dot."""
+    FOUND = 0, "The pixel is good to r_max."
+    ABOVE_RADIUS = (
+        1,
+        "The best pixel's distance is above r_max, the paper's first warning: allow more steps "
+        "(k_stop), or search by newton.",
+    )
+    UNDERCUT = (
+        2,
+        "The pixel sees something else in front of the point, or behind it, and is not used: the "
+        "part hides the point from the camera.",
+    )
+    LASER_MISSED = 3, "The laser ray meets no surface: choose a y at which the part is."
+    OUTSIDE_IMAGE = (
+        4,
+        "The pixel would lie outside the sensor: choose a y within the camera's view.",
+    )
+    UNLIT = (
+        5,
+        "The laser sends no light along this ray, beyond the line or at no dot: choose a y on the "
+        "line (line_length, dots).",
+    )
 
 
 @dataclass(frozen=True)

@@ -1,20 +1,22 @@
 """Why a ray stopped."""
 
-from enum import IntEnum
+from virtual_sensor.statuses import StatusEnum
 
 
-class RayStatus(IntEnum):
+class RayStatus(StatusEnum):
     """One per ray, beside its numbers."""
 
-    HIT = 0
-    """It met the surface."""
-    ENDED = 1
-    """It went the asked length, or reached the asked plane."""
-    LEFT = 2
-    """It left the field and met nothing."""
-    TURNED_BACK = 3
-    """It left the field against the direction in which it set out."""
-    OUT_OF_STEPS = 4
-    """It was still in the field after the last step allowed."""
-    STARTED_INSIDE = 5
-    """It set out inside the solid."""
+    HIT = 0, "The ray met the surface."
+    ENDED = 1, "The ray went the asked length, or reached the asked plane."
+    LEFT = 2, "The ray left the field and met nothing."
+    TURNED_BACK = (
+        3,
+        "The ray left the field against the direction in which it set out: check the field's "
+        "values and units.",
+    )
+    OUT_OF_STEPS = (
+        4,
+        "The ray was still in the field after the last step allowed: use longer steps (step_mm), "
+        "or a larger tolerance.",
+    )
+    STARTED_INSIDE = 5, "The ray set out inside the solid: move its origin out of the part."
