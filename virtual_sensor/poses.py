@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import short
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -49,6 +50,46 @@ class Pose:
         u, _, vt = np.linalg.svd(matrix[:3, :3])
         return Pose(u @ vt, matrix[:3, 3])
 
+    @staticmethod
+    def shift(by_mm: ArrayLike) -> "Pose":
+        """The motion by (x, y, z), mm, that turns nothing.
+
+        Raises
+        ------
+        InputError
+            If it is not three finite numbers.
+        """
+        return Pose(np.eye(3), _vector("by_mm", by_mm))
+
+    @staticmethod
+    def turn(angle_deg: float, axis: ArrayLike, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> "Pose":
+        """The motion that turns by an angle about an axis through a point, by the right-hand rule.
+
+        Parameters
+        ----------
+        angle_deg : float
+        axis : array_like of shape (3,)
+            Its direction, of any length: (0, 0, 1) is the world's z.
+        about_mm : array_like of shape (3,)
+            A point on it.
+
+        Raises
+        ------
+        InputError
+            If a number is not finite, or the axis has no length.
+        """
+        direction, point = _vector("axis", axis), _vector("about_mm", about_mm)
+        length, angle = np.linalg.norm(direction), np.radians(angle_deg)
+        if not (length > 0.0 and np.isfinite(angle)):
+            raise InputError(
+                f"Pose.turn: angle_deg {angle_deg} about the axis {short(axis)}; give finite"
+                " numbers, and an axis that is not zero"
+            )
+        x, y, z = direction / length  # Rodrigues' formula
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+        return Pose(rotation, point - rotation @ point)
+
     def to_world(self, points_mm: ArrayLike) -> Array:
         """Local points (N, 3) in world coordinates (inverse of equation 4)."""
         return np.asarray(points_mm, float) @ self.rotation.T + self.origin_mm
@@ -60,6 +101,16 @@ class Pose:
     def moved(self, motion: "Pose") -> "Pose":
         """The frame after a rigid motion of the world's points."""
         return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))
+
+
+def _vector(name: str, values: ArrayLike) -> Array:
+    try:
+        vector = np.array(values, float)
+    except (TypeError, ValueError):
+        vector = np.empty(0)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"a motion's {name} is {short(values)}; give three finite numbers")
+    return vector
 
 
 def keeps_lengths(turn: Array, tolerance: float = _SQUARE) -> bool:

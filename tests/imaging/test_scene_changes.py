@@ -19,7 +19,7 @@ from several import two_by_two
 
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import EngineError
+from virtual_sensor.errors import EngineError, InputError
 from virtual_sensor.imaging import scene as scenes
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.medium.description import MediumDescription
@@ -366,3 +366,31 @@ def test_parameters_do_not_change_either(hot):
     """Rationale: a scene would be another one than its parameters say."""
     with pytest.raises(TypeError, match="does not support item assignment"):
         hot.parameters["beta"] = "5"
+
+
+def test_a_sensor_that_is_moved_stands_where_its_scene_parameters_would_put_it():
+    """Rationale: the file's own transforms, multiplied by Mitsuba, are the independent way."""
+    scene = vs.load_scene("cold_cylinder", width=64, height=64)
+    axis_mm = (0.0, 0.0, -13.5)
+    motions = {
+        "along": (3.0, vs.Pose.shift([3.0, 0.0, 0.0])),
+        "beta": (15.0, vs.Pose.turn(15.0, [2.0, 0.0, 0.0], axis_mm)),
+    }
+    for parameter, (value, motion) in motions.items():
+        moved, expected = (
+            scene.with_sensor_moved(motion),
+            scene.with_parameters(**{parameter: value}),
+        )
+        assert moved.poses.keys() == expected.poses.keys() == {"camera", "laser"}
+        for name, pose in moved.poses.items():
+            np.testing.assert_allclose(pose.origin_mm, expected.poses[name].origin_mm, atol=1e-4)
+            np.testing.assert_allclose(pose.rotation, expected.poses[name].rotation, atol=1e-6)
+        assert np.abs(moved.poses["camera"].origin_mm - scene.poses["camera"].origin_mm).max() > 2
+    for wrong in (
+        lambda: vs.Pose.shift([1.0, 2.0]),
+        lambda: vs.Pose.shift("x"),
+        lambda: vs.Pose.turn(3.0, [0.0, 0.0, 0.0]),
+        lambda: vs.Pose.turn(np.nan, [0.0, 0.0, 1.0]),
+    ):
+        with pytest.raises(InputError, match="give"):
+            wrong()

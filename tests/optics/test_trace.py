@@ -335,6 +335,9 @@ def test_one_ray_and_many_directions_lengths():
     assert one.optical_path_mm.shape == one.status.shape == (1,)
     np.testing.assert_allclose(one.position[0], many.position[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(many.direction, axis=1), 1.0, rtol=1e-15)
+    all_one_way = trace(field, STARTS, DIRECTIONS[1], 10.0)
+    np.testing.assert_allclose(all_one_way.position[1], many.position[1], rtol=0, atol=1e-12)
+    assert len(all_one_way.position) == 3
 
 
 @pytest.mark.parametrize(

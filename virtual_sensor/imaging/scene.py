@@ -331,6 +331,26 @@ class Scene:
             it was loaded.
         """
         self._named("camera or source", self.poses, name)
+        return self._again({}, {name: self._matrix(name, pose)})
+
+    def with_sensor_moved(self, motion: Pose) -> Scene:
+        """The same scene after all its cameras and sources moved as one; part and air stay.
+
+        Parameters
+        ----------
+        motion : Pose
+            From places before to places after: `Pose.shift`, `Pose.turn`.
+
+        Raises
+        ------
+        InputError
+            As `with_pose` does.
+        """
+        moved = {name: pose.moved(motion) for name, pose in self.poses.items()}
+        return self._again({}, {name: self._matrix(name, pose) for name, pose in moved.items()})
+
+    def _matrix(self, name: str, pose: Pose) -> Array:
+        """A camera's or source's ``to_world``, (4, 4)."""
         matrix = np.eye(4)
         try:
             matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
@@ -341,7 +361,7 @@ class Scene:
             ) from None
         if name in self.cameras:
             matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
-        return self._again({}, {name: matrix})
+        return matrix
 
     def with_parameters(self, **parameters: object) -> Scene:
         """The same scene with other values of its ``$parameters``.

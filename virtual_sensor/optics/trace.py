@@ -54,7 +54,7 @@ def trace(
     ----------
     field : IndexField or ExactField
     origins_mm, directions : array_like of shape (N, 3)
-        World; directions of any length but zero.
+        World; directions of any length but zero, or one for all, (3,).
     length_mm : float or array_like of shape (N,)
         Arc length.  Outside the field's box rays go straight.
     step_mm, method, precision, tolerance_mm
@@ -66,6 +66,8 @@ def trace(
         If shapes do not match, a number is not finite, a direction is zero or a length negative.
     """
     origins, directions = (np.atleast_2d(points_of(x)) for x in (origins_mm, directions))
+    if directions.shape == (1, 3) and origins.ndim == 2:
+        directions = np.repeat(directions, len(origins), axis=0)
     if origins.shape != directions.shape or origins.shape[1:] != (3,):
         raise InputError(
             f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
