@@ -11,14 +11,13 @@ from virtual_sensor_plugins.views import pinhole_of
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import exists
 from virtual_sensor.medium.description import MediumDescription
+from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.poses import Pose, keeps_lengths
 
-_LONGEST_NAME = 100  # of a file, in a message that names several places
 _MOST_STEPS = 40_000  # of a march: twice the default, for rays aslant through the field
 
 
@@ -28,7 +27,8 @@ class Refractive(mi.SamplingIntegrator):
     ===============  ==========  ==================================================================
     Property         Default     Meaning
     ===============  ==========  ==================================================================
-    field            (none)      NetCDF file of the air; without one, light runs straight
+    field            (none)      NetCDF file of the air, or the name of a field that comes with the
+                                 program; without one, light runs straight
     time             ""          Flow time, s, in a field with a time axis; empty: its last
     widen            1           Factor by which the field is stretched along y; 1: none
     blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
@@ -61,7 +61,7 @@ class Refractive(mi.SamplingIntegrator):
         name = str(props.get("field", ""))
         with naming("refractive"):
             self.air = MediumDescription(
-                _beside_scene(name) if name else None,
+                find_field(name, folders_of_files()).absolute() if name else None,
                 _instant(str(props.get("time", ""))),
                 widen=float(props.get("widen", 1.0)),
                 blur_mm=float(props.get("blur", 0.0)),
@@ -150,23 +150,11 @@ def _instant(text: str) -> float | None:
         ) from None
 
 
-def _beside_scene(name: str) -> Path:
-    """A file's path where the scene says so: in its folder, its <path>s, or where one stands."""
-    resolver = mi.file_resolver()
-    found = Path(str(resolver.resolve(name)))
-    if exists(found) or found.is_absolute():
-        return found.absolute()
+def folders_of_files() -> list[Path]:
+    """Where a scene's files are: in its folder, in its <path>s, or where one stands."""
     mitsubas = Path(mi.__file__).parent
-    folders = [folder for each in resolver if (folder := Path(str(each)).absolute()) != mitsubas]
-    shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
-    places = list(dict.fromkeys(folder / shown for folder in folders))
-    beside = [place.parent for place in places if exists(place.parent)]
-    present = sorted({file.name for folder in beside for file in folder.glob("*.nc")})
-    others = "".join(f"; nor is there {place}" for place in places[1:])
-    raise InputError(
-        f"'field': {places[0]}: there is no such file{others}; there"
-        f" {'are ' + ', '.join(present) if present else 'is no .nc file'}"
-    )
+    folders = [Path(str(folder)).absolute() for folder in mi.file_resolver()]
+    return [folder for folder in folders if folder != mitsubas]
 
 
 mi.register_integrator("refractive", Refractive)

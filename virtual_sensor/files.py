@@ -16,18 +16,20 @@ import re
 import shutil
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from virtual_sensor import interrupts
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, few
 
 RESULTS_SIGN = "summary.json"
 """A folder with this file holds results and may be replaced; what else it is, nobody knows."""
 
 _LOCK = ".lock"
 _NAMED = re.compile(r"\.(.+)\.[a-z0-9_]{8}\.unfinished", re.DOTALL)
+_LONGEST_NAME = 100  # of a file, in a message that names several places
+_MOST_NAMES = 8  # of files that there are
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h
 
 _log = logging.getLogger(__name__)
@@ -71,6 +73,74 @@ def readable(path: Path) -> Path:
     if not os.access(path, os.R_OK):
         raise InputError(f"{path}: can't be read (Permission denied); change its permissions")
     return path
+
+
+def named_file(
+    name: str | Path,
+    kind: str,
+    suffix: str,
+    folders: Iterable[Path],
+    installed: Sequence[Path],
+    remedy: str = "",
+) -> Path:
+    """Find a file by its path, or by its name without the suffix.
+
+    Parameters
+    ----------
+    name : str or Path
+        A path, absolute or from one of the folders; `~` is the user's home.
+    kind, suffix : str
+        What it is, such as "scene", and how its name ends, such as ".xml".
+    folders : iterable of Path
+        Looked in first, one after the other.
+    installed : sequence of Path
+        Folders of the program's own files, looked in last.
+    remedy : str
+        What else to do if there is no such file.
+
+    Raises
+    ------
+    InputError
+        If there is none: it names the places that were looked in, the files that there are, and the
+        one of the nearest name.
+    """
+    asked = Path(name)
+    with suppress(RuntimeError):  # a home that nobody knows
+        asked = asked.expanduser()
+    places = [place for place in dict.fromkeys([*folders, *installed]) if exists(place)]
+    wanted = [asked] if asked.suffix == suffix else [asked, Path(f"{asked}{suffix}")]
+    paths = [place / each for each in wanted for place in places] if str(name) else []
+    taken = [path for path in paths if exists(path)]
+    for path in taken:
+        if not path.is_dir():
+            return path
+    if taken:
+        return readable(taken[0])  # which says that it is a folder
+    looked_in = list(dict.fromkeys((place / asked).parent.absolute() for place in places))
+    raise _not_found(f"{name}", kind, suffix, looked_in, installed, remedy)
+
+
+def _not_found(
+    name: str, kind: str, suffix: str, looked_in: list[Path], installed: Sequence[Path], remedy: str
+) -> InputError:
+    """What to say of a file that is in none of some folders."""
+    from difflib import get_close_matches  # few names are wrong
+
+    own = [f for f in looked_in if not any(f.is_relative_to(each) for each in installed)]
+    there = sorted({p.name for f in own if exists(f) for p in f.glob(f"*{suffix}") if p.is_file()})
+    shipped = sorted({p.stem for folder in installed for p in folder.glob(f"*{suffix}")})
+    known = {Path(each).stem: each for each in there} | {each: each for each in shipped}
+    near = get_close_matches(Path(name).name.removesuffix(suffix), known, n=1)
+    shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
+    said = [f"{shown}: there is no such {kind} file"]
+    if name and own:
+        places = [f"{folder}{'' if exists(folder) else ' (no folder)'}" for folder in own]
+        said.append(f"looked in {', '.join(places)}")
+    if there:
+        said.append(f"{'there is' if len(there) == 1 else 'there are'} {few(there, _MOST_NAMES)}")
+    said.append(f"installed {kind}s: {', '.join(shipped)}")
+    ends = [f"did you mean {known[near[0]]}?"] if near else []
+    return InputError("; ".join([*said, *([remedy] if remedy else []), *ends]))
 
 
 def sha256_of(path: Path) -> str:

@@ -332,7 +332,7 @@ REFUSED = {
     ),
     "field missing": (
         COLD.replace(STRAIGHT, f"{STRAIGHT[:-2]}>{AIR}</integrator>"),
-        ["line ", "air.nc", "no such file"],
+        ["line ", "air.nc", "no such field"],
     ),
     "no camera": (COLD.replace(CAMERA, ""), ["no camera", '<sensor type="perspective">']),
     "no integrator": (COLD.replace(STRAIGHT, ""), [STRAIGHT]),
@@ -366,7 +366,7 @@ def test_faulty_scene_is_refused_with_file_element_and_remedy(fault, tmp_path):
         ("temp", 900, "no parameter 'temp'"),
         ("temperature", -300, "below absolute zero"),
         ("temperature", "warm", "not a number"),
-        ("temperature", 17, "no such file"),
+        ("temperature", 17, "no such field"),
         ("line_radius", -0.1, "'radius' must be a positive number"),
         ("line_length", "nan", "'length' must be a positive number"),
         ("line_length", "long", '"long" is no floating point value'),

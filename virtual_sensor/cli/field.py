@@ -28,11 +28,19 @@ def field() -> None:
 @app.command(
     epilog="Examples:\n\n"
     "    virtual-sensor field info air.nc\n\n"
+    "    virtual-sensor field info hot_cylinder_1250C_quarter\n\n"
     "    virtual-sensor field info air.nc --scene hot_cylinder -D beta=30 -o air.png\n\n"
     "    virtual-sensor field info swaying.nc --time 2.5 --json air.json"
 )
 def info(
-    field: Annotated[Path, typer.Argument(metavar="FIELD", help="A field file, NetCDF.")],
+    field: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FIELD",
+            help="A field file, NetCDF, or one that is installed: hot_cylinder_900C_quarter,"
+            " hot_cylinder_1100C_quarter, hot_cylinder_1250C_quarter.",
+        ),
+    ],
     scene: Annotated[
         str | None,
         typer.Option(

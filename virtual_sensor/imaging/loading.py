@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from virtual_sensor_plugins.refractive import folders_of_files
 from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
@@ -19,6 +20,7 @@ from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
 from virtual_sensor.imaging.parts import KINDS, Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
+from virtual_sensor.medium.find_field import find_field, is_installed
 
 _FAR_MM = 1e6  # beyond, float32 leaves a doubt of 0.06 mm
 _RIGID = 1e-3  # of what a rotation's columns may differ from one by float32 and typed digits
@@ -168,6 +170,7 @@ def warnings_of(main: Path, heard: list[str]) -> list[str]:
 
 def load(
     files: list[SceneFile],
+    given: dict[str, str],
     values: dict[str, str],
     here: Path,
     poses: Mapping[str, NDArray[np.float64]],
@@ -178,8 +181,8 @@ def load(
     ----------
     files : list of SceneFile
         The scene's, and those that it includes.
-    values : dict
-        Of all its parameters.
+    given, values : dict
+        Those of its parameters that are no defaults, and all.
     here : Path
         Folder from which relative paths start, beside the scene's own.
     poses : Mapping
@@ -195,6 +198,7 @@ def load(
             state = mi.parser.parse_string(config, files[0].text, **values)
             _name(state)
             _place(state, poses)
+            _find_field(main, state, given)
             notes = [
                 note for node in state.nodes for note in _check_node(main, state, node, values)
             ]
@@ -278,6 +282,22 @@ def _place(state: Any, poses: Mapping[str, NDArray[np.float64]]) -> None:
         if "to_world" in node.props:
             del node.props["to_world"]
         node.props["to_world"] = mi.ScalarAffineTransform4d(poses[node.props.id()])
+
+
+def _find_field(main: Path, state: Any, given: dict[str, str]) -> None:
+    """Have the integrator's field named by its path.
+
+    A field that a parameter gives is not looked for beside a shipped scene before all else: there
+    may be one of that name where the user stands.
+    """
+    for node in state.nodes:
+        name = str(node.props.get("field", "")) if node.props.plugin_name() == "refractive" else ""
+        if name:
+            folders = folders_of_files()
+            if name in given.values():
+                folders = sorted(folders, key=is_installed)
+            with naming(_where(main, state, node)):
+                node.props["field"] = str(find_field(name, folders).absolute())
 
 
 def _in_users_terms(

@@ -28,6 +28,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
@@ -45,7 +46,7 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import exists, readable, sha256_of
+from virtual_sensor.files import exists, named_file, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
@@ -56,6 +57,7 @@ from virtual_sensor.imaging.scene_file import (
     shortened,
 )
 from virtual_sensor.medium.description import MediumDescription
+from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
@@ -494,17 +496,15 @@ def shipped_scenes() -> Path:
 
 
 def find_scene(name: str | Path) -> Path:
-    """A scene's file: a path, or the name of one that comes with the program."""
-    path = Path(name)
-    shipped = {file.stem: file for file in sorted(shipped_scenes().glob("*.xml"))}
-    if name and exists(path) and (path.is_file() or path.stem not in shipped):
-        return readable(path)
-    if path.name == str(name) and path.stem in shipped:
-        return shipped[path.stem]
-    raise InputError(
-        f"{shortened(str(name))}: there is no such scene file; installed scenes:"
-        f" {', '.join(shipped)}"
-    )
+    """A scene's file: a path, or the name of one that comes with the program.
+
+    Raises
+    ------
+    InputError
+        If there is none: it names the places that were looked in, the scenes that there are, and
+        the one of the nearest name.
+    """
+    return named_file(name, "scene", ".xml", [Path()], [shipped_scenes()])
 
 
 def load_scene(name: str | Path, **parameters: object) -> Scene:
@@ -536,7 +536,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
 def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Array]) -> _Stage:
     """Have Mitsuba load a scene."""
     files, values, folders = _read(path, given, here)
-    loaded = load(files, values, here, poses)
+    loaded = load(files, given, values, here, poses)
     if not isinstance(loaded.scene.integrator(), refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
@@ -655,6 +655,12 @@ def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str
         for place in (folder / text for folder in folders for text in texts):
             if exists(place) and place.is_file():
                 found[place.resolve()] = None
+        field = element.attributes.get("name") == "field" and filled(
+            element.attributes.get("value", ""), values
+        )
+        if field:
+            with suppress(InputError):  # which loading the scene tells
+                found[find_field(field, folders).resolve()] = None
     return list(found)
 
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from virtual_sensor.arrays import points_of, to_numpy, to_vectors
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
+from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
 from virtual_sensor.medium.netcdf_elements import check_box
@@ -143,7 +144,8 @@ class IndexField(Movable):
         Parameters
         ----------
         path : str or Path
-            The file; `virtual_sensor.medium.netcdf` describes what is in one.
+            The file; or the name of a field that comes with the program, such as
+            "hot_cylinder_1250C_quarter". `virtual_sensor.medium.netcdf` describes what is in one.
         wavelength_nm : float
             Vacuum wavelength at which temperature or density become n - 1.
         mirror : sequence of three bool, optional
@@ -157,6 +159,7 @@ class IndexField(Movable):
         InputError
             If the file cannot be used; the message names the file, the element and the remedy.
         """
+        path = find_field(path)
         f = read_field_file(path, wavelength_nm, mirror, time_s)
         said = {name: value for name, value in vars(f).items() if name != "notes"}
         with naming(path):

@@ -76,12 +76,6 @@ class Contents:
 
 def open_netcdf(path: Path) -> Contents:
     """Read and parse the whole file."""
-    if not path.is_file():
-        present = sorted(p.name for p in path.parent.glob("*.nc"))
-        beside = f"in that folder: {', '.join(present)}" if present else "no .nc file is there"
-        if path.exists():
-            readable(path)
-        raise InputError(f"there is no such file; {beside}")
     content = readable(path).read_bytes()
     if content.startswith((b"\x89HDF", b"CDF\x05")):
         return _open_netcdf4(path)

@@ -22,6 +22,7 @@ from virtual_sensor.imaging.checks import (
     lit_line,
 )
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, ambient_of, read_field_file
 from virtual_sensor.medium.netcdf_elements import open_netcdf, read_times, text
@@ -247,7 +248,7 @@ def field_info(
     Parameters
     ----------
     path : Path
-        A field file.
+        A field file, or the name of one that comes with the program.
     scene : str, optional
         Name or file of the scene; by default hot_cylinder, which is left out if it does not suit.
     parameters : mapping, optional
@@ -267,6 +268,7 @@ def field_info(
         If the file is no field, or the scene that is asked for can't be loaded or does not suit.
     """
     report("reading the field", 0.0)
+    path = find_field(path)
     loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {})).only(camera, source)
     wavelength_nm = loaded.air.wavelength_nm
     air = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)

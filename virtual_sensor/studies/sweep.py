@@ -228,12 +228,13 @@ def _as_file(name: str) -> str:
 
 def _anywhere(scene: Path, value: str) -> str:
     """A file's name that holds in other folders too; any other value as it is."""
-    file = Path(value)
     try:
         float(value)
     except ValueError:
-        if file.suffix and file.is_file() and not (scene.parent / value).is_file():
-            return str(file.absolute())
+        for text in (value, f"{value}.nc"):  # a field may be named without it
+            file = Path(text)
+            if file.suffix and file.is_file() and not (scene.parent / text).is_file():
+                return str(file.absolute())
     return value
 
 
