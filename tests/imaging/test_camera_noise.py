@@ -14,6 +14,8 @@ from virtual_sensor.imaging.camera_noise import (
     photons,
     record,
 )
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.line_peaks import line_centres
 
 emva = pytest.importorskip("emva1288.process.routines", reason="pip install '.[test]'")
 
@@ -217,3 +219,23 @@ def test_light_that_can_not_be_is_refused(light):
     """Rather than turned into grey values."""
     with pytest.raises(InputError, match="photons"):
         record(light, CameraNoise())
+
+
+def test_what_a_camera_knows_need_not_be_said_again():
+    """Rationale: what is asked for twice is once given wrong."""
+    row = np.arange(40.0)[:, None]
+    image = 1e-6 * np.exp(-((row - 20.3) ** 2) / 4.5) * np.ones(60)
+    camera = CameraNoise(full_well_e=3000.0)
+    grey = record(exposed(image, 2000.0, camera), camera, seed=3)
+    np.testing.assert_array_equal(record(image, camera, 3, peak_e=2000.0), grey)
+    np.testing.assert_array_equal(
+        record(image, peak_e=2000.0), record(image, CameraNoise(), peak_e=2000.0)
+    )
+    told = line_centres(
+        grey, noise=camera.grey_noise, gain=camera.gain, saturation=camera.saturation
+    )
+    known = line_centres(grey, camera=camera)
+    np.testing.assert_array_equal(known.sigma, told.sigma)
+    assert np.median(np.abs(known.sigma / line_centres(grey).sigma - 1.0)) > 0.01
+    clipped = record(image, camera, peak_e=9000.0)
+    assert np.all(line_centres(clipped, camera=camera).status == Status.SATURATED)

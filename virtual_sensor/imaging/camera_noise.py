@@ -141,17 +141,25 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
 
 
 def record(
-    photons: ArrayLike, camera: CameraNoise, seed: int | np.random.Generator = 0
+    photons: ArrayLike,
+    camera: CameraNoise | None = None,
+    seed: int | np.random.Generator = 0,
+    *,
+    peak_e: float | None = None,
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Take a frame.
 
     Parameters
     ----------
     photons : array_like of shape (H, W)
-        Mean number of photons on each pixel.
-    camera : CameraNoise
+        Mean number of photons on each pixel; with `peak_e` an image in any unit, such as `render`
+        gives.
+    camera : CameraNoise, optional
+        By default the 12-bit one that `CameraNoise()` is.
     seed : int or numpy.random.Generator
         Of the temporal noise; the same seed gives the same bits.
+    peak_e : float, optional
+        The exposure: electrons of the brightest pixel.
 
     Returns
     -------
@@ -161,8 +169,11 @@ def record(
     Raises
     ------
     InputError
-        Where `photons` has another shape, or holds what is negative or no number.
+        Where `photons` has another shape, or holds what is negative or no number; with `peak_e`
+        where the image is dark.
     """
+    camera = CameraNoise() if camera is None else camera
+    photons = photons if peak_e is None else exposed(photons, peak_e, camera)
     light = image_of("record: photons", photons, 0.0)
     rng = np.random.default_rng(seed)
     offset, response = _pattern(camera, light.shape)

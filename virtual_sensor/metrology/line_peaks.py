@@ -5,6 +5,7 @@ filter cannot shift it.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +66,7 @@ def line_centres(
     max_sigma: float = 32.0,
     noise: float | None = None,
     gain: float = 0.0,
+    camera: Any = None,
 ) -> LineCentres:
     """Find the centres of a laser line in an image.
 
@@ -99,6 +101,8 @@ def line_centres(
     gain : float
         Growth of the noise's variance per unit of signal: EMVA 1288's K, in grey values per
         electron; 1 for an image in electrons; 0, none, where only read noise counts.
+    camera : CameraNoise, optional
+        That took the image: it knows `noise`, `gain` and `saturation`, where they are not given.
 
     Returns
     -------
@@ -110,6 +114,9 @@ def line_centres(
     InputError
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
+    if camera is not None:
+        noise = camera.grey_noise if noise is None else noise
+        gain, saturation = gain or camera.gain, saturation or camera.saturation
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
     if not isinstance(along, str) or along not in ALONG:
