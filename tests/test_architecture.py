@@ -250,6 +250,7 @@ def test_every_package_is_listed():
 def command_lines():
     """Commands as README and the help texts show them."""
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    pages.remove(ROOT / "docs/reference/commands.md")  # it has the help texts' own
     groups = (group.typer_instance for group in cli.app.registered_groups)
     commands = [c for app in (cli.app, *groups) for c in app.registered_commands]
     texts = [p.read_text(encoding="utf-8") for p in pages] + [c.epilog or "" for c in commands]

@@ -5,14 +5,6 @@ from data_dictionary import maker
 from virtual_sensor.records import documented
 
 
-def test_the_page_is_as_the_program_makes_it():
-    """Rationale: a dictionary that is written by hand lists what there once was."""
-    made = maker()
-    assert made.PAGE.read_text(encoding="utf-8") == made.dictionary(made.files()), (
-        "python docs/make_data_dictionary.py"
-    )
-
-
 def test_every_command_that_writes_files_lists_them_with_every_column_and_key():
     """Rationale: what nobody documents, users guess at."""
     files = maker().files()

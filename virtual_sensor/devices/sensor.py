@@ -13,7 +13,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class SensorModel:
-    """A camera and a laser line generator in one world: all that triangulation needs."""
+    """A camera and a laser line generator in one world: all that triangulation needs.
+
+    Attributes
+    ----------
+    camera : Pinhole
+    laser : LaserLine
+    """
 
     camera: Pinhole
     laser: LaserLine

@@ -179,7 +179,17 @@ def render_frame(
 ) -> Frame:
     """Render a camera's image together with its ground truth.
 
-    `progress` gets the fraction of the samples done; else as `render`.
+    Parameters
+    ----------
+    scene, spp, seed, camera, source
+        As those of `render`.
+    progress : callable, optional
+        Is called with the fraction of the samples done.
+
+    Raises
+    ------
+    InputError, EngineError
+        As `render` does.
     """
     scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:

@@ -1,0 +1,317 @@
+"""Write the generated pages of ``reference``: ``python docs/make_reference.py``.
+
+The words are the program's own: of its help, docstrings, statuses and scenes.
+"""
+
+import ast
+import functools
+import inspect
+import itertools
+import pkgutil
+import re
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import Enum
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import typer
+from make_data_dictionary import dictionary, files
+
+import virtual_sensor as vs
+from virtual_sensor import cli
+from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import parameter_words, read_scene_file
+from virtual_sensor.reporting.sweep import unit_of
+from virtual_sensor.studies.sweep_table import SweptParameter
+
+FOLDER = Path(__file__).parent / "reference"
+
+ROOMS = {
+    "imaging": "Scenes and images",
+    "devices": "Cameras and lasers",
+    "metrology": "From images to numbers",
+    "optics": "Light through air",
+    "medium": "Air",
+    "": "Poses, files and errors",
+}
+"""Headings of the API, by where in the program a name is at home."""
+
+VALUES = {bool: "", float: "NUMBER", int: "N", str: "TEXT", Path: "PATH"}
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown, of cells that are Markdown."""
+    cells = [
+        list(head),
+        ["---"] * len(head),
+        *([c.replace("|", "\\|") for c in row] for row in rows),
+    ]
+    return "".join(f"| {' | '.join(row)} |\n" for row in cells)
+
+
+# --- the API -------------------------------------------------------------------------------------
+
+
+def api() -> str:
+    """What `import virtual_sensor as vs` gives, and the classes that this leads to."""
+    public = {name: getattr(vs, name) for name in vs.__all__}
+    reached = {each for each in reached_classes(public.values()) if each not in public.values()}
+    parts = [
+        "# Python API\n",
+        "`import virtual_sensor as vs` gives the names of the first table; the second one lists"
+        " the classes of which these take and give objects. Their descriptions follow"
+        " ([on the site](../index.md), or by `help(vs.render)` in Python). Lengths are in mm,"
+        " temperatures in °C, angles in degrees, pixels (u, v) with integers at pixel centres.\n",
+    ]
+    names = {f"vs.{name}": target for name, target in public.items()}
+    names |= {each.__name__: each for each in sorted(reached, key=lambda each: each.__name__)}
+    slugs = _slugs(names)
+    for title, chosen in (
+        ("Names of `vs`", public.values()),
+        ("Classes that they lead to", reached),
+    ):
+        parts.append(f"## {title}\n")
+        for room, heading in ROOMS.items():
+            rows = [
+                (f"[`{name}`](#{slugs[name]})", _summary(target))
+                for name, target in names.items()
+                if target in chosen and _room(target) == room
+            ]
+            if rows:
+                parts += [f"**{heading}**\n", table(("name", "what it is"), rows)]
+    parts.append("## Descriptions\n")
+    parts += [f"### {name}\n\n::: {_path(target)}\n" for name, target in names.items()]
+    return "\n".join(parts)
+
+
+def reached_classes(targets: Iterable[Any]) -> set[type]:
+    """Our public classes that functions and classes name, in annotations, bases and members."""
+    found: set[type] = set()
+    waiting = list(targets)
+    while waiting:
+        target = waiting.pop()
+        if isinstance(target, type):
+            if target in found or target.__name__.startswith("_"):
+                continue
+            found.add(target)
+            waiting += [each for each in target.__bases__ if _ours(each)]
+            waiting += map(_function, (v for n, v in vars(target).items() if n[0] != "_"))
+        hints = typing.get_type_hints(target) if callable(target) else {}
+        for name, hint in hints.items():
+            if not name.startswith("_"):
+                waiting += _classes_in(hint)
+    return found
+
+
+def _function(member: Any) -> Any:
+    """The function behind a member of a class."""
+    if isinstance(member, property):
+        return member.fget
+    if isinstance(member, functools.cached_property):
+        return member.func
+    member = getattr(member, "__func__", member)
+    return member if inspect.isfunction(member) else None
+
+
+def _classes_in(hint: Any) -> Iterator[type]:
+    if isinstance(hint, type) and not isinstance(hint, types.GenericAlias):
+        if _ours(hint):
+            yield hint
+    else:
+        for argument in typing.get_args(hint):
+            yield from _classes_in(argument)
+
+
+def _ours(kind: type) -> bool:
+    return kind.__module__.startswith("virtual_sensor")
+
+
+def _room(target: Any) -> str:
+    room = target.__module__.removeprefix("virtual_sensor").split(".")[1]
+    return room if room in ROOMS else "imaging" if "plugins" in target.__module__ else ""
+
+
+def _path(target: Any) -> str:
+    return f"{target.__module__}.{target.__qualname__}"
+
+
+def _slugs(names: dict[str, Any]) -> dict[str, str]:
+    """Anchors of headings, as GitHub and the site make them."""
+    found = {name: re.sub(r"[^\w-]", "", name.lower()) for name in names}
+    assert len(set(found.values())) == len(found)
+    return found
+
+
+def _summary(target: Any) -> str:
+    """The first sentence of a docstring."""
+    return " ".join((inspect.getdoc(target) or "").split("\n\n")[0].split())
+
+
+# --- the commands --------------------------------------------------------------------------------
+
+
+def commands() -> str:
+    """Each command with its options, their defaults, and its examples."""
+    app: Any = typer.main.get_command(cli.app)
+    every = dict(_commands(app))
+    rows = [(f"[`{name}`](#{_anchor(name)})", _first(each.help)) for name, each in every.items()]
+    parts = [
+        "# Commands\n",
+        "`virtual-sensor COMMAND --help` prints the same.\n",
+        table(("command", "what it does"), rows),
+        "## Before the command\n",
+        _options(app),
+    ]
+    for name, each in every.items():
+        arguments = [p for p in each.params if p.param_type_name == "argument"]
+        usage = " ".join(["virtual-sensor", name, *(_argument(p) for p in arguments), "[OPTIONS]"])
+        parts += [f"## {name}\n", f"{each.help}\n", f"```text\n{usage}\n```\n", _options(each)]
+        examples = re.findall(r"^    (.+)$", each.epilog or "", re.MULTILINE)
+        parts.append("\n".join(["```sh", *examples, "```\n"]))
+    return "\n".join(parts)
+
+
+def _commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, each in group.commands.items():
+        if hasattr(each, "commands"):
+            yield from _commands(each, f"{name} ")
+        else:
+            yield before + name, each
+
+
+def _anchor(name: str) -> str:
+    return name.replace(" ", "-")
+
+
+def _first(text: str) -> str:
+    return text.split("\n\n")[0]
+
+
+def _argument(parameter: Any) -> str:
+    name = parameter.metavar or parameter.name.upper()
+    name = f"{name} ..." if parameter.nargs == -1 else name
+    return name if parameter.required else f"[{name}]"
+
+
+def _options(command: Any) -> str:
+    """A table of a command's arguments and options."""
+    hints = typing.get_type_hints(command.callback)
+    signature = inspect.signature(command.callback)
+    rows = []
+    for each in command.params:
+        hint = signature.parameters[each.name].annotation
+        hint = hints[each.name] if isinstance(hint, str) else hint
+        if each.param_type_name == "argument":
+            name = _argument(each)
+        else:
+            value = "" if each.is_flag else each.metavar or _value(hint)
+            name = f"{' '.join(sorted(each.opts, key=len))} {value}".strip()
+        default = (
+            "" if each.default in (None, False, "") or callable(each.default) else each.default
+        )
+        default = f"{default:g}" if isinstance(default, float) else str(default)
+        shown = "required" if each.required else f"`{default}`" if default else ""
+        rows.append((f"`{name}`", shown, " ".join((each.help or "").split())))
+    return table(("option", "default", "what it does"), rows)
+
+
+def _value(hint: Any) -> str:
+    """The word that stands for an option's value."""
+    if hint in VALUES:
+        return VALUES[hint]
+    words = (_value(each) for each in typing.get_args(hint) if each is not type(None))
+    return next((word for word in words if word), "TEXT")
+
+
+# --- the scenes' parameters ----------------------------------------------------------------------
+
+
+def scene_parameters() -> str:
+    """The parameters of the shipped scenes, with unit and default."""
+    scenes = sorted(shipped_scenes().glob("*.xml"), key=lambda path: path.stem != "hot_cylinder")
+    words: dict[str, str] = {}
+    defaults: dict[str, dict[str, str]] = {}
+    for path in scenes:
+        words = parameter_words(path) | words
+        for element in read_scene_file(path).elements:
+            if element.tag == "default":
+                name, value = element.attributes["name"], element.attributes["value"]
+                defaults.setdefault(name, {})[path.stem] = value
+    rows = []
+    for name, by_scene in defaults.items():
+        only = "" if len(by_scene) == len(scenes) else ", ".join(f"`{scene}`" for scene in by_scene)
+        values = {f"`{value}`" if value else "empty" for value in by_scene.values()}
+        unit = unit_of(SweptParameter(name, words.get(name, ""), ()))
+        rows.append((f"`{name}`", ", ".join(sorted(values)), unit, words.get(name, ""), only))
+    head = ("parameter", "default", "unit", "what it is", "only in")
+    return "\n".join(
+        [
+            "# Scene parameters\n",
+            "The shipped scenes " + ", ".join(f"`{path.stem}`" for path in scenes) + " have these"
+            " parameters. Commands set them by `-D beta=15`, Python by"
+            ' `vs.load_scene("hot_cylinder", beta=15)`, and the command `sweep` varies them. A'
+            " scene of your own declares its parameters by `<default>` elements; a wrong name is"
+            " answered with all names of the scene.\n",
+            table(head, rows),
+        ]
+    )
+
+
+# --- statuses ------------------------------------------------------------------------------------
+
+
+def statuses() -> str:
+    """Each enumeration of statuses, its members and their messages."""
+    parts = [
+        "# Statuses\n",
+        "Beside every value that may be missing stands a status. Arrays hold its number, files its"
+        " name in lower case.\n",
+    ]
+    kinds = sorted(status_kinds(), key=lambda kind: kind.__name__)
+    rows = [(f"[`{kind.__name__}`](#{kind.__name__.lower()})", _summary(kind)) for kind in kinds]
+    parts.append(table(("status", "what it says"), rows))
+    for kind in kinds:
+        messages = messages_of(kind)
+        rows = [(f"`{m.name}`", str(m.value), messages.get(m.name, "")) for m in kind]
+        members = table(("member", "value", "meaning"), rows)
+        parts += [f"## {kind.__name__}\n", f"{_summary(kind)} `{kind.__module__}`\n"]
+        parts.append(members)
+    return "\n".join(parts)
+
+
+def status_kinds() -> set[type[Enum]]:
+    """The enumerations of the program whose name says that they are statuses."""
+    found = set()
+    for each in pkgutil.walk_packages([str(Path(vs.__file__).parent)], "virtual_sensor."):
+        spec = each.module_finder.find_spec(each.name, None)  # type: ignore[call-arg]
+        text = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
+        for name in re.findall(r"^class (\w*Status)\(\w*Enum\):", text, re.MULTILINE):
+            found.add(getattr(import_module(each.name), name))
+    return found
+
+
+def messages_of(kind: type[Enum]) -> dict[str, str]:
+    """What the source says below each member."""
+    (definition,) = ast.parse(inspect.getsource(kind)).body
+    found = {}
+    for member, words in itertools.pairwise(definition.body):  # type: ignore[attr-defined]
+        if isinstance(member, ast.Assign) and isinstance(words, ast.Expr):
+            (target,) = member.targets
+            found[ast.unparse(target)] = " ".join(ast.literal_eval(words.value).split())
+    return found
+
+
+PAGES: dict[str, Callable[[], str]] = {
+    "api.md": api,
+    "commands.md": commands,
+    "data_dictionary.md": lambda: dictionary(files()),
+    "scene_parameters.md": scene_parameters,
+    "statuses.md": statuses,
+}
+
+if __name__ == "__main__":
+    for name, page in PAGES.items():
+        (FOLDER / name).write_text(page(), encoding="utf-8")
