@@ -27,7 +27,7 @@ LONGEST_S = 30.0
 
 def started(words: str, folder: str) -> subprocess.Popen:
     """A command in a session of its own, as in a terminal."""
-    from virtual_sensor.imaging.scene import shipped_scenes
+    from virtual_sensor.imaging.scene_file import shipped_scenes
 
     line = words.format(fields=shipped_scenes() / "fields").split()
     code = (

@@ -2,7 +2,8 @@
 
 import re
 
-from virtual_sensor.imaging.scene import load_scene, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import shipped_scenes
 
 LAMP = '<emitter type="point" id="lamp"><point name="position" x="80" y="50" z="90"/></emitter>'
 ORTHOGRAPHIC = """<sensor type="orthographic" id="flat"><transform name="to_world">

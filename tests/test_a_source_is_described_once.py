@@ -24,7 +24,7 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.optics.illumination import illuminate
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily

@@ -18,7 +18,8 @@ import typer
 
 import virtual_sensor as vs
 from virtual_sensor import cli
-from virtual_sensor.imaging.scene import find_scene, load_scene, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import find_scene, shipped_scenes
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = {

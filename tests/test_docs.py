@@ -10,7 +10,7 @@ from artificial import line_image
 from several import text_of
 
 import virtual_sensor as vs
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.centres import Status
 
 DOCS = Path(__file__).parents[1] / "docs"

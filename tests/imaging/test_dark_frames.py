@@ -8,7 +8,7 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.dark_frames import why_dark
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.studies.measure import measure
 
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")

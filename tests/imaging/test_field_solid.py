@@ -8,7 +8,7 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 
 HOT = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")

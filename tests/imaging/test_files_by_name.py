@@ -8,7 +8,8 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.files import named_file
-from virtual_sensor.imaging.scene import find_scene, load_scene, scene_files, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene, scene_files
+from virtual_sensor.imaging.scene_file import find_scene, shipped_scenes
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.studies.field_info import field_info
 

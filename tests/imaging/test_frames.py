@@ -11,7 +11,7 @@ import virtual_sensor as vs
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import render_frame, write_exr
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.dot_peaks import DotStatus, dot_centres
 from virtual_sensor.metrology.line_peaks import Status
 from virtual_sensor.optics.ray_search import SearchStatus

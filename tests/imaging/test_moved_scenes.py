@@ -8,7 +8,7 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import border_crossings, check_scene, lit_line
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.poses import Pose
 from virtual_sensor.reporting.field import make_cut

@@ -7,7 +7,7 @@ import trimesh
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.part_survey import survey, survey_part
 from virtual_sensor.imaging.parts import Part
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 
 make = trimesh.creation
 

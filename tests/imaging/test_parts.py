@@ -9,7 +9,7 @@ import trimesh
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.parts import read_part
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 
 BALL = trimesh.creation.icosphere(2, 13.5).apply_translation([1.0, 2.0, -13.5])
 SQUARE = np.array([[-40, -40, 0], [40, -40, 0], [40, 40, 0], [-40, 40, 0]], float)

@@ -8,7 +8,7 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.render import render_frame
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.studies.notes import frame_notes
 
 SMALL = {"width": 96, "height": 96, "line_radius": 0.6}

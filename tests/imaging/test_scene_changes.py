@@ -21,7 +21,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import EngineError, InputError
 from virtual_sensor.imaging import scene as scenes
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.poses import Pose

@@ -12,12 +12,14 @@ import pytest
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.loading import warnings_of as loading_notes
-from virtual_sensor.imaging.scene import find_scene, scene_files, scene_parameters, shipped_scenes
+from virtual_sensor.imaging.scene import scene_files, scene_parameters
 from virtual_sensor.imaging.scene_file import (
     LONGEST_VALUE,
     MOST_INCLUDED,
     MOST_NESTED,
+    find_scene,
     parameter_words,
+    shipped_scenes,
 )
 
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
@@ -389,3 +391,23 @@ def test_what_a_scene_says_of_its_parameters_is_the_comment_behind_them(tmp_path
         '<default name="c" value="3"/><!-- px --></scene>'
     )
     assert parameter_words(file) == {"a": "of the part, mm", "c": "px"}
+
+
+def test_a_scene_is_found_with_or_without_its_suffix(tmp_path, monkeypatch):
+    """`new bracket` is followed by `measure bracket`; a folder of results is no scene."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "Träger 1.xml").write_text(COLD, encoding="utf-8")
+    (tmp_path / "Träger 1").mkdir()
+    for name in ("Träger 1", "Träger 1.xml", tmp_path / "Träger 1"):
+        assert find_scene(name).resolve() == tmp_path / "Träger 1.xml"
+
+
+def test_a_scene_that_is_missing_is_missed_before_the_engine_starts():
+    """Rationale: a typing slip was answered after a second."""
+    code = (
+        "import sys; from virtual_sensor.cli.commands import run\n"
+        "sys.argv = ['virtual-sensor', 'measure', 'nope']\n"
+        "print(run(), {'drjit', 'mitsuba'} & sys.modules.keys())"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.stdout == "2 set()\n", ended

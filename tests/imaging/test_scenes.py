@@ -11,7 +11,7 @@ from virtual_sensor_scenes.make_stepped_shaft import profile, revolved
 
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.optics.ray_families import Sheet
 from virtual_sensor.optics.ray_search import SearchStatus

@@ -6,7 +6,8 @@ from command_line import command
 from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import load_scene, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium import netcdf
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import find_scene
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.medium.exact_fields import hot_spot
 from virtual_sensor.metrology.calibration import calibration_of
 from virtual_sensor.metrology.triangulation import triangulated_points

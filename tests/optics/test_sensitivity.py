@@ -18,7 +18,7 @@ from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.exact_fields import linear, selfoc
 from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField

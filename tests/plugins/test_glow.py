@@ -8,7 +8,8 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import arrangement, render, render_frame
-from virtual_sensor.imaging.scene import find_scene, load_scene
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.metrology.line_peaks import line_centres
 
 FILM = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.8}

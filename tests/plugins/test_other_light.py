@@ -8,7 +8,7 @@ import virtual_sensor as vs
 from virtual_sensor.arrays import to_numpy
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import arrangement
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 
 LOOKAT = '<transform name="to_world"><lookat origin="60, 40, 250" target="0, 0, 0" up="0, 1, 0"/>'
 LIGHTS = {

@@ -9,7 +9,7 @@ from virtual_sensor_plugins.renderer import Prepared
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import arrangement, render_frame
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.optics.illumination import LightStatus
 
 SCENES = ("hot_cylinder", "stepped_shaft")

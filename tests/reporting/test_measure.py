@@ -13,7 +13,8 @@ from data_dictionary import undocumented
 from matplotlib.figure import Figure
 
 from virtual_sensor.engine import activate
-from virtual_sensor.imaging.scene import find_scene, load_scene
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.reporting import measure as reporting
 from virtual_sensor.studies.measure import measure, summary
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import find_scene, load_scene
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import triangulate

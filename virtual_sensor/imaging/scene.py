@@ -30,7 +30,6 @@ import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -46,14 +45,16 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import exists, named_file, sha256_of
+from virtual_sensor.files import exists, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.scene_file import (
     SceneFile,
     filled,
+    find_scene,
     included,
     read_scene_file,
+    shipped_scenes,
     shortened,
 )
 from virtual_sensor.medium.description import MediumDescription
@@ -488,23 +489,6 @@ def _unpickled(
 
 def _listed(named: Mapping[str, Any]) -> str:
     return shortened(", ".join(named))
-
-
-def shipped_scenes() -> Path:
-    """Folder of the scenes that come with the program."""
-    return Path(str(resources.files("virtual_sensor_scenes")))
-
-
-def find_scene(name: str | Path) -> Path:
-    """A scene's file: a path, or the name of one that comes with the program.
-
-    Raises
-    ------
-    InputError
-        If there is none: it names the places that were looked in, the scenes that there are, and
-        the one of the nearest name.
-    """
-    return named_file(name, "scene", ".xml", [Path()], [shipped_scenes()])
 
 
 def load_scene(name: str | Path, **parameters: object) -> Scene:

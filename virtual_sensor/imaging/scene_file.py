@@ -24,11 +24,12 @@ import codecs
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from xml.parsers import expat
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import exists, readable
+from virtual_sensor.files import exists, named_file, readable
 
 MOST_NESTED = 16
 MOST_INCLUDED = 14  # one less than Mitsuba allows
@@ -74,6 +75,23 @@ class SceneFile:
     elements: list[Element]
     text: str
     notes: tuple[str, ...] = ()
+
+
+def shipped_scenes() -> Path:
+    """Folder of the scenes that come with the program."""
+    return Path(str(resources.files("virtual_sensor_scenes")))
+
+
+def find_scene(name: str | Path) -> Path:
+    """A scene's file: a path, or the name of one that comes with the program.
+
+    Raises
+    ------
+    InputError
+        If there is none: it names the places that were looked in, the scenes that there are, and
+        the one of the nearest name.
+    """
+    return named_file(name, "scene", ".xml", [Path()], [shipped_scenes()])
 
 
 def parameter_words(path: Path) -> dict[str, str]:

@@ -195,7 +195,7 @@ def cases(
     InputError
         If the scene can't be read, or has no such parameter.
     """
-    from virtual_sensor.imaging.scene import find_scene, shipped_scenes
+    from virtual_sensor.imaging.scene_file import find_scene, shipped_scenes
 
     path = find_scene(scene)
     which = str(scene) if path.parent == shipped_scenes() else str(path.absolute())
@@ -240,7 +240,8 @@ def _anywhere(scene: Path, value: str) -> str:
 
 def _inputs(case: Case) -> tuple[dict[str, str], dict[str, Any]]:
     """The parameters as used, and all that a measurement depends on but the program."""
-    from virtual_sensor.imaging.scene import find_scene, scene_files, scene_parameters
+    from virtual_sensor.imaging.scene import scene_files, scene_parameters
+    from virtual_sensor.imaging.scene_file import find_scene
 
     path = find_scene(case.scene)
     values = scene_parameters(path, case.parameters)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN
-from virtual_sensor.imaging.scene import find_scene
-from virtual_sensor.imaging.scene_file import parameter_words
+from virtual_sensor.imaging.scene_file import find_scene, parameter_words
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.finished_cases import fingerprint, of_other_programs
 from virtual_sensor.studies.provenance import MadeWith, made_with

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from virtual_sensor.engine import mi
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.render import render_columns, render_uncached
-from virtual_sensor.imaging.scene import Scene, find_scene, load_scene
+from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import error_um

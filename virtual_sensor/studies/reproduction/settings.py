@@ -8,13 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from virtual_sensor.imaging.scene import (
-    Scene,
-    find_scene,
-    load_scene,
-    scene_files,
-    scene_parameters,
-)
+from virtual_sensor.imaging.scene import Scene, load_scene, scene_files, scene_parameters
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.eikonal import March
