@@ -1,6 +1,9 @@
 """Objects speak: a line, a table with a picture, files, data frames."""
 
+import dataclasses
+import importlib
 import json
+import pkgutil
 
 import matplotlib
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 from matplotlib import pyplot
 from matplotlib.figure import Figure
 
+import virtual_sensor
 from virtual_sensor.display import LONGEST_LINE, Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres
@@ -38,6 +42,38 @@ def test_a_repr_is_one_short_line_whatever_is_in_the_object():
     assert LONGEST_LINE - 5 < len(repr(Chatty())) <= LONGEST_LINE
     assert repr(Chatty()).isprintable()
     assert repr(Broken()) == "Broken"
+
+
+# Rooms whose dataclasses come into users' hands; what is not frozen is state, and nobody's result.
+ROOMS = ("poses", "engine", "medium", "optics", "devices", "imaging", "metrology", "studies")
+INTERNAL = (
+    "virtual_sensor.imaging.scene_file",
+    "virtual_sensor.medium.heat_flow.mesh",
+    "virtual_sensor.medium.heat_flow.openfoam",
+    "virtual_sensor.medium.heat_flow.sample",
+    "virtual_sensor.medium.heat_flow.snapped_mesh",
+    "virtual_sensor.medium.heat_flow.solver",
+    "virtual_sensor.medium.imports",
+    "virtual_sensor.medium.lookups",
+    "virtual_sensor.medium.netcdf_elements",
+)
+
+
+def dataclasses_of_users():
+    """All public frozen dataclasses of the rooms."""
+    for each in pkgutil.walk_packages(virtual_sensor.__path__, "virtual_sensor."):
+        if each.name.split(".")[1] in ROOMS and not each.name.startswith(INTERNAL):
+            for name, kind in vars(importlib.import_module(each.name)).items():
+                own = isinstance(kind, type) and kind.__module__ == each.name
+                public = own and dataclasses.is_dataclass(kind) and not name.startswith("_")
+                if public and kind.__dataclass_params__.frozen:
+                    yield kind
+
+
+def test_every_object_that_a_user_meets_speaks():
+    kinds = list(dataclasses_of_users())
+    assert len(kinds) > 100
+    assert [each for each in kinds if each.__repr__ is not Displayed.__repr__] == []
 
 
 def test_a_notebook_shows_line_table_and_picture_and_is_told_no_error(line, monkeypatch):

@@ -31,7 +31,7 @@ class Displayed:
     >>> line.save("line.csv")
     """
 
-    _units: ClassVar[Mapping[str, str]] = {}
+    _field_units: ClassVar[Mapping[str, str]] = {}
     """Of fields whose names don't end in their unit."""
     _statuses: ClassVar[Mapping[str, type[IntEnum]]] = {}
     """What the numbers of these fields stand for."""
@@ -45,11 +45,9 @@ class Displayed:
 
     def _line(self) -> str:
         """What a person wants to know of it, in a line behind its class's name."""
-        return ", ".join(
-            f"{each.name} {brief(getattr(self, each.name))}"
-            for each in dataclasses.fields(self)  # type: ignore[arg-type]
-            if each.repr
-        )
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]
+        held = {each.name: getattr(self, each.name) for each in fields if each.repr}
+        return listed(*(f"{name} {brief(value)}" for name, value in held.items() if _says(value)))
 
     def __repr__(self) -> str:
         name = type(self).__name__
@@ -124,6 +122,10 @@ def brief(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
+def _says(value: Any) -> bool:
+    return not (value is None or (isinstance(value, str | tuple | list | Mapping) and not value))
+
+
 def _bracketed(values: list[Any] | tuple[Any, ...]) -> str:
     return f"({', '.join(map(brief, values))})"
 
@@ -145,9 +147,18 @@ def span(name: str, values: ArrayLike, unit: str = "") -> str:
     finite = values[np.isfinite(values)]
     if not finite.size:
         return ""
-    low, high = (f"{number:.5g}" for number in (finite.min(), finite.max()))
+    low, high = (_rounded(number) for number in (finite.min(), finite.max()))
     words = f"{name} {low}" if low == high else f"{name} {low} to {high}"
     return f"{words} {unit}".rstrip()
+
+
+def _rounded(number: float) -> str:
+    return f"{number:.0f}" if 1e3 <= abs(number) < 1e7 else f"{number:.4g}"
+
+
+def place(vector: ArrayLike) -> str:
+    """A point or a direction: "(0, -12.5, 400)"."""
+    return f"({', '.join(f'{x + 0.0:.5g}' for x in np.round(np.asarray(vector, float), 6))})"
 
 
 def listed(*parts: str) -> str:

@@ -39,6 +39,7 @@ from typing import TYPE_CHECKING, Any
 
 from platformdirs import user_cache_path
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import EngineError
 from virtual_sensor.files import scratch_folder
 
@@ -82,7 +83,7 @@ for Real in Float, Float64:
 
 
 @dataclass(frozen=True)
-class RejectedLibrary:
+class RejectedLibrary(Displayed):
     """An LLVM library that cannot serve, who named it, and why it cannot."""
 
     path: Path
@@ -94,7 +95,7 @@ class RejectedLibrary:
 
 
 @dataclass(frozen=True)
-class Llvm:
+class Llvm(Displayed):
     """The LLVM library in use.
 
     Attributes
@@ -116,7 +117,7 @@ class Llvm:
 
 
 @dataclass(frozen=True)
-class Engine:
+class Engine(Displayed):
     """What computes in this process.
 
     Attributes

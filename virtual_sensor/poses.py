@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import short
+from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ _SQUARE = 1e-4  # float32's rounding, of some turns after one another
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class Pose(Displayed):
     """Where a frame stands in the world: ``world = rotation @ local + origin_mm``.
 
     Also a rigid motion, from places before to places after.
@@ -33,6 +34,9 @@ class Pose:
 
     rotation: Array
     origin_mm: Array
+
+    def _line(self) -> str:
+        return listed(f"at {place(self.origin_mm)} mm", f"z axis {place(self.rotation[:, 2])}")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and all(
@@ -118,7 +122,7 @@ def keeps_lengths(turn: Array, tolerance: float = _SQUARE) -> bool:
     return bool(np.abs(turn.T @ turn - np.eye(3)).max() <= tolerance)
 
 
-class Movable:
+class Movable(Displayed):
     """Something in a frame of its own, in which it never changes; a frozen dataclass.
 
     Attributes

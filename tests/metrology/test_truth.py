@@ -266,10 +266,10 @@ def test_margins_are_counted_from_where_the_line_ends():
 def test_what_was_left_out_is_said_in_a_line():
     """Rationale: who prints it sees first what a person wants to know."""
     truth = TrueLine.of_rows(np.where(COLUMNS < 390, 80.0, np.nan))
-    assert repr(truth) == "TrueLine: of 400 columns 390 KNOWN, 10 NO_LINE"
+    assert repr(truth) == "TrueLine: of 400 columns 390 known, 10 no_line"
     assert repr(compare_line(line(np.full(WIDTH, 80.01)), truth)) == (
         "LineErrors: 390 centres, rms 0.01 px, at most 0.01 px; 0 of 390 columns lost;"
-        " left out: 10 NO_LINE"
+        " left out: 10 no_line"
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import exp, where
+from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.poses import Pose
 
@@ -20,7 +21,7 @@ _REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
 
 
 @dataclass(frozen=True)
-class LaserLine:
+class LaserLine(Displayed):
     """A laser line whose intensity is Gaussian across and even along; or a row of laser dots.
 
     Its sizes are in the unit of the family's coordinates: mm of a sheet's reference plane.
@@ -43,6 +44,14 @@ class LaserLine:
     radius_mm: float
     power_w: float
     dots_mm: Array
+
+    def _line(self) -> str:
+        dots = self.dots_mm.size
+        size = f"{dots} dots" if dots else f"{self.length_mm:g} mm long"
+        kind = type(self.family).__name__.lower()
+        radius = f"radius {self.radius_mm:g} mm"
+        start = f"{kind} from {place(self.pose.origin_mm)} mm"
+        return listed(size, radius, f"{self.power_w:g} W", start)
 
     @property
     def pose(self) -> Pose:

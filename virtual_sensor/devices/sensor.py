@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.display import Displayed
 from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SensorModel:
+class SensorModel(Displayed):
     """A camera and a laser line generator in one world: all that triangulation needs.
 
     Attributes
@@ -23,6 +24,10 @@ class SensorModel:
 
     camera: Pinhole
     laser: LaserLine
+
+    def _line(self) -> str:
+        angle = f"{self.triangulation_angle_deg:.4g}° between their axes"
+        return f"{angle}; camera {self.camera._line()}; laser {self.laser._line()}"
 
     @property
     def triangulation_angle_deg(self) -> float:

@@ -25,6 +25,7 @@ from virtual_sensor.arrays import (
     whole_number,
 )
 from virtual_sensor.devices.planck import c, h
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ _MOST_E = 1e18  # what NumPy draws a Poisson number of
 
 
 @dataclass(frozen=True)
-class CameraNoise:
+class CameraNoise(Displayed):
     """A monochrome camera's parameters by EMVA 1288; the defaults are a 12-bit CMOS sensor's.
 
     Attributes
@@ -84,6 +85,13 @@ class CameraNoise:
             )
         whole_number("camera: bit_depth", self.bit_depth, 1, 16)
         whole_number("camera: pattern_seed", self.pattern_seed, 0, 2**63 - 1)
+
+    def _line(self) -> str:
+        return (
+            f"{self.bit_depth} bits, full well {self.full_well_e:g} e, dark noise"
+            f" {self.dark_noise_e:g} e, {self.gain:g} DN/e, quantum efficiency"
+            f" {self.quantum_efficiency:g}, black at {self.black_level:g}"
+        )
 
     @property
     def white(self) -> int:

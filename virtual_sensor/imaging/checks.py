@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.imaging.field_solid import check_solid
 from virtual_sensor.imaging.render import arrangement
@@ -32,7 +33,7 @@ _FIELD = '<integrator type="refractive">: the field'
 
 
 @dataclass(frozen=True)
-class LitLine:
+class LitLine(Displayed):
     """Where straight light draws the laser line: y (N,) of its rays and points (N, 3) on the part.
 
     In mm, the points in the world frame.
@@ -43,7 +44,7 @@ class LitLine:
 
 
 @dataclass(frozen=True)
-class BorderCrossing:
+class BorderCrossing(Displayed):
     """Where light enters a field, and what the jump of n there does to the image.
 
     Attributes

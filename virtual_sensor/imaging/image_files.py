@@ -32,6 +32,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, few
 from virtual_sensor.files import exists, readable
 from virtual_sensor.imaging.image_formats import (
@@ -58,7 +59,7 @@ _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
 
 
 @dataclass(frozen=True)
-class Image:
+class Image(Displayed):
     """An image as a detector wants it.
 
     Attributes
@@ -74,6 +75,11 @@ class Image:
     pixels: NDArray
     largest: float | None
     notes: tuple[str, ...] = ()
+
+    def _line(self) -> str:
+        height, width = self.pixels.shape
+        most = f"clips at {self.largest:g}" if self.largest else ""
+        return listed(f"{width} x {height} px", f"{self.pixels.dtype}", span("", self.pixels), most)
 
 
 def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:

@@ -21,6 +21,7 @@ import PIL.Image
 import tifffile
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.piz import holds_its_claim
 
@@ -37,7 +38,7 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it warns on t
 
 
 @dataclass(frozen=True)
-class StoredImage:
+class StoredImage(Displayed):
     """One channel (H, W) as it is stored, its bits (None: floats), and notes on it.
 
     `scaled`: its grey values are of fewer bits, spread over those of the array's type.
@@ -48,6 +49,11 @@ class StoredImage:
     scaled: bool = False
     orientation: int = 1
     remarks: list[str] = field(default_factory=list)
+
+    def _line(self) -> str:
+        height, width = self.values.shape
+        bits = f"{self.bits} bits" if self.bits else ""
+        return listed(f"{width} x {height} px", f"{self.values.dtype}", bits, span("", self.values))
 
 
 def _channel(

@@ -15,6 +15,7 @@ from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
 from virtual_sensor.child import physical_memory
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
@@ -90,7 +91,7 @@ _COMPLAINTS = (
 
 
 @dataclass(frozen=True)
-class Loaded:
+class Loaded(Displayed):
     """What Mitsuba made of a scene.
 
     Attributes

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.parts import KINDS, Part, read_part
 from virtual_sensor.records import Record
@@ -158,7 +159,7 @@ def _faults(mesh: "Mesh", gaps: list[tuple[float, Array]]) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Mesh:
+class Mesh(Displayed):
     """Triangles that know their neighbours.
 
     Attributes

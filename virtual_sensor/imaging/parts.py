@@ -44,6 +44,7 @@ from pathlib import Path
 
 import numpy as np
 
+from virtual_sensor.display import Displayed, place
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import readable
 from virtual_sensor.imaging.part_files import read_obj, read_stl
@@ -52,7 +53,7 @@ from virtual_sensor.imaging.polygons import Array, Indices, Polygons, triangulat
 
 
 @dataclass(frozen=True)
-class Part:
+class Part(Displayed):
     """A mesh of triangles from a file, in the file's own frame.
 
     Attributes
@@ -73,6 +74,10 @@ class Part:
     normals: Array | None = None
     by_mitsuba: bool = False
     notes: tuple[str, ...] = ()
+
+    def _line(self) -> str:
+        low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
+        return f"{len(self.faces)} triangles, from {place(low)} to {place(high)} mm"
 
 
 def read_part(path: Path, kind: str) -> Part:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -16,13 +17,14 @@ from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
 from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.sight import check_scene_given
-from virtual_sensor.records import Described
+from virtual_sensor.records import Described, status_names, vectors
 
 Image = NDArray[np.float32]
 
@@ -34,7 +36,7 @@ _PREPARED: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
 
 @dataclass(frozen=True, eq=False)
-class PixelTruth:
+class PixelTruth(Displayed):
     """The pixels of a frame that may be lit, and the truth at their centres.
 
     Attributes
@@ -53,6 +55,8 @@ class PixelTruth:
     report : RenderReport
     """
 
+    _statuses: ClassVar = {"status": LightStatus}
+
     index: NDArray[np.uint32]
     point_mm: Image
     depth_mm: Image
@@ -60,9 +64,13 @@ class PixelTruth:
     status: Mapping[str, NDArray[np.uint8]]
     report: RenderReport
 
+    def _line(self) -> str:
+        lit = int(np.isfinite(self.depth_mm).sum())
+        return f"{self.index.size} pixels that may be lit, {lit} are"
+
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Frame(Displayed):
     """A rendered frame, and the truth at its pixels' centres.
 
     Attributes
@@ -77,10 +85,28 @@ class Frame:
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
 
+    _field_units: ClassVar = {"radiance": "W/(mm² sr)"}
+
     radiance: Image
     truth: PixelTruth
     radius_mm: Mapping[str, float]
     report: RenderReport
+
+    def _line(self) -> str:
+        height, width = self.radiance.shape
+        lit = int(np.isfinite(self.truth.depth_mm).sum())
+        brightest = self.radiance.max(initial=0.0)
+        return listed(f"{width} x {height} px", f"{lit} lit", f"up to {brightest:.4g} W/(mm² sr)")
+
+    def _columns(self) -> dict[str, Any]:
+        row, column = np.divmod(self.truth.index.astype(np.int64), self.radiance.shape[1])
+        found: dict[str, Any] = {"column": column, "row": row}
+        found["radiance"] = self.radiance.ravel()[self.truth.index]
+        found |= vectors("point_mm", self.truth.point_mm, "xyz") | {"depth_mm": self.truth.depth_mm}
+        for name, coordinates in self.truth.source_coordinates.items():
+            found |= vectors(name, coordinates, "st")
+            found[f"{name}_status"] = status_names(self.truth.status[name], LightStatus)
+        return found
 
     @cached_property
     def point_mm(self) -> Image:

@@ -43,6 +43,7 @@ from virtual_sensor import engine
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, sha256_of
@@ -161,7 +162,7 @@ class _Stage:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene:
+class Scene(Displayed):
     """A loaded scene: a part in its air, the cameras that see it, the sources that light it.
 
     It never changes; `with_medium`, `with_pose` and their kin give other ones.  Two are equal if
@@ -200,6 +201,13 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("parameters", "cameras", "sources"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def _line(self) -> str:
+        air = self.air.path.name if self.air.path else "homogeneous"
+        air = "given" if self.medium and not self.air.path else air
+        sources = f"source {_listed(self.sources) or 'none'}"
+        devices = f"camera {_listed(self.cameras)}", sources
+        return listed(self.path.name, *devices, f"air {air}", self.transport.name)
 
     @property
     def loaded(self) -> Loaded:
@@ -420,14 +428,6 @@ class Scene:
                 f" {_listed(named) or 'none'}"
             )
         return named[name]
-
-    def __repr__(self) -> str:
-        air = self.air.path.name if self.air.path else "homogeneous"
-        air = "given" if self.medium and not self.air.path else air
-        return (
-            f"Scene({self.path.name}: camera {_listed(self.cameras)}; source"
-            f" {_listed(self.sources) or 'none'}; air {air}; {self.transport.name})"
-        )
 
     def _values(self) -> tuple[object, ...]:
         """What makes it equal to others."""

@@ -23,6 +23,7 @@ from scipy.integrate import quad
 from scipy.special import j1, struve
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within, whole_number
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 
 Array = NDArray[np.float64]
@@ -35,7 +36,7 @@ _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
 
 
 @dataclass(frozen=True)
-class Aperture:
+class Aperture(Displayed):
     """What the camera's lens lets through.
 
     Attributes

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
@@ -21,7 +22,7 @@ _LAST: list[IndexField] = []  # one, held for who loads scenes one after the oth
 
 
 @dataclass(frozen=True)
-class MediumDescription:
+class MediumDescription(Displayed):
     """Which air a field's file stands for.
 
     Attributes
@@ -69,6 +70,18 @@ class MediumDescription:
             raise InputError("'widen' and 'blur' are of a field; give the 'field', or neither")
         if self.path is None and self.pose is not None:
             raise InputError("'to_world' moves a field; give the 'field', or none of both")
+
+    def _line(self) -> str:
+        if self.path is None:
+            return "homogeneous"
+        widen = f"widened {self.widen:g} times" if self.widen != 1.0 else ""
+        blur = f"blurred by {self.blur_mm:g} mm" if self.blur_mm else ""
+        time = f"at {self.time_s:g} s" if self.time_s is not None else ""
+        grid = "" if self.interpolation == "cubic" else self.interpolation
+        flat = "" if self.dimensions == 3 else "its section x = 0"
+        moved = "moved" if self.pose else ""
+        light = f"for {self.wavelength_nm:g} nm"
+        return listed(self.path.name, time, widen, blur, grid, flat, moved, light)
 
     def read(self) -> IndexField | None:
         """Read the field; None of homogeneous air.

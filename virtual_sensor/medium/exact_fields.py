@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.display import place
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.poses import Movable, Pose
 
@@ -35,6 +36,10 @@ class ExactField(Movable):
     box: np.ndarray = field(default_factory=lambda: np.array([[-1e3] * 3, [1e3] * 3]))
     ambient: float = 0.0
     pose: Pose | None = None
+
+    def _line(self) -> str:
+        low, high = self.box
+        return f"of a formula, from {place(low)} to {place(high)} mm"
 
     def lookup(self, precision: str) -> "ExactField":
         """Itself: an expression has no precision of its own."""

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.index_field import IndexField
 
 
 @dataclass(frozen=True)
-class FieldFamily:
+class FieldFamily(Displayed):
     """Fields of one flow at several wall temperatures, on one grid and in the same surroundings.
 
     Between them every node follows the polynomial through its values, in Lagrange's form.
@@ -53,6 +54,10 @@ class FieldFamily:
                     f"the fields of {at:g} and {temperature:g} degC have different surroundings:"
                     f" n - 1 is {first.ambient:.6g} and {field.ambient:.6g}; give the same air"
                 )
+
+    def _line(self) -> str:
+        temperatures = ", ".join(f"{temperature:g}" for temperature in self.fields)
+        return f"fields at {temperatures} degC"
 
     def at(self, temperature_c: float) -> IndexField:
         """The field at a wall temperature, degC.

@@ -11,11 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from virtual_sensor.arrays import points_of, to_numpy, to_vectors
+from virtual_sensor.display import listed, place, span
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.find_field import find_field
@@ -25,6 +27,7 @@ from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
 from virtual_sensor.poses import Movable, Pose
+from virtual_sensor.records import vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,18 @@ class IndexField(Movable):
     notes: tuple[str, ...] = ()
     pose: Pose | None = None
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
+
+    def _line(self) -> str:
+        low, high = self.box
+        nodes, ambient = " x ".join(map(str, self.shape)), f"ambient {self.ambient:.4g}"
+        where = f"from {place(low)} to {place(high)} mm"
+        moved = "moved" if self.pose else ""
+        return listed(f"{nodes} nodes", where, span("n - 1", self.nodes), ambient, moved)
+
+    def _columns(self) -> dict[str, Any]:
+        at = np.indices(self.shape).reshape(3, -1).T
+        points = self.to_world(self.origin + at * self.spacing)
+        return {**vectors("point_mm", points, "xyz"), "refractivity": self.nodes.ravel()}
 
     @classmethod
     def from_arrays(

@@ -56,6 +56,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import netcdf_file
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, naming, printable
 from virtual_sensor.files import written_whole
 from virtual_sensor.medium.air import air_refractivity, refractivity_of_density
@@ -89,7 +90,7 @@ TIME_DOUBT = 1e-6  # of the time itself: a float32 coordinate's rounding is no o
 
 
 @dataclass(frozen=True)
-class GriddedQuantity:
+class GriddedQuantity(Displayed):
     """What goes into a field file.
 
     Attributes
@@ -124,7 +125,7 @@ class GriddedQuantity:
 
 
 @dataclass(frozen=True)
-class FieldFile:
+class FieldFile(Displayed):
     """What a field file says of one instant, in mm, s, K and n - 1.
 
     Attributes

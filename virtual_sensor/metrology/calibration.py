@@ -35,6 +35,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, place
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import readable
 from virtual_sensor.optics.ray_families import Pinhole
@@ -70,7 +71,7 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(Displayed):
     """A laser plane in Hessian form.
 
     Attributes
@@ -84,6 +85,9 @@ class Plane:
     normal: Array
     offset_mm: float
 
+    def _line(self) -> str:
+        return f"normal {place(self.normal)}, {self.offset_mm:.6g} mm from the origin"
+
     @property
     def plane(self) -> tuple[Array, float]:
         """Normal and offset."""
@@ -96,7 +100,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Displayed):
     """All that `triangulate` needs of a sensor: a camera and a laser plane in one world.
 
     Attributes
@@ -110,6 +114,10 @@ class Calibration:
     camera: Pinhole
     laser: Plane
     notes: tuple[str, ...] = ()
+
+    def _line(self) -> str:
+        angle = f"laser plane {self.triangulation_angle_deg:.4g}° to the camera's axis"
+        return f"{angle}; camera {self.camera._line()}"
 
     @property
     def triangulation_angle_deg(self) -> float:

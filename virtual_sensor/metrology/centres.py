@@ -99,7 +99,7 @@ class LineCentres(Displayed):
         `Status` of each: ``Status.of(line.status)`` gives the members, which have a message.
     """
 
-    _units: ClassVar = dict.fromkeys(("column", "row", "sigma", "width"), "px")
+    _field_units: ClassVar = dict.fromkeys(("column", "row", "sigma", "width"), "px")
     _statuses: ClassVar = {"status": Status}
     _by_row: ClassVar = True
 

@@ -5,12 +5,14 @@ and unit are those of the points, the world's in mm.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import ndtri, stdtrit
 
+from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.statuses import StatusEnum
@@ -39,7 +41,7 @@ class FitStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class CylinderFit:
+class CylinderFit(Displayed):
     """The cylinder nearest to N points; NaN in all numbers where there is none.
 
     Attributes
@@ -59,6 +61,8 @@ class CylinderFit:
         `FitStatus`.
     """
 
+    _statuses: ClassVar = {"status": FitStatus}
+
     radius_mm: float
     axis_point_mm: Array
     axis_direction: Array
@@ -66,6 +70,13 @@ class CylinderFit:
     residual_std_um: float
     count: int
     status: int
+
+    def _line(self) -> str:
+        if self.status != FitStatus.FITTED:
+            return f"none, {FitStatus(self.status).name.lower()}: {self.count} points"
+        spread = f"residuals of {self.residual_std_um:.3g} µm"
+        axis = f"axis {place(self.axis_direction)} through {place(self.axis_point_mm)} mm"
+        return listed(f"radius {self.radius_mm:.7g} mm", f"{self.count} points", spread, axis)
 
 
 def fit_cylinder(points_mm: ArrayLike, *, direction: ArrayLike | None = None) -> CylinderFit:

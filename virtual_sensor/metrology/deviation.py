@@ -4,12 +4,15 @@ A is where a laser ray meets the cold object and B where it meets the hot one, A
 points measured there by triangulation, all in the world frame.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
+from virtual_sensor.display import Displayed
 from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
@@ -26,7 +29,7 @@ LETTERS = {
 
 
 @dataclass(frozen=True)
-class Deviation:
+class Deviation(Displayed):
     """Differences in N laser rays; NaN where one of the two points is missing.
 
     Attributes
@@ -43,15 +46,20 @@ class Deviation:
         A - A_m: real minus measured point in cold air, figure 7(e).
     """
 
+    _by_row: ClassVar = True
+
     incidence_shift_um: Array
     hot_error_um: Array
     measured_shift_um: Array
     pixel_shift_px: Array
     cold_error_um: Array
 
+    def _line(self) -> str:
+        return _most(vars(self))
+
 
 @dataclass(frozen=True)
-class PathDisplacement:
+class PathDisplacement(Displayed):
     """Pixel displacement (Delta u, Delta v), split by light path: figures 8 and 9.
 
     Attributes
@@ -65,9 +73,14 @@ class PathDisplacement:
         the cold pixel shows A.
     """
 
+    _by_row: ClassVar = True
+
     laser_to_object_px: Array
     object_to_camera_px: Array
     laser_to_camera_px: Array
+
+    def _line(self) -> str:
+        return _most(vars(self))
 
 
 def deviations(
@@ -92,6 +105,17 @@ def deviations(
 def euclidean(difference: ArrayLike) -> Array:
     """Length (N,) of each difference (N, 2) or (N, 3) in its own unit: the paper's d_euclid."""
     return np.linalg.norm(np.asarray(difference, float), axis=-1)
+
+
+def _most(differences: Mapping[str, Array]) -> str:
+    """The largest length of each difference (N, K), as a line says it."""
+    words = []
+    for name, values in differences.items():
+        lengths = euclidean(values)
+        known = lengths[np.isfinite(lengths)]
+        words += [f"{name} {known.max():.3g}"] if known.size else []
+    count = f"{len(next(iter(differences.values())))} rays"
+    return f"{count}, at most {', '.join(words)}" if words else f"{count}, none with both points"
 
 
 def round_pixel(pixel: ArrayLike, step: float = 0.25) -> Array:

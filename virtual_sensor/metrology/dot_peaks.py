@@ -1,12 +1,14 @@
 """Centroids of laser dots: the paper's discrete laser rays as a camera sees them."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import SMALLEST, number_within, whole_number
+from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.metrology.line_profiles import QUARTILE, checked_image, saturation_level
 from virtual_sensor.statuses import StatusEnum
 
@@ -49,7 +51,7 @@ class DotStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class DotCentres:
+class DotCentres(Displayed):
     """M dots by rising u; `pixel` and `flux` are NaN where `status` is not OK.
 
     Attributes
@@ -62,9 +64,16 @@ class DotCentres:
         `DotStatus` of each dot.
     """
 
+    _field_units: ClassVar = {"pixel": "px"}
+    _statuses: ClassVar = {"status": DotStatus}
+    _by_row: ClassVar = True
+
     pixel: Array
     flux: Array
     status: NDArray[np.uint8]
+
+    def _line(self) -> str:
+        return listed(tally(self.status, DotStatus.OK), span("columns", self.pixel[:, 0]))
 
 
 def dot_centres(

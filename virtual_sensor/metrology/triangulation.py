@@ -1,12 +1,13 @@
 """From pixels to points: the line of sight meets the laser plane (Beermann et al. 2018, 3.3)."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, numbers_of, points_of, short
+from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
@@ -20,7 +21,7 @@ PARALLEL = 1e-12  # sine of the angle to the laser plane: below it a line of sig
 
 
 @dataclass(frozen=True)
-class TriangulatedPoints:
+class TriangulatedPoints(Displayed):
     """What pixels measure.
 
     Attributes
@@ -31,8 +32,16 @@ class TriangulatedPoints:
         `CrossingStatus`.
     """
 
+    _statuses: ClassVar = {"status": CrossingStatus}
+    _by_row: ClassVar = True
+
     point_mm: Array
     status: NDArray[np.uint8]
+
+    def _line(self) -> str:
+        axes = zip("xyz", np.moveaxis(self.point_mm, -1, 0), strict=True)
+        spans = (span(axis, values, "mm") for axis, values in axes)
+        return listed(tally(self.status, CrossingStatus.OK), *spans)
 
 
 def triangulate(

@@ -7,7 +7,7 @@ says how many it left out, and why.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt
 
 from virtual_sensor.arrays import numbers_of
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
@@ -64,7 +65,7 @@ class TruthStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class TrueLine:
+class TrueLine(Displayed):
     """A line's true rows: arrays of shape (K, W), as a column may see the line up to K times.
 
     Attributes
@@ -78,9 +79,22 @@ class TrueLine:
         `TruthStatus` of each.
     """
 
+    _field_units: ClassVar = {"row": "px"}
+    _statuses: ClassVar = {"status": TruthStatus}
+
     row: Array
     end_px: Array
     status: NDArray[np.uint8]
+
+    def _line(self) -> str:
+        counts = {s: n for s in TruthStatus if (n := (self.status == s).any(axis=0).sum())}
+        words = ", ".join(f"{number} {s.name.lower()}" for s, number in counts.items())
+        return f"of {self.row.shape[1]} columns {words or 'none'}"
+
+    def _columns(self) -> dict[str, Any]:
+        peak, column = np.indices(self.row.shape)
+        layers = {"peak": peak, "column": column, **vars(self)}
+        return {name: values.ravel() for name, values in layers.items()}
 
     @classmethod
     def of_rows(cls, row: ArrayLike) -> "TrueLine":
@@ -210,14 +224,9 @@ class TrueLine:
         """Where the row is known (K, W), not nearer to an end of the line than a margin."""
         return (self.status == TruthStatus.KNOWN) & (self.end_px >= end_px)
 
-    def __repr__(self) -> str:
-        counts = {s: n for s in TruthStatus if (n := (self.status == s).any(axis=0).sum())}
-        words = ", ".join(f"{number} {s.name}" for s, number in counts.items())
-        return f"TrueLine: of {self.row.shape[1]} columns {words}"
-
 
 @dataclass(frozen=True)
-class LineErrors:
+class LineErrors(Displayed):
     """Centres of a line beside the truth; N of them are compared.
 
     Attributes
@@ -238,6 +247,9 @@ class LineErrors:
         Centres that are OK and were not compared, by the reason; only those that occur.
     """
 
+    _field_units: ClassVar = dict.fromkeys(("column", "row", "true_row", "sigma"), "px")
+    _statuses: ClassVar = {"lost": Status}
+
     column: Array
     row: Array
     true_row: Array
@@ -246,6 +258,18 @@ class LineErrors:
     lost: NDArray[np.uint8]
     cut: int
     left_out: dict[TruthStatus, int]
+
+    def _line(self) -> str:
+        left = ", ".join(f"{number} {why.name.lower()}" for why, number in self.left_out.items())
+        return (
+            f"{self.count} centres, rms {self.rms_px:.2g} px, at most {self.largest_px:.2g} px;"
+            f" {self.lost.size} of {self.expected} columns lost"
+            f"{'; left out: ' + left if left else ''}"
+        )
+
+    def _columns(self) -> dict[str, Any]:
+        names = ("column", "row", "true_row", "sigma", "error_px")
+        return {name: getattr(self, name) for name in names}
 
     @property
     def error_px(self) -> Array:
@@ -282,14 +306,6 @@ class LineErrors:
         """Which are off by more than `WRONG_PX`, or `WRONG_SIGMAS` of their own and `FINE_PX`."""
         error = np.abs(self.error_px)
         return (error > WRONG_PX) | (error > np.maximum(WRONG_SIGMAS * self.sigma, FINE_PX))
-
-    def __repr__(self) -> str:
-        left = ", ".join(f"{number} {why.name}" for why, number in self.left_out.items())
-        return (
-            f"LineErrors: {self.count} centres, rms {self.rms_px:.2g} px, at most"
-            f" {self.largest_px:.2g} px; {self.lost.size} of {self.expected} columns lost"
-            f"{'; left out: ' + left if left else ''}"
-        )
 
 
 def compare_line(
@@ -402,7 +418,7 @@ def _status_of_columns(line: LineCentres, width: int) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True)
-class DotErrors:
+class DotErrors(Displayed):
     """Centroids of dots beside the pixels where M dots truly are.
 
     Attributes
@@ -417,10 +433,19 @@ class DotErrors:
         Dots that are OK and belong to none of them.
     """
 
+    _field_units: ClassVar = {"pixel": "px", "true_pixel": "px"}
+    _by_row: ClassVar = True
+
     pixel: Array
     flux: Array
     true_pixel: Array
     stray: int
+
+    def _line(self) -> str:
+        return (
+            f"{self.count} of {len(self.pixel)} dots, rms {self.rms_px:.2g} px, at most"
+            f" {self.largest_px:.2g} px; {self.stray} dots of none"
+        )
 
     @property
     def found(self) -> Mask:
@@ -446,12 +471,6 @@ class DotErrors:
     def largest_px(self) -> float:
         """Largest distance; NaN if there is no dot."""
         return largest(np.linalg.norm(self.error_px, axis=1))
-
-    def __repr__(self) -> str:
-        return (
-            f"DotErrors: {self.count} of {len(self.pixel)} dots, rms {self.rms_px:.2g} px, at most"
-            f" {self.largest_px:.2g} px; {self.stray} dots of none"
-        )
 
 
 def compare_dots(

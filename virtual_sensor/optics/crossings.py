@@ -11,10 +11,12 @@ displacements of two forward maps (`ray_maps`), which give the derivatives as we
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, tally
 from virtual_sensor.optics.covering_maps import by_octaves, covering_map, first_march, in_mm
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
@@ -33,7 +35,7 @@ _FARTHEST = 2.0  # times its straight depth, a bent crossing is given up
 
 
 @dataclass(frozen=True)
-class Crossings:
+class Crossings(Displayed):
     """Points of N pixels.
 
     Attributes
@@ -46,9 +48,15 @@ class Crossings:
         `CrossingStatus`.
     """
 
+    _statuses: ClassVar = {"status": CrossingStatus}
+    _by_row: ClassVar = True
+
     point_mm: Array
     along: Array
     status: NDArray[np.uint8]
+
+    def _line(self) -> str:
+        return tally(self.status, CrossingStatus.OK)
 
 
 def crossings(

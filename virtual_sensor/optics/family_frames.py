@@ -4,12 +4,13 @@ import copy
 from dataclasses import dataclass, fields
 from typing import Any
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr
 from virtual_sensor.optics.ray_families import RayFamily
 
 
 @dataclass(frozen=True)
-class FamilyFrame:
+class FamilyFrame(Displayed):
     """A family's rays and frame for one of Dr.Jit's vector types.
 
     Attributes

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from virtual_sensor.arrays import by_rows, in_own_memory, to_numpy, to_vectors
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.lookups import contracted, cubic_weights
 from virtual_sensor.medium.spline import bspline_coefficients
@@ -20,7 +21,7 @@ _SLACK = 1e-3  # of a cell: places this far out of the grid are still in it, but
 
 
 @dataclass(frozen=True)
-class Grid:
+class Grid(Displayed):
     """A regular grid in three coordinates.
 
     Attributes

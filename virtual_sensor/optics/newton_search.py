@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import solved
+from virtual_sensor.display import Displayed
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sight import (
     REFERENCE,
@@ -41,7 +42,7 @@ _FOUND_PX = 1e-4  # by which a root may be missed at most
 
 
 @dataclass(frozen=True)
-class Roots:
+class Roots(Displayed):
     """Pixels whose lines of sight meet laser points, one row per laser ray.
 
     Attributes

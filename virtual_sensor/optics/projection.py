@@ -6,12 +6,13 @@ meets the point. Parts hide nothing: a point within one or behind it has its pix
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, points_of
+from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.covering_maps import by_octaves, in_mm, in_view, rays_through
 from virtual_sensor.optics.newton_search import marched_pixels
@@ -47,7 +48,7 @@ class ProjectionStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class ProjectedPoints:
+class ProjectedPoints(Displayed):
     """Where points are seen.
 
     Attributes
@@ -58,8 +59,19 @@ class ProjectedPoints:
         `ProjectionStatus`.
     """
 
+    _field_units: ClassVar = {"pixel": "px"}
+    _statuses: ClassVar = {"status": ProjectionStatus}
+    _by_row: ClassVar = True
+
     pixel: Array
     status: NDArray[np.uint8]
+
+    def _line(self) -> str:
+        return listed(
+            tally(self.status, ProjectionStatus.OK),
+            span("columns", self.pixel[..., 0]),
+            span("rows", self.pixel[..., 1]),
+        )
 
 
 def project(

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.poses import Pose
 
@@ -33,7 +34,7 @@ _SAMPLES = 33  # for a fold, between the middle of the image and a pixel
 _NEAR = 2.0  # images: within so many, samples on a grid miss no fold
 
 
-class RayFamily(ABC):
+class RayFamily(Displayed, ABC):
     """Straight rays named by two coordinates; subclasses are frozen dataclasses.
 
     Their fields of type float are parameters that Dr.Jit's kernels are compiled without.
@@ -170,6 +171,10 @@ class Sheet(RayFamily):
     distance_mm: float
     fan_per_mm: float = 0.0
 
+    def _line(self) -> str:
+        fan = f"fanned by {self.fan_per_mm:g}/mm" if self.fan_per_mm else "telecentric"
+        return listed(fan, self.pose._line(), f"{self.distance_mm:g} mm to its reference plane")
+
     def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
         """On the exit, which fanned rays leave closer together."""
         return s, t * (1.0 - self.fan_per_mm * self.distance_mm)
@@ -216,6 +221,12 @@ class Pinhole(RayFamily):
     size: tuple[int, int]
     distortion: Array = field(default_factory=lambda: np.zeros(0))
     fisheye: bool = False
+
+    def _line(self) -> str:
+        width, height = self.size
+        focal = f"f {abs(self.matrix[0, 0]):.5g} px"
+        lens = "fisheye" if self.fisheye else "distorts" if self.distorts else ""
+        return listed(f"{width} x {height} px", focal, lens, self.pose._line())
 
     def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
         """All in the projection centre."""

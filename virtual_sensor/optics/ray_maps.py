@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from virtual_sensor.arrays import by_rows, determinant, solved, to_scalars, to_vectors
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import Field, March, Straight, bend, in_plane
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -75,7 +76,7 @@ class MapStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class RayPoints:
+class RayPoints(Displayed):
     """Points on bent rays.
 
     Attributes
@@ -92,7 +93,7 @@ class RayPoints:
 
 
 @dataclass(frozen=True)
-class PointRays:
+class PointRays(Displayed):
     """The bent rays through points.
 
     Attributes
@@ -111,7 +112,7 @@ class PointRays:
 
 
 @dataclass(frozen=True, eq=False)
-class RayMap:
+class RayMap(Displayed):
     """What both directions have in common.
 
     Attributes
@@ -353,7 +354,7 @@ def along(family: RayFamily, places: Array, moved: Array | None) -> tuple[Array,
 
 
 @dataclass(frozen=True, eq=False)
-class MapRequest:
+class MapRequest(Displayed):
     """Which map is asked for.
 
     Attributes

@@ -7,11 +7,13 @@ and batched over all laser rays at once.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import whole_number
+from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.map_search import tabulated_roots
 from virtual_sensor.optics.newton_search import Roots, newton, newton_along_line
@@ -73,7 +75,7 @@ class SearchStatus(StatusEnum):
 
 
 @dataclass(frozen=True)
-class FoundPixels:
+class FoundPixels(Displayed):
     """What a search found, one row per laser ray.
 
     Attributes
@@ -93,12 +95,23 @@ class FoundPixels:
         `SearchStatus`.
     """
 
+    _field_units: ClassVar = {"pixel": "px"}
+    _statuses: ClassVar = {"status": SearchStatus}
+    _by_row: ClassVar = True
+
     laser_point_mm: Array
     pixel: Array
     seen_point_mm: Array
     distance_um: Array
     iterations: NDArray[np.int64]
     status: NDArray[np.int64]
+
+    def _line(self) -> str:
+        return listed(
+            tally(self.status, SearchStatus.FOUND),
+            span("columns", self.pixel[:, 0]),
+            span("rows", self.pixel[:, 1]),
+        )
 
 
 def ray_search(

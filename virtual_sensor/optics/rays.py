@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import whole_number
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
@@ -61,7 +62,7 @@ class Field(Protocol):
 
 
 @dataclass(frozen=True)
-class March:
+class March(Displayed):
     """How to march.
 
     Attributes
@@ -103,6 +104,9 @@ class March:
             raise InputError(f"method '{self.method}' is none of {', '.join(STEPPERS)}")
         if self.precision not in ("single", "double"):
             raise InputError(f"precision must be single or double, not '{self.precision}'")
+
+    def _line(self) -> str:
+        return f"{self}"
 
     def check(self, field: Field | None) -> None:
         """Ask whether steps so long, or so short, get through a field.

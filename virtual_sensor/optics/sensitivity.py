@@ -13,14 +13,16 @@ sight, give the derivatives by all parameters at once:
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
+from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, few
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import RayFamily
@@ -36,7 +38,7 @@ _BODIES = {"camera": ("camera",), "laser": ("laser",), "sensor": ("camera", "las
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(Displayed):
     """Rate at which parts of the sensor, as one rigid body, move with a parameter.
 
     Attributes
@@ -58,7 +60,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class RayStarts:
+class RayStarts(Displayed):
     """Rays as they start, and how they change with their coordinates and with their device's pose.
 
     Attributes
@@ -104,7 +106,7 @@ def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, Motion]:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class Sensitivity(Displayed):
     """Derivatives of the line's place in the image, one row per laser ray; NaN unless FOUND.
 
     Attributes
@@ -124,12 +126,19 @@ class Sensitivity:
         `SearchStatus`.
     """
 
+    _field_units: ClassVar = {"pixel": "px", "along_line": "px/mm"}
+    _statuses: ClassVar = {"status": SearchStatus}
+    _by_row: ClassVar = True
+
     laser_y_mm: Array
     laser_point_mm: Array
     pixel: Array
     along_line: Array
     of_pixel: dict[str, Array]
     status: NDArray[np.int64]
+
+    def _line(self) -> str:
+        return listed(tally(self.status, SearchStatus.FOUND), f"by {few([*self.of_pixel], 6)}")
 
     @property
     def of_centre(self) -> dict[str, Array]:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_numpy, to_vectors
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import EngineError
 
@@ -26,7 +27,7 @@ class Surface(Protocol):
 
 
 @dataclass(frozen=True)
-class NoSurface:
+class NoSurface(Displayed):
     """There is nothing to meet."""
 
     def distance(self, origin: Any, direction: Any, limit: Any, active: Any) -> Any:
@@ -54,10 +55,13 @@ def own_variant(scene: Any) -> None:
 
 
 @dataclass(frozen=True)
-class SceneSurface:
+class SceneSurface(Displayed):
     """All shapes of a Mitsuba scene.  Its intersections are float32: keep the segments short."""
 
     scene: Any
+
+    def _line(self) -> str:
+        return "of the scene's shapes"
 
     @property
     def corners(self) -> tuple[Any, Any]:
@@ -93,7 +97,7 @@ class SceneSurface:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class Cylinder(Displayed):
     """A solid cylinder with its end faces, along x; in the precision of the rays.
 
     Attributes

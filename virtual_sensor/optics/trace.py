@@ -1,11 +1,13 @@
 """Rays in, rays out, as NumPy arrays: the march for people who want just that."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import by_rows, points_of, to_numpy, to_scalars, to_vectors
+from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import Field, March, Straight, after_length, bend
@@ -16,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Rays:
+class Rays(Displayed):
     """Where rays are after a march.
 
     Attributes
@@ -32,10 +34,19 @@ class Rays:
         those of the last step).
     """
 
+    _field_units: ClassVar = {"position": "mm"}
+    _statuses: ClassVar = {"status": RayStatus}
+    _by_row: ClassVar = True
+
     position: Array
     direction: Array
     optical_path_mm: Array
     status: NDArray[np.uint32]
+
+    def _line(self) -> str:
+        counts = {s: int(np.sum(self.status == s)) for s in RayStatus}
+        words = (f"{number} {s.name.lower()}" for s, number in counts.items() if number)
+        return listed(f"{self.status.size} rays", *words, span("paths", self.optical_path_mm, "mm"))
 
 
 def trace(

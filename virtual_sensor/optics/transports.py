@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.eikonal import bend
@@ -25,7 +26,7 @@ TRANSPORTS = ("tabulated", "marched", "first_order", "straight")
 
 
 @dataclass(frozen=True)
-class Transport:
+class Transport(Displayed):
     """How bent rays are found.
 
     Attributes
@@ -59,6 +60,10 @@ class Transport:
         march = replace(self.march, first_order=self.name == "first_order")
         object.__setattr__(self, "march", march)
 
+    def _line(self) -> str:
+        error = f"to {self.tolerance_px:g} px" if self.name == "tabulated" else ""
+        return listed(f"{self.name} {error}".rstrip(), f"{self.march}")
+
     def check(self, medium: Field | None) -> None:
         """Raise InputError if the march can't get through the air."""
         self.march.check(None if self.name == "straight" else medium)
@@ -90,7 +95,7 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Marched:
+class Marched(Displayed):
     """Rays are marched to the surface; there, each source's ray is found by Newton's method.
 
     Attributes
@@ -162,7 +167,7 @@ class Marched:
 
 
 @dataclass(frozen=True)
-class Tabulated:
+class Tabulated(Displayed):
     """Ray maps answer for camera and sources; rays that they don't hold are marched.
 
     Attributes

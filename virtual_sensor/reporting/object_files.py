@@ -73,7 +73,7 @@ def columns_of(thing: Displayed) -> dict[str, NDArray[Any]]:
     if isinstance(thing, Table):
         return thing.columns()
     if own := getattr(thing, "_columns", None):
-        return dict(own())
+        return {name: _named(thing, name, np.asarray(values)) for name, values in own().items()}
     if thing._by_row:
         return dict(_row_columns(thing))
     return {name: np.array([value]) for name, value in _cells(thing, "")}

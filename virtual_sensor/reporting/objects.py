@@ -121,7 +121,7 @@ def _table(thing: Displayed) -> str:
         if each.name.startswith("_") or each.metadata.get("internal"):
             continue
         value, kind = getattr(thing, each.name), thing._statuses.get(each.name)
-        unit = thing._units.get(each.name, unit_of(each.name))
+        unit = thing._field_units.get(each.name, unit_of(each.name))
         if kind is None:
             rows.append((each.name, f"{_shown(value)} {unit}".rstrip()))
             continue

@@ -22,6 +22,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.files import written_whole
 from virtual_sensor.reporting.style import style
 
@@ -36,7 +37,7 @@ _LINE_PX, _LETTER_PX = 26, 12.5
 
 
 @dataclass(frozen=True)
-class Panel:
+class Panel(Displayed):
     """What one panel shows, and how it is drawn.
 
     Attributes
@@ -65,7 +66,7 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class PanelPicture:
+class PanelPicture(Displayed):
     """A panel as it was drawn.
 
     Attributes
@@ -81,9 +82,12 @@ class PanelPicture:
     width_px: int
     height_px: int
 
+    def _line(self) -> str:
+        return f"{self.title}, {self.width_px} x {self.height_px} px"
+
 
 @dataclass(frozen=True)
-class Picture:
+class Picture(Displayed):
     """A drawn picture.
 
     Attributes
@@ -98,6 +102,9 @@ class Picture:
     title: str
     png: bytes
     panels: tuple[PanelPicture, ...]
+
+    def _line(self) -> str:
+        return f"{self.title}, {len(self.panels)} panels"
 
     def write(self, path: Path) -> None:
         """Write the whole as a PNG file.

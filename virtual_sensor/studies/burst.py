@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, NothingFoundError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.render import Frame, render_frame
@@ -44,7 +45,7 @@ EachFrame = Callable[[int, float, Frame], None]
 
 
 @dataclass(frozen=True)
-class Spread:
+class Spread(Displayed):
     """Mean and standard deviation over the frames of a burst, of N quantities of K components.
 
     Attributes
@@ -62,7 +63,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Views:
+class Views(Displayed):
     """Some frames of a burst, cut to what is lit, and the mean of all frames there.
 
     Attributes
@@ -322,7 +323,7 @@ class BurstSummary(SceneFacts):
 
 
 @dataclass(frozen=True)
-class Burst:
+class Burst(Displayed):
     """Frames at F equally spaced instants.
 
     Attributes
@@ -354,6 +355,10 @@ class Burst:
     views: Views
     notes: tuple[str, ...]
     stage_s: dict[str, float]
+
+    def _line(self) -> str:
+        span_s = f"{self.time_s.min():g} to {self.time_s.max():g} s" if self.time_s.size else ""
+        return listed(self.scene.path.name, f"{self.time_s.size} frames", span_s)
 
     @property
     def up(self) -> Array:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.heat_flow.mesh import cylinder_mesh
@@ -172,7 +173,7 @@ def coarsest(changes: Sequence[Change], bound_px: float) -> Change | None:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Seen(Displayed):
     """What the sensor sees through a field.
 
     Attributes

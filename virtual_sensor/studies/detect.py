@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import read_image
 from virtual_sensor.metrology.calibration import Calibration
@@ -171,7 +172,7 @@ class ImageSummary(Record):
 
 
 @dataclass(frozen=True)
-class Detected:
+class Detected(Displayed):
     """One image and what was found in it.
 
     Attributes
@@ -193,6 +194,9 @@ class Detected:
     points_mm: Array | None
     time_s: float
     remarks: tuple[str, ...] = ()
+
+    def _line(self) -> str:
+        return f"{self.path.name}, {self.line._line()}"
 
     @property
     def centres(self) -> CentreTable:

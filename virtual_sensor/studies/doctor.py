@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 from virtual_sensor import engine
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import Engine
 from virtual_sensor.errors import EngineError
 
 
 @dataclass(frozen=True)
-class Package:
+class Package(Displayed):
     """A package that the program needs.
 
     Attributes
@@ -31,7 +32,7 @@ class Package:
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(Displayed):
     """What works in this process.
 
     Attributes

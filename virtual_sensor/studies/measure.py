@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import FACES, check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
@@ -65,7 +66,7 @@ ROUNDED_PX = 0.25
 
 
 @dataclass(frozen=True)
-class State:
+class State(Displayed):
     """One measurement, of the part cold or hot.
 
     Attributes
@@ -97,6 +98,9 @@ class State:
     section: Section
     search_time_s: float
     render_time_s: float
+
+    def _line(self) -> str:
+        return listed(self.line._line(), f"rendered in {self.render_time_s:.3g} s")
 
     @property
     def dots(self) -> DotErrors | None:
@@ -157,7 +161,7 @@ class State:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class Measurement(Displayed):
     """The part measured cold and, if the scene has a field, hot.
 
     Attributes
@@ -181,6 +185,11 @@ class Measurement:
     notes: tuple[str, ...]
     caveats: tuple[str, ...]
     time_s: float
+
+    def _line(self) -> str:
+        found = (f"{name} {state.centres} centres" for name, state in self.states.items())
+        notes = f"{len(self.notes)} notes" if self.notes else ""
+        return listed(self.scene.path.name, *found, f"{self.time_s:.3g} s", notes)
 
     @property
     def scene(self) -> Scene:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
@@ -49,7 +50,7 @@ class SearchTable(Table):
 
 
 @dataclass(frozen=True)
-class Search:
+class Search(Displayed):
     """What was searched for.
 
     Attributes
@@ -61,6 +62,9 @@ class Search:
 
     rays: SearchTable
     notes: tuple[str, ...]
+
+    def _line(self) -> str:
+        return f"{self.found} of {len(self.rays)} found"
 
     @property
     def found(self) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.truth import rms
@@ -24,7 +25,7 @@ _STEEPEST = 11.4  # depth over length along the line: from 85 degrees on it is a
 
 
 @dataclass(frozen=True)
-class Section:
+class Section(Displayed):
     """Where straight light of the sheet's middle meets a part.
 
     Attributes
@@ -39,6 +40,11 @@ class Section:
     laser: LaserLine
     point_mm: Array
     joined: NDArray[np.bool_]
+
+    def _line(self) -> str:
+        across, away = self.point_mm.T
+        spans = span("along", across, "mm"), span("away", away, "mm")
+        return listed(f"{len(self.point_mm)} points", *spans)
 
     def along_mm(self, points_mm: Array) -> Array:
         """Position (M,) along the line of world points (M, 3), as of probe rays."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.scene import Scene, load_scene
@@ -42,7 +43,7 @@ CHECK_S = 0.25
 
 
 @dataclass(frozen=True)
-class Until:
+class Until(Displayed):
     """When a simulation ends.
 
     Attributes
@@ -67,7 +68,7 @@ class Until:
 
 
 @dataclass(frozen=True)
-class Simulation:
+class Simulation(Displayed):
     """A finished simulation.
 
     Attributes

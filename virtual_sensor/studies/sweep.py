@@ -16,6 +16,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.studies.cluster import completed
 from virtual_sensor.studies.finished_cases import (
@@ -59,7 +60,7 @@ class CaseStatus(StrEnum):
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(Displayed):
     """One measurement of a sweep.
 
     Attributes
@@ -89,6 +90,9 @@ class Case:
     camera: str | None = None
     source: str | None = None
 
+    def _line(self) -> str:
+        return f"{Path(self.scene).stem}, {self.name}"
+
     @property
     def command(self) -> str:
         """The command that measures this case alone."""
@@ -101,7 +105,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Finished:
+class Finished(Displayed):
     """A case that was measured, or that can't be.
 
     Attributes
@@ -124,6 +128,9 @@ class Finished:
     message: str
     already_there: bool
     made_again: bool = False
+
+    def _line(self) -> str:
+        return listed(self.case.name, self.status, self.message)
 
 
 def plan(

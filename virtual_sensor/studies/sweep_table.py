@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.imaging.scene_file import find_scene, parameter_words
@@ -156,7 +157,7 @@ class SweepSummary(Record):
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Sweep(Displayed):
     """A sweep's results.
 
     Attributes
@@ -170,6 +171,10 @@ class Sweep:
     finished: tuple[Finished, ...]
     table: SweepTable
     summary: SweepSummary
+
+    def _line(self) -> str:
+        summary = self.summary
+        return f"{summary.cases} cases of {Path(summary.scene).stem}, {summary.failed} failed"
 
 
 def results(finished: Sequence[Finished], folder: Path) -> Sweep:

@@ -26,6 +26,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.mesh import SECTION_MM, cylinder_mesh
 from virtual_sensor.medium.heat_flow.saved import series
@@ -110,7 +111,7 @@ def nusselt_number(flow: HeatFlow, wall_w: float) -> float:
 
 
 @dataclass(frozen=True)
-class HeatBalance:
+class HeatBalance(Displayed):
     """Heat over the last part of a run.
 
     Attributes

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from virtual_sensor import interrupts
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, Interrupted
 from virtual_sensor.medium.heat_flow import saved
 from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam
@@ -39,7 +40,7 @@ PATIENCE_S = 120.0  # with the solver of a killed run, which writes its last ste
 
 
 @dataclass(frozen=True)
-class Progress:
+class Progress(Displayed):
     """How far a run is.
 
     Attributes
@@ -62,7 +63,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class RunEnd:
+class RunEnd(Displayed):
     """Flow time at the end, s; this run's last step, if any; whether `stop` ended it."""
 
     time_s: float

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 
 FIELDS = ("T", "U", "p", "phi", "rho")  # from which a run goes on as if it had not stopped
@@ -18,7 +19,7 @@ _NUMBER = re.compile(r"\d+(\.\d*)?(e[-+]?\d+)?")
 
 
 @dataclass(frozen=True, order=True)
-class SavedTime:
+class SavedTime(Displayed):
     """A whole time folder, s; `decomposed` where it lies in the folders of the processes only."""
 
     time_s: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
@@ -21,7 +22,7 @@ CELLS_IN_WALL_LAYER = 6
 
 
 @dataclass(frozen=True)
-class HeatFlow:
+class HeatFlow(Displayed):
     """A hot part in still air: natural convection, laminar, with the air's density varying.
 
     The world frame: x along the cylinder's axis, z up, the origin on its top line.

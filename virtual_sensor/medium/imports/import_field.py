@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from virtual_sensor.child import run_in_child
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ Report = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class Choices:
+class Choices(Displayed):
     """What a user says about a file; None is what the file says, or the default.
 
     Of fields with several entries, `counts` says how many numbers a command takes; () are words.
@@ -86,7 +87,7 @@ class Choices:
 
 
 @dataclass(frozen=True)
-class Imported:
+class Imported(Displayed):
     """A field that has been imported, and what its user should know.
 
     Attributes

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr
 from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.records import Record
@@ -30,7 +31,7 @@ _NEAR_BOUND = 1.1  # times the bound: no detector can do much better
 
 
 @dataclass(frozen=True)
-class Configuration:
+class Configuration(Displayed):
     """A method with its settings, as a user would choose it.
 
     Attributes
@@ -62,7 +63,7 @@ class Configuration:
 
 
 @dataclass(frozen=True)
-class Score:
+class Score(Displayed):
     """How wrong a result is.
 
     Attributes
@@ -82,7 +83,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Displayed):
     """Work whose right answer is known.
 
     Attributes

@@ -13,6 +13,7 @@ from importlib import import_module
 from pathlib import Path
 
 from virtual_sensor import engine
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.records import Record
@@ -37,7 +38,7 @@ _ON_GPU = (
 
 
 @dataclass(frozen=True)
-class Panel:
+class Panel(Displayed):
     """One of the chart's panels.
 
     Attributes

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.exact_fields import ExactField, fish_eye, selfoc
@@ -32,7 +33,7 @@ _LENGTH_MM = 240.0  # of the closed-form rays: what the camera's run in the plum
 
 
 @dataclass(frozen=True)
-class Bundle:
+class Bundle(Displayed):
     """Rays in a world of mm that end in parallel planes, one for each ray.
 
     Attributes
@@ -103,7 +104,7 @@ def prepare(field: Field | None, bundle: Bundle, march: March) -> Callable[[], E
 
 
 @dataclass(frozen=True)
-class Ends:
+class Ends(Displayed):
     """Where a bundle's rays ended, in Dr.Jit's memory."""
 
     line: Straight

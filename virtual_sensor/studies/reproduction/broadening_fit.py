@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.reproduction.curves import SEARCHED, Curves, searched
 from virtual_sensor.studies.reproduction.paper import FITTED
@@ -40,7 +41,7 @@ STEP_MM = 0.1
 
 
 @dataclass(frozen=True)
-class Fit:
+class Fit(Displayed):
     """A broadening fitted to the J numbers of `paper.FITTED`.
 
     Attributes

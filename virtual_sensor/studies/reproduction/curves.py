@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.display import Displayed
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import deviations, euclidean, round_pixel
 from virtual_sensor.metrology.triangulation import triangulate
@@ -130,7 +131,7 @@ class Rays(Table):
 
 
 @dataclass(frozen=True)
-class Curve:
+class Curve(Displayed):
     """N laser rays, cold and hot.
 
     Attributes
@@ -291,7 +292,7 @@ def read_columns(path: Path) -> dict[str, NDArray[Any]]:
 
 
 @dataclass(frozen=True)
-class Curves:
+class Curves(Displayed):
     """All curves of the reproduction, by setting and method.
 
     Attributes

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.records import Table
 from virtual_sensor.studies.reproduction.curves import SEARCHED, Curves
 from virtual_sensor.studies.reproduction.settings import AIRS, BETAS_DEG, TEMPERATURES_C, Setting
@@ -33,7 +34,7 @@ _TAKE: dict[str, Callable[[Array], Any]] = {
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(Displayed):
     """Values of the nine rays in an air; see ``paper.toml``.
 
     Attributes
@@ -81,7 +82,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Statement:
+class Statement(Displayed):
     """A statement of the paper's; ``paper.toml`` says what its fields mean."""
 
     where: str
@@ -128,7 +129,7 @@ class Statement:
 
 
 @dataclass(frozen=True)
-class Found:
+class Found(Displayed):
     """What was found for a statement in one air.
 
     Attributes
@@ -144,7 +145,7 @@ class Found:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Verdict(Displayed):
     """A statement with what was found in each air.
 
     Attributes

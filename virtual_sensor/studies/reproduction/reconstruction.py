@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.cylinder_fit import (
@@ -45,7 +46,7 @@ neighbours along the line falls to 1/e within an eighth of the line and to zero 
 
 
 @dataclass(frozen=True)
-class Reconstruction:
+class Reconstruction(Displayed):
     """M lines of K rays, cold and hot, and the cylinders through A arcs of them.
 
     World frame.  Axes of length 2 are the cold and the hot state.

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import UM_PER_MM
@@ -145,7 +146,7 @@ class Summary(Record):
 
 
 @dataclass(frozen=True)
-class Reproduction:
+class Reproduction(Displayed):
     """Section 5 of the paper, remade.
 
     Attributes
@@ -365,7 +366,7 @@ def _sections(finished: Mapping[tuple[Setting, str], Finished], scenes: Scenes) 
 
 
 @dataclass(frozen=True)
-class Searches:
+class Searches(Displayed):
     """What is searched, each finished one stored under a hash of all that it depends on.
 
     Attributes

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.display import Displayed
 from virtual_sensor.imaging.scene import Scene, load_scene, scene_files, scene_parameters
 from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.medium.broadening import blurred, widened
@@ -37,7 +38,7 @@ SCAN = March(step_mm=0.5, method="leapfrog", precision="double")
 
 
 @dataclass(frozen=True, order=True)
-class Setting:
+class Setting(Displayed):
     """What laser rays were followed in.
 
     Attributes
@@ -69,7 +70,7 @@ def settings(air: str) -> list[Setting]:
 
 
 @dataclass(frozen=True)
-class Broadening:
+class Broadening(Displayed):
     """How the air is broadened: stretched across by a factor, then smeared by a Gaussian, mm."""
 
     blur_mm: float = 0.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.display import Displayed, span
 from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.metrology.drawn_lines import cramer_rao_px, line_shares
@@ -75,7 +76,7 @@ STATED = Condition.of_peak("task", 1.5, peak_electrons=5000.0, read_noise_electr
 
 
 @dataclass(frozen=True)
-class TrialImage:
+class TrialImage(Displayed):
     """A noisy image and its truth.
 
     Attributes
@@ -92,6 +93,10 @@ class TrialImage:
     truth: TrueLine
     bound_px: Array
     options: dict[str, Any]
+
+    def _line(self) -> str:
+        height, width = self.grey.shape
+        return f"{width} x {height} px, {span('', self.grey)}"
 
 
 def drawn_line(

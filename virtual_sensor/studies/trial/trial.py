@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor import interrupts
 from virtual_sensor.arrays import number_within
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
@@ -50,7 +51,7 @@ _WIDTHS_PX, _PEAKS = (0.3, 8.0), (10.0, 50_000.0)  # of a task, at least and at 
 
 
 @dataclass(frozen=True)
-class Trial:
+class Trial(Displayed):
     """What came out.
 
     Attributes
@@ -74,6 +75,12 @@ class Trial:
     columns: int
     machine: Machine
     time_s: float
+
+    def _line(self) -> str:
+        best = self.recommended
+        words = f"recommended: {best.detector}" if best else ""
+        count = f"{len(self.detectors)} detectors on {self.columns} columns each"
+        return listed(count, words, f"{self.time_s:.3g} s")
 
     @property
     def detectors(self) -> list[str]:
