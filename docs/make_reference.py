@@ -275,7 +275,10 @@ def statuses() -> str:
     parts.append(table(("status", "what it says"), rows))
     for kind in kinds:
         messages = messages_of(kind)
-        rows = [(f"`{m.name}`", str(m.value), messages.get(m.name, "")) for m in kind]
+        rows = [
+            (f"`{m.name}`", str(m.value), getattr(m, "message", messages.get(m.name, "")))
+            for m in kind
+        ]
         members = table(("member", "value", "meaning"), rows)
         parts += [f"## {kind.__name__}\n", f"{_summary(kind)} `{kind.__module__}`\n"]
         parts.append(members)

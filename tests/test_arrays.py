@@ -49,7 +49,16 @@ EMPTY = {
     "Pinhole.lines_of_sight": lambda: HOT.sensor.camera.lines_of_sight(PIXELS),
 }
 # What takes a name, a scene, an image or its line: an image has pixels.
-OTHERS = {"compare_line", "load_scene", "render", "render_frame", "record", "line_centres"}
+OTHERS = {
+    "read_image",
+    "save_png",
+    "compare_line",
+    "load_scene",
+    "render",
+    "render_frame",
+    "record",
+    "line_centres",
+}
 
 
 def lengths(result):

@@ -337,8 +337,8 @@ def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here
 
     monkeypatch.setattr(results, "write_exr", write_on_a_full_disk)
     # The limit holds for all threads: what is written beside the frame waits until it is over.
-    for beside in ("write_png", "write_ply"):
-        monkeypatch.setattr(results, beside, lambda *arguments: ended.wait(120))
+    for beside in ("save_png", "write_ply"):
+        monkeypatch.setattr(results, beside, lambda *given, **also: ended.wait(120))
     told = refusal("measure", *COLD, "--overwrite")
     assert told.startswith("Error: measured/cold.exr: can't be written (")
     assert "Make room" in told

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from virtual_sensor.errors import InputError as InputError
     from virtual_sensor.imaging.camera_noise import CameraNoise as CameraNoise
     from virtual_sensor.imaging.camera_noise import record as record
+    from virtual_sensor.imaging.image_files import read_image as read_image
+    from virtual_sensor.imaging.image_files import save_png as save_png
     from virtual_sensor.imaging.render import render as render
     from virtual_sensor.imaging.render import render_frame as render_frame
     from virtual_sensor.imaging.scene import load_scene as load_scene
@@ -51,9 +53,11 @@ _HOME = {
     "load_scene": "imaging.scene",
     "project": "optics.projection",
     "ray_search": "optics.ray_search",
+    "read_image": "imaging.image_files",
     "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",
+    "save_png": "imaging.image_files",
     "trace": "optics.trace",
     "triangulate": "metrology.triangulation",
 }

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 
 if TYPE_CHECKING:
     from virtual_sensor.engine import mi
@@ -98,15 +98,6 @@ def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
         wanted = f"real numbers, an array of shape (N, {length})"
         raise InputError(f"{short(values)}: give {wanted}") from None
     return array.reshape(0, length) if array.shape == (0,) else array
-
-
-def short(value: Any) -> str:
-    """How a value is written in a message, however long it is."""
-    try:
-        text = repr(value)
-    except ValueError:  # of an integer with too many digits
-        text = f"a {type(value).__name__}"
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def unmasked(values: ArrayLike) -> NDArray:

@@ -1,9 +1,10 @@
 """The errors that a user is meant to read: each names the file, the element and the remedy."""
 
 import unicodedata
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 LONGEST_MESSAGE = 600  # behind its place, in characters
 
@@ -28,6 +29,24 @@ def few(names: Sequence[str], most: int) -> str:
     """Names for a message: so many at most, and how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{', '.join(names[:most])}{more}"
+
+
+def short(value: Any) -> str:
+    """How a value is written in a message, however long it is."""
+    try:
+        text = repr(value)
+    except ValueError:  # of an integer with too many digits
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def nearest(name: object, names: Iterable[str]) -> str:
+    """A question for a message, "; did you mean 'beta'?", if a name is like another; else ""."""
+    from difflib import get_close_matches  # few names are wrong
+
+    by_lower = {known.lower(): known for known in names}
+    found = get_close_matches(f"{name}".lower(), by_lower, 1)
+    return f"; did you mean '{by_lower[found[0]]}'?" if found else ""
 
 
 class InputError(ValueError):

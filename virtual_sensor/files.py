@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from virtual_sensor import interrupts
-from virtual_sensor.errors import InputError, few
+from virtual_sensor.errors import InputError, few, short
 
 RESULTS_SIGN = "summary.json"
 """A folder with this file holds results and may be replaced; what else it is, nobody knows."""
@@ -49,6 +49,13 @@ def exists(path: Path) -> bool:
         return path.exists()
     except (OSError, ValueError):
         return False
+
+
+def path_of(name: str, path: object) -> Path:
+    """A path that a caller gives, as Path; raises InputError, naming it, if it is none."""
+    if not isinstance(path, str | os.PathLike) or isinstance(path, bytes):
+        raise InputError(f"{name} is {short(path)}; give a file's name, a text or a Path")
+    return Path(path)
 
 
 def readable(path: Path) -> Path:

@@ -10,9 +10,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import short
 from virtual_sensor.display import Displayed, listed, place
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
 

@@ -1,11 +1,13 @@
 """Images of cameras and of renderers as arrays: PNG, TIFF, JPEG, BMP and OpenEXR.
 
-One image (H, W) of a file is read, its grey values as the camera gave them.  What the formats say:
+`save_png` writes grey values as a camera gives them.  One image (H, W) of a file is read by
+`read_image`, its grey values as the camera gave them.  What the formats say:
 
 ===================================  =============================================================
 grey, RGB, palettes                  used: one colour is chosen, where they differ by `channel`
 8 and 16 bits, 32- and 64-bit float  used; half, 32-bit and signed integers become floats
 BitsPerSample (10, 12, 14), sBIT     used: the grey values and the level of clipping are theirs
+"Camera bits" (PNG, by `save_png`)   used likewise
 PNG of 1, 2, 4 bits                  noted: spread to 0 ... 255
 white is zero (TIFF)                 used and noted
 planes, tiles, compression (TIFF)    used; big-endian and BigTIFF too
@@ -25,17 +27,23 @@ more than 179 million pixels         refused; truncated and damaged files as wel
 ===================================  =============================================================
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from PIL.PngImagePlugin import putchunk
 
+from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, unmasked, whole_number
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, few
-from virtual_sensor.files import exists, readable
+from virtual_sensor.files import exists, path_of, readable, written_whole
 from virtual_sensor.imaging.image_formats import (
+    CAMERA_BITS,
     StoredImage,
     read_exr,
     read_picture,
@@ -46,6 +54,8 @@ ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 
 _MOST_NAMES = 5  # of files in a note
 _FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
+_EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, unless a white is given
+_PNG_HEADER = 33  # bytes before the first chunk that may describe the image
 _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
     1: lambda a: a,
     2: lambda a: a[:, ::-1],
@@ -80,6 +90,116 @@ class Image(Displayed):
         height, width = self.pixels.shape
         most = f"clips at {self.largest:g}" if self.largest else ""
         return listed(f"{width} x {height} px", f"{self.pixels.dtype}", span("", self.pixels), most)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The pixels, wherever an array is asked for."""
+        return np.array(self.pixels, dtype) if copy else np.asarray(self.pixels, dtype)
+
+
+def save_png(
+    image: ArrayLike, path: str | Path, bits: int = 12, *, white: float | None = None
+) -> Path:
+    """Write a grey image as a PNG file, as a camera of so many bits gives it.
+
+    Grey values of up to 8 bits are stored in 8, others in 16, at the bottom: those of 12 bits are
+    0 ... 4095, as drivers of such cameras give them and `cv2.imread(path, -1)` reads them.  The
+    file's text says its "Camera bits" and "White level"; `read_image` and ``virtual-sensor detect``
+    know by them at which grey value the camera clips.
+
+    Parameters
+    ----------
+    image : array_like of shape (H, W)
+        Of integers: grey values, which are stored as they are.  Of floats, such as radiance: 0
+        becomes 0 and `white` the largest grey value; brighter pixels are clipped to it.
+    path : str or Path
+        Ends with .png.  A file that is there is replaced.
+    bits : int
+        From 1 to 16.
+    white : float, optional
+        In the image's unit; give the same for images that are to be compared.  By default no pixel
+        is clipped: the brightest one gets nine tenths of the largest grey value.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    InputError
+        If the image has another shape, holds NaN, negative values, or integers of more bits; or the
+        file can't be written.
+    """
+    path = path_of("save_png: path", path)
+    if path.suffix.lower() != ".png":
+        raise InputError(f"{path}: is no name of a PNG file; end it with .png")
+    largest = 2 ** whole_number("save_png: bits", bits, 1, 16) - 1
+    values = _grey_values(image)
+    if values.dtype.kind in "iu":
+        if white is not None:
+            raise InputError(
+                "save_png: white is of floats, and these integers are stored as they are; leave it"
+                " out, or give image.astype(float)"
+            )
+        if (brightest := int(values.max())) > largest:
+            raise InputError(
+                f"save_png: image has grey values up to {brightest}, but {bits} bits end at"
+                f" {largest}; give more bits, or np.clip(image, 0, {largest})"
+            )
+        level = f"{largest}, stored as it is"
+    else:
+        if white is None:
+            white = float(values.max()) / _EXPOSED or 1.0
+        white = number_within("save_png: white", white, SMALLEST, LARGEST, "a level above 0")
+        with np.errstate(over="ignore"):  # far above a white that is tiny
+            values = np.rint(np.minimum(values / white, 1.0) * largest)
+        level = f"{largest} is {white:.9g} of the image"
+    grey = values.astype(np.uint8 if bits <= 8 else np.uint16)
+    data = _png(grey, {CAMERA_BITS: f"{bits}", "White level": level})
+    with written_whole(path) as temporary:
+        temporary.write_bytes(data)
+    return path
+
+
+def _grey_values(image: ArrayLike) -> NDArray:
+    """An image (H, W) of integers or floats, none of them negative or missing."""
+    values = unmasked(image)
+    values = values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
+    if values.dtype.kind not in "iuf":
+        raise InputError(
+            f"save_png: image is of type {values.dtype}; give grey values: integers, or floats"
+        )
+    if values.ndim != 2 or not values.size:
+        colours = "; of a colour image take one channel, such as image[..., 1]" * (values.ndim == 3)
+        raise InputError(
+            f"save_png: image has the shape {values.shape}; give (height, width){colours}"
+        )
+    if values.dtype.kind == "f":
+        values = values.astype(np.float32) if values.dtype.itemsize == 2 else values
+        if missing := int(np.sum(~np.isfinite(values))):
+            raise InputError(
+                f"save_png: image has {missing} pixels that are NaN or infinite, which a PNG can't"
+                " hold; give them a value, such as np.nan_to_num(image)"
+            )
+    if (darkest := values.min()) < 0:
+        raise InputError(
+            f"save_png: image has negative values, down to {darkest:g}, which a PNG can't hold; add"
+            " a black level, or np.maximum(image, 0)"
+        )
+    return values
+
+
+def _png(grey: NDArray, texts: Mapping[str, str]) -> bytes:
+    """A PNG file's bytes: OpenCV compresses quicker than Pillow, which writes texts."""
+    coded, data = cv2.imencode(".png", grey)
+    if not coded:
+        raise InputError(f"save_png: OpenCV can't encode an image of the shape {grey.shape}")
+    described, encoded = BytesIO(), data.tobytes()
+    described.write(encoded[:_PNG_HEADER])
+    for name, text in texts.items():
+        putchunk(described, b"tEXt", f"{name}\0{text}".encode("latin-1"))
+    described.write(encoded[_PNG_HEADER:])
+    return described.getvalue()
 
 
 def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
@@ -118,12 +238,12 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     return list(dict.fromkeys(found)), tuple(notes)
 
 
-def read_image(path: Path, channel: str | None = None, bits: int | None = None) -> Image:
-    """Read one grey image.
+def read_image(path: str | Path, channel: str | None = None, bits: int | None = None) -> Image:
+    """Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
     channel : str, optional
         Of a colour image: "red", "green" or "blue", or R, G, B; of an EXR file its name there, with
         "part." before it where several parts have one; of a TIFF of several samples its number.  By
@@ -136,6 +256,9 @@ def read_image(path: Path, channel: str | None = None, bits: int | None = None) 
     InputError
         Naming the file and the remedy.
     """
+    path = path_of("read_image: path", path)
+    if bits is not None:
+        bits = whole_number("read_image: bits", bits, 1, 32)
     suffix = path.suffix.lower()
     if suffix not in ENDINGS:
         raise InputError(f"{path}: is none of {', '.join(ENDINGS)}; convert it to TIFF or PNG")

@@ -26,6 +26,8 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.piz import holds_its_claim
 
 COLOURS = ("red", "green", "blue")
+CAMERA_BITS = "Camera bits"
+"""Keyword of a PNG file's text: so many bits of its grey values are the camera's, the lowest."""
 
 _MOST_PIXELS = 2 * 89_478_485  # Pillow's own limit
 _PNG_END = b"IEND\xaeB`\x82"
@@ -151,7 +153,10 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
     if frames > 1:
         remarks.append(f"has {frames} frames; the first is read, the others are left out")
     bits, scaled = None, False
-    if kind == "PNG":
+    said = f"{header.info.get(CAMERA_BITS, '')}"
+    if said.isdecimal() and len(said) < 3 and 0 < int(said) <= 8 * image.itemsize:
+        bits = int(said)
+    elif kind == "PNG":
         depth, significant = data[24], _significant_bits(data)
         if depth < 8 and data[25] != 3:  # no palette
             remarks.append(f"its {depth} bits are spread to 0 ... 255")

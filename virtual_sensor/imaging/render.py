@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 import OpenEXR
 from numpy.typing import NDArray
@@ -354,13 +353,3 @@ def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
     pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
     with written_whole(path) as temporary:
         OpenEXR.File(attributes, pixels).write(str(temporary))
-
-
-def write_png(path: Path, radiance: Image, white: float) -> None:
-    """Write radiance as 16-bit grey, with `white` at the top of the range."""
-    grey = np.clip(np.rint(radiance / white * 65535.0), 0, 65535).astype(np.uint16)
-    coded, data = cv2.imencode(".png", grey)
-    if not coded:
-        raise OSError(f"{path}: OpenCV can't encode the PNG")
-    with written_whole(path) as temporary:
-        temporary.write_bytes(data.tobytes())

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
-from virtual_sensor.arrays import LARGEST, number_within, short
-from virtual_sensor.errors import InputError
+from virtual_sensor.arrays import LARGEST, number_within
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,

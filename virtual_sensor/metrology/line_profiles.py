@@ -111,7 +111,12 @@ def checked_image(image: ArrayLike) -> NDArray:
 
 
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:
-    """Grey value from which on the pixels of `image` are clipped; infinity where there is none."""
+    """Grey value from which on the pixels of `image` are clipped; infinity where there is none.
+
+    An image of `read_image` knows it.
+    """
+    if saturation is None:
+        saturation = getattr(image, "largest", None)
     if saturation is not None:
         return number_within("image: saturation", saturation, -LARGEST, np.inf, "a grey value")
     dtype = np.asanyarray(image).dtype  # of a masked image too, whose pixels become floats

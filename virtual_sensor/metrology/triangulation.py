@@ -6,9 +6,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, numbers_of, points_of, short
+from virtual_sensor.arrays import number_within, numbers_of, points_of
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
 from virtual_sensor.optics.crossing_status import CrossingStatus

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
-from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr, write_png
+from virtual_sensor.imaging.image_files import save_png
+from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
@@ -73,7 +74,7 @@ class FrameFiles:
         name = f"{number:04d}_{instant_s:.6f}s"
         header = self._header | {"virtual_sensor/time": f"{instant_s:.9g}"}
         write_exr(self._folder / f"{name}.exr", frame, header)
-        write_png(self._folder / f"{name}.png", frame.radiance, self._white)
+        save_png(frame.radiance, self._folder / f"{name}.png", 16, white=self._white or None)
 
 
 def save(result: Burst, folder: Path, command: str) -> None:

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.imaging.render import EXR_LAYERS, write_exr, write_png
+from virtual_sensor.imaging.image_files import save_png
+from virtual_sensor.imaging.render import EXR_LAYERS, write_exr
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
@@ -119,7 +120,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
     figures = summary(result)
     white = max(float(state.frame.radiance.max()) for state in result.states.values())
     with folder_written_whole(folder, overwrite) as place, ThreadPoolExecutor() as aside:
-        written: list[Future[None]] = []
+        written: list[Future[Any]] = []
         tables: dict[str, Table] = {}
         for name, state in result.states.items():
             facts = {**state.scene.parameters, "state": name}
@@ -127,7 +128,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             # To compress one takes half a second, in which all the rest is written.
             written.append(aside.submit(write_exr, place / f"{name}.exr", state.frame, header))
             image = state.frame.radiance
-            written.append(aside.submit(write_png, place / f"{name}.png", image, white))
+            written.append(aside.submit(save_png, image, place / f"{name}.png", 16, white=white))
             tables[f"line_{name}.csv"] = line_table(state)
             if state.dots:
                 tables[f"dots_{name}.csv"] = dot_table(state)
