@@ -3,16 +3,12 @@
 The words are the program's own: of its help, docstrings, statuses and scenes.
 """
 
-import ast
 import functools
 import inspect
-import itertools
-import pkgutil
 import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from enum import Enum
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -25,6 +21,7 @@ from virtual_sensor import cli
 from virtual_sensor.imaging.scene import shipped_scenes
 from virtual_sensor.imaging.scene_file import parameter_words, read_scene_file
 from virtual_sensor.reporting.sweep import unit_of
+from virtual_sensor.statuses import StatusEnum
 from virtual_sensor.studies.sweep_table import SweptParameter
 
 FOLDER = Path(__file__).parent / "reference"
@@ -268,43 +265,27 @@ def statuses() -> str:
     parts = [
         "# Statuses\n",
         "Beside every value that may be missing stands a status. Arrays hold its number, files its"
-        " name in lower case.\n",
+        " name in lower case. `Status(number).message` says what it means, `Status.counts(array)`"
+        " how many there are of each. The cases of a sweep have"
+        " [a status of their own](../how_to/sweep.md#the-table).\n",
     ]
     kinds = sorted(status_kinds(), key=lambda kind: kind.__name__)
     rows = [(f"[`{kind.__name__}`](#{kind.__name__.lower()})", _summary(kind)) for kind in kinds]
     parts.append(table(("status", "what it says"), rows))
     for kind in kinds:
-        messages = messages_of(kind)
-        rows = [
-            (f"`{m.name}`", str(m.value), getattr(m, "message", messages.get(m.name, "")))
-            for m in kind
-        ]
-        members = table(("member", "value", "meaning"), rows)
+        members = [(f"`{each.name}`", str(int(each)), each.message) for each in kind]
         parts += [f"## {kind.__name__}\n", f"{_summary(kind)} `{kind.__module__}`\n"]
-        parts.append(members)
+        parts.append(table(("member", "value", "meaning"), members))
     return "\n".join(parts)
 
 
-def status_kinds() -> set[type[Enum]]:
-    """The enumerations of the program whose name says that they are statuses."""
-    found = set()
-    for each in pkgutil.walk_packages([str(Path(vs.__file__).parent)], "virtual_sensor."):
-        spec = each.module_finder.find_spec(each.name, None)  # type: ignore[call-arg]
-        text = Path(spec.origin).read_text(encoding="utf-8") if spec and spec.origin else ""
-        for name in re.findall(r"^class (\w*Status)\(\w*Enum\):", text, re.MULTILINE):
-            found.add(getattr(import_module(each.name), name))
-    return found
-
-
-def messages_of(kind: type[Enum]) -> dict[str, str]:
-    """What the source says below each member."""
-    (definition,) = ast.parse(inspect.getsource(kind)).body
-    found = {}
-    for member, words in itertools.pairwise(definition.body):  # type: ignore[attr-defined]
-        if isinstance(member, ast.Assign) and isinstance(words, ast.Expr):
-            (target,) = member.targets
-            found[ast.unparse(target)] = " ".join(ast.literal_eval(words.value).split())
-    return found
+def status_kinds() -> list[type[StatusEnum]]:
+    """The statuses of all modules."""
+    package = Path(vs.__file__).parent
+    for file in package.rglob("*.py"):
+        if "(StatusEnum):" in file.read_text(encoding="utf-8"):
+            import_module(".".join(file.relative_to(package.parent).with_suffix("").parts))
+    return StatusEnum.__subclasses__()
 
 
 PAGES: dict[str, Callable[[], str]] = {

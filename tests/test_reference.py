@@ -65,3 +65,19 @@ def undescribed(target):
     if not words or (inspect.isclass(target) and issubclass(target, Enum) and not target.__doc__):
         yield "itself"
     yield from (name for name in names if not name.startswith("_") and name not in listed)
+
+
+def test_every_status_says_what_it_means(maker):
+    """Rationale: a number beside a NaN answers nothing."""
+    kinds = maker.status_kinds()
+    assert {"Status", "SearchStatus", "RayStatus", "FitStatus"} <= {k.__name__ for k in kinds}
+    for kind in kinds:
+        assert all(member.message.endswith(".") for member in kind), kind
+
+
+def test_the_glossary_names_columns_that_files_have():
+    """Rationale: it ties the paper's letters to them."""
+    named = re.findall(r"`(\w+_[mu]m)` \|", (DOCS / "reference/glossary.md").read_text("utf-8"))
+    columns = (DOCS / "reference/data_dictionary.md").read_text("utf-8")
+    assert len(named) == 8
+    assert all(f"| `{name}` |" in columns for name in named)
