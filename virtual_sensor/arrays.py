@@ -244,6 +244,16 @@ def where(mask: Any, x: Any, y: Any) -> Any:
     return dr.select(mask, x, y)
 
 
+def number_for(x: Any, value: float) -> Any:
+    """A number for formulas with an array of either: one kernel of Dr.Jit's serves any value."""
+    if isinstance(x, float | np.ndarray):
+        return value
+    from virtual_sensor.engine import dr
+
+    recording = dr.flag(dr.JitFlag.SymbolicScope)  # within which nothing can be made opaque
+    return value if recording else dr.opaque(type(x), value)
+
+
 def determinant(entries: Any) -> Any:
     """Of 2 x 2 matrices, whose four entries are given by rows."""
     a, b, c, d = entries

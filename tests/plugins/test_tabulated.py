@@ -308,8 +308,13 @@ def test_tables_give_the_same_bits_with_any_number_of_threads():
 
 @pytest.mark.parametrize(
     "other",
-    [{"tolerance": 0.01}, {"beta": 7, "tilt": -25}, {"spp": 9}],
-    ids=["tolerance", "pose", "samples"],
+    [
+        {"tolerance": 0.01},
+        {"beta": 7, "tilt": -25},
+        {"line_radius": 0.61, "line_length": 20.5},
+        {"spp": 9},
+    ],
+    ids=["tolerance", "pose", "line", "samples"],
 )
 def test_another_choice_runs_the_same_kernels(other):
     """Rationale: one compiled again for each frame of a sweep would cost more than the frame.

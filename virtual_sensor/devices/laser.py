@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import exp, where
+from virtual_sensor.arrays import exp, number_for, where
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.poses import Pose
@@ -99,12 +99,13 @@ class LaserLine(Displayed):
 
         Of NumPy's arrays as of Dr.Jit's.
         """
+        reach = number_for(s, self.reach_mm)
         if self.dots_mm.size:
-            reach = self.reach_mm + margin[1]
-            along = reduce(or_, (abs(t - dot) <= reach for dot in self.dots_mm.tolist()))
+            near = reach + margin[1]
+            along = reduce(or_, (abs(t - dot) <= near for dot in self.dots_mm.tolist()))
         else:
-            along = abs(t) <= self.length_mm / 2.0 + margin[1]
-        return along & (abs(s) <= self.reach_mm + margin[0])
+            along = abs(t) <= number_for(t, self.length_mm / 2.0) + margin[1]
+        return along & (abs(s) <= reach + margin[0])
 
     def flux(self, s: Any, t: Any) -> Any:
         """Power per unit of both coordinates: W/mm^2 of a sheet's reference plane.
@@ -118,7 +119,8 @@ class LaserLine(Displayed):
             along = reduce(add, (self._profile(t - dot) for dot in self.dots_mm.tolist()))
         else:
             peak, along = self.power_w / self.length_mm * per_mm, 1.0
-        return where(self.reaches(s, t), peak * self._profile(s) * along, 0.0)
+        light = number_for(s, peak) * self._profile(s) * along
+        return where(self.reaches(s, t), light, 0.0)
 
     def irradiance(self, points_mm: ArrayLike) -> Array:
         """Flux density (N,) square to the straight light at world points (N, 3), W/mm^2."""
@@ -132,4 +134,4 @@ class LaserLine(Displayed):
         return self.radius_mm * np.hypot(x_s, y_s)
 
     def _profile(self, x: Any) -> Any:
-        return exp(-2.0 / self.radius_mm**2 * (x * x))
+        return exp(number_for(x, -2.0 / self.radius_mm**2) * (x * x))
