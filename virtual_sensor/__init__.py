@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.centres import Status as Status
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
     from virtual_sensor.metrology.triangulation import triangulate as triangulate
+    from virtual_sensor.metrology.truth import TrueLine as TrueLine
     from virtual_sensor.metrology.truth import compare_line as compare_line
     from virtual_sensor.optics.projection import project as project
     from virtual_sensor.optics.ray_search import ray_search as ray_search
@@ -47,6 +48,7 @@ _HOME = {
     "Pose": "poses",
     "RayStatus": "optics.ray_status",
     "Status": "metrology.centres",
+    "TrueLine": "metrology.truth",
     "air_refractivity": "medium.air",
     "compare_line": "metrology.truth",
     "line_centres": "metrology.line_peaks",
