@@ -1,11 +1,15 @@
 """What a part's file is found to hold, beside solids whose faults and facets are known."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
 
+import virtual_sensor as vs
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.part_survey import survey, survey_part
+from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.part_survey import scale_note, survey, survey_part
 from virtual_sensor.imaging.parts import Part
 from virtual_sensor.imaging.scene_file import shipped_scenes
 
@@ -89,3 +93,48 @@ def test_a_file_is_surveyed_in_its_unit(tmp_path):
     with pytest.raises(InputError, match=r"unit yard: there is no such unit; give one of um, mm"):
         survey(path, "yard")
     assert survey(shipped_scenes() / "meshes" / "stepped_shaft.ply").notes == ()
+
+
+def test_facets_without_area_and_t_junctions_are_no_faults():
+    """A vertex on another face's edge leaves a crack of no width; slivers have no normal."""
+    box = make.box((60, 40, 10))
+    slivers = [[[0, 0, 5], [0, 0, 5], [1, 1, 5]], [[0, 0, 5], [1, 0, 5], [2, 0, 5]]]
+    with_slivers = surveyed(
+        trimesh.Trimesh(**trimesh.triangles.to_kwargs([*box.triangles, *slivers]))
+    )
+    assert with_slivers.notes == ()
+    assert with_slivers.facet_error_um == 0.0
+    place = [[0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0], [0, 0, 5], [9, 0, 5], [9, 9, 5], [0, 9, 5]]
+    faces = [[0, 3, 2], [0, 2, 1], [4, 8, 7], [8, 6, 7], [8, 5, 6], [0, 1, 5], [0, 5, 4]]
+    faces += [[1, 2, 6], [1, 6, 5], [2, 3, 7], [2, 7, 6], [3, 0, 4], [3, 4, 7]]
+    crack = surveyed(trimesh.Trimesh([*place, [5, 0, 5]], faces, process=False))
+    assert (crack.holes, crack.notes) == (0, ())
+
+
+def test_a_part_at_another_scale_is_noted_with_the_factor():
+    """A part of 60 mm before a camera that sees 45 mm, in a file in metres and in inches."""
+    assert scale_note(60.0, 45.0) == ""
+    assert scale_note(8.0, 45.0) == ""
+    assert '<scale value="1000"/> if its file is in m' in scale_note(0.06, 45.0)
+    assert '<scale value="25.4"/> if its file is in inches' in scale_note(60.0 / 25.4 / 2.0, 45.0)
+    assert '<scale value="0.001"/> if its file is in um' in scale_note(60_000.0, 45.0)
+
+
+def test_a_scene_tells_of_its_parts_faults_and_of_facets_under_the_line(tmp_path):
+    """A cylinder of 64 facets round, in metres, mirrored, with a hole: R (1 - cos(pi / 64))."""
+    turned = trimesh.transformations.rotation_matrix(np.pi / 2.0, [0, 1, 0])
+    mesh = make.cylinder(13.5, 170, sections=64).apply_transform(turned)
+    mesh.apply_translation([0, 0, -13.5]).apply_scale(1e-3)
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    (tmp_path / "Welle ü.stl").write_bytes(mesh.export(file_type="stl"))
+    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    shape = '<shape type="stl"><string name="filename" value="Welle ü.stl"/><transform'
+    shape += ' name="to_world"><scale x="-1000" y="1000" z="1000"/></transform></shape></scene>'
+    path = tmp_path / "scene.xml"
+    path.write_text(cold[: cold.index("    <shape")] + shape, encoding="utf-8")
+    scene = vs.load_scene(path)
+    assert [note for note in scene.notes if "Welle ü.stl: it has 1 hole, up to" in note]
+    assert not [note for note in scene.notes if "inside out" in note or "scale" in note]
+    (note,) = check_scene(scene)
+    error_um = float(re.search(r"facets lie up to (\S+) um \(\S+ px\) beside", note)[1])
+    assert error_um == pytest.approx(13.5e3 * (1.0 - np.cos(np.pi / 64)), rel=0.05)

@@ -1,6 +1,10 @@
 """Parts from files as programs write them: the geometry is that of the writer, or refused."""
 
+import io
+import re
 import struct
+import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +12,7 @@ import trimesh
 
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
-from virtual_sensor.imaging.parts import read_part
+from virtual_sensor.imaging.parts import check_kind, read_part
 from virtual_sensor.imaging.scene_file import shipped_scenes
 
 BALL = trimesh.creation.icosphere(2, 13.5).apply_translation([1.0, 2.0, -13.5])
@@ -168,7 +172,8 @@ def test_a_vertex_may_have_several_normals_in_an_obj(read):
     np.testing.assert_array_equal(normals[1], np.tile([0, 3.0, 0], (3, 1)))
 
 
-TEXT = ascii_stl(trimesh.creation.box())
+BOX = trimesh.creation.box()
+TEXT = ascii_stl(BOX)
 REFUSED = [
     ("ply", ply([[0, 1, 100_000]]), "face 0 refers to vertex 100000, and there are 0 to 3"),
     ("ply", ply([[0, 1, 2], [0, -1, 2]]), "face 1 refers to vertex -1"),
@@ -297,3 +302,114 @@ def test_a_ball_of_stl_has_the_area_of_its_facets(scene):
     assert mesh.face_count() == len(BALL.faces)
     assert mesh.vertex_count() == 3 * len(BALL.faces)
     assert float(mi.Float(mesh.surface_area())[0]) == pytest.approx(BALL.area, rel=1e-6)
+
+
+MODEL = "3D/3dmodel.model"
+
+
+def threemf(
+    build='<item objectid="1"/>', unit="millimeter", objects="", mesh=BALL, model=MODEL, **more
+):
+    """A 3MF file's bytes, by its specification."""
+    rows = [
+        *(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in mesh.vertices),
+        "</vertices><triangles>",
+        *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces),
+    ]
+    text = (
+        f'<?xml version="1.0"?><model unit="{unit}" xmlns="http://schemas.microsoft.com/'
+        f'3dmanufacturing/core/2015/02"><resources><object id="1"><mesh><vertices>{"".join(rows)}'
+        f"</triangles></mesh></object>{objects}</resources><build>{build}</build></model>"
+    )
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, words in ({model: text} | more).items():
+            archive.writestr(name, words)
+    return file.getvalue()
+
+
+def test_a_3mf_file_is_read_in_its_unit_with_its_transforms(read):
+    """As it stands; in inches; twice, turned and mirrored within another object; of two files."""
+    part = read("3mf", threemf())
+    np.testing.assert_allclose(triangles(part), BALL.triangles, atol=2e-6)
+    assert part.notes == ()
+    part = read("3mf", threemf(unit="inch"))
+    np.testing.assert_allclose(triangles(part), 25.4 * BALL.triangles, atol=1e-4)
+    assert "its lengths are in the unit inch" in part.notes[0]
+    twice = '<object id="2"><components><component objectid="1" transform="{}"/></components>'
+    twice += "</object>"
+    mirrored = twice.format("-1 0 0 0 1 0 0 0 1 5 0 0")
+    turned = '<item objectid="2" transform="0 1 0 -1 0 0 0 0 1 0 100 0"/>'
+    part = read("3mf", threemf(f'<item objectid="1"/>{turned}', objects=mirrored))
+    one, other = np.split(triangles(part), 2)
+    np.testing.assert_allclose(one, BALL.triangles, atol=2e-6)
+    x, y, z = np.moveaxis(BALL.triangles[:, ::-1], -1, 0)
+    np.testing.assert_allclose(other, np.stack([-y, 105.0 - x, z], -1), atol=2e-5)
+    with zipfile.ZipFile(io.BytesIO(threemf())) as archive:
+        other_file = {"a.model": archive.read(MODEL).decode()}
+    held = twice.replace('transform="{}"', 'xmlns:p="p" p:path="/a.model"')
+    part = read("3mf", threemf('<item objectid="2"/>', objects=held, **other_file))
+    np.testing.assert_allclose(triangles(part), BALL.triangles, atol=2e-6)
+
+
+def test_a_damaged_3mf_file_is_refused(read):
+    """Cut off, of another kind, without what it builds, or with objects that hold themselves."""
+    inside = '<object id="2"><components>{}</components></object>'
+    inside = inside.format('<component objectid="2"/>' * 2)
+    box = trimesh.Trimesh(SQUARE, [[0, 1, 9]], process=False)
+    for data, words in (
+        (threemf()[:-40], "no sound ZIP archive"),
+        (b"", "no sound ZIP archive"),
+        (threemf(unit="yard"), 'its unit is "yard"; 3MF has micron, millimeter'),
+        (threemf(build=""), "builds no object"),
+        (threemf('<item objectid="7"/>'), "an object 7 that is not there"),
+        (threemf("<item/>"), "a <item> lacks its objectid"),
+        (threemf('<item objectid="1" transform="1 0"/>'), "not of 12 finite numbers"),
+        (threemf('<item objectid="2"/>', objects=inside), "hold one another too often"),
+        (threemf("</build>"), "no sound XML"),
+        (
+            threemf(mesh=box),
+            "its object 1 refers to a vertex that is not there, of 4",
+        ),
+        (threemf(model="other.model"), "no 3D/3dmodel.model in it"),
+    ):
+        with pytest.raises(vs.InputError) as refused:
+            read("3mf", data)
+        assert "part.3mf: " in str(refused.value)
+        assert words in str(refused.value)
+
+
+def test_a_file_of_another_kind_is_named(read):
+    """Rationale: who gives a STEP file is told how to come by a mesh."""
+    for data, words in (
+        (
+            b"ISO-10303-21;\nHEADER;",
+            "no STL file but a STEP file; export it as STL or 3MF",
+        ),
+        (b"  0\r\nSECTION\r\n  2\r\nHEADER\r\n", "a DXF file"),
+        (b" " * 72 + b"S      1\n", "an IGES file"),
+        (ply(HALVES), 'a PLY file; say <shape type="ply">'),
+        (threemf(), 'a ZIP archive, such as 3MF; say <shape type="3mf">'),
+    ):
+        with pytest.raises(vs.InputError, match=re.escape(words)):
+            read("stl", data)
+    for name, words in (
+        ("a.STEP", "exact surfaces; export it as STL"),
+        ("a.off", "stl, obj"),
+    ):
+        with pytest.raises(vs.InputError, match=words):
+            check_kind(Path(name))
+    assert check_kind(Path("a b.STL")) == "stl"
+
+
+def test_what_programs_add_to_stl_and_obj_files_does_no_harm(read):
+    """A byte order mark, CRLF, bytes at the end, colours of facets and vertices, free spacing."""
+    for data in (
+        *(b"\xef\xbb\xbf" + TEXT.encode(), TEXT.replace("\n", "\r\n"), TEXT.upper()),
+        *((binary := stl(BOX.triangles)) + b"\r\n", binary[:-2] + b"\x1f\xfc"),
+    ):
+        np.testing.assert_allclose(triangles(read("stl", data)), BOX.triangles, atol=1e-6)
+    coloured = "\tv 0 0 0 1 0 0\r\nv 1 0 0 1 0 0\r\nv  1 1\t0 1 0 0 # red\r\n f 1/ 2 3//\r\n"
+    part = read("obj", b"\xef\xbb\xbf" + coloured.encode())
+    np.testing.assert_array_equal(triangles(part), [[[0, 0, 0], [1, 0, 0], [1, 1, 0]]])
+    assert not part.by_mitsuba

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed
+from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.imaging.field_solid import check_solid
+from virtual_sensor.imaging.part_survey import facet_error_mm
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
@@ -23,6 +25,9 @@ JUMP_TOLD_PX = 0.003
 """A border jump that moves the image by more than this is noted..."""
 JUMP_REFUSED_PX = 0.1
 """...and one that moves it by more than this is refused."""
+
+FACETS_TOLD_PX = 0.03
+"""Facets that lie beside their surface by more than this are noted."""
 
 FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """Of a field's box, in the order of `IndexField.border_jump`."""
@@ -109,7 +114,29 @@ def _check_pair(scene: Scene) -> list[str]:
     with naming(scene.path):
         found = check_solid(scene, line.points_mm)
         found += _check_border(scene.medium, scene.sensor, line) if scene.medium else []
+        found += _facet_note(scene, line)
     return found + _glow_note(scene, line)
+
+
+def _facet_note(scene: Scene, line: LitLine) -> list[str]:
+    """Note how far the facets under the line are beside the curved surface that they stand for."""
+    meshes = [shape for shape in scene.mitsuba.shapes() if shape.is_mesh()]
+    error_mm = 0.0
+    for mesh in meshes:
+        held = mi.traverse(mesh)
+        vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
+        faces = np.array(held["faces"], np.int64).reshape(-1, 3)
+        error_mm = max(error_mm, facet_error_mm(vertices, faces, line.points_mm))
+    pixel_mm = float(scene.sensor.camera.pixel_mm(line.points_mm).mean())
+    if error_mm < FACETS_TOLD_PX * pixel_mm:
+        return []
+    return [
+        f"the part's facets lie up to {1e3 * error_mm:.2g} um ({error_mm / pixel_mm:.2g} px) beside"
+        " the curved surface that they stand for, where the line meets them (estimated from the"
+        " angles between them). Export the part finer: facets half as wide leave a quarter, and a"
+        f" chord tolerance of {1e3 * FACETS_TOLD_PX * pixel_mm:.1g} um will do. Vertex normals"
+        " shade facets and move none"
+    ]
 
 
 def _glow_note(scene: Scene, line: LitLine) -> list[str]:
@@ -166,9 +193,10 @@ def _line_on_part(scene: Scene) -> LitLine:
     found = ray_search(scene.cold(), y, k_stop=1, method="paper", r_max_um=np.inf)
     met = found.status != SearchStatus.LASER_MISSED
     if not met.any():
+        box = scene.mitsuba.bbox()
         raise InputError(
             f"{scene.source_element}: the laser misses the part; turn it (to_world, tilt) or move"
-            " the part"
+            f" the part, which lies from {_point(box.min)} to {_point(box.max)} mm"
         )
     outside, hidden = (
         found.status[met] == reason

@@ -19,6 +19,7 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
+from virtual_sensor.imaging.part_survey import faults
 from virtual_sensor.imaging.parts import KINDS, Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
 from virtual_sensor.medium.find_field import find_field, is_installed
@@ -415,16 +416,16 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
             )
         with naming(where):
             part = read_part(file, kind)
-        notes += part.notes
         to_world = np.eye(4)
         if "to_world" in props:
             to_world = np.array(props["to_world"].matrix, float).reshape(4, 4)
-        mirrored = np.linalg.det(to_world[:3, :3]) < 0.0
-        if part.by_mitsuba and not mirrored:
+        placed = part.placed(to_world)
+        notes += [*part.notes, *(f"{file}: {fault}" for fault in faults(placed))]
+        if part.by_mitsuba and np.linalg.det(to_world[:3, :3]) > 0.0:
             continue
         folder = folder or temporary.enter_context(scratch_folder())
         written = folder / f"{number}.ply"
-        written.write_bytes(_ply(part, to_world, mirrored))
+        written.write_bytes(_ply(placed))
         if "to_world" in props:
             del props["to_world"]
         props.set_plugin_name("ply")
@@ -432,19 +433,9 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
     return notes
 
 
-def _ply(part: Part, to_world: NDArray[np.float64], mirrored: bool) -> bytes:
-    """A part in the world, its faces outwards, as a file that Mitsuba reads."""
+def _ply(part: Part) -> bytes:
+    """A part as a file that Mitsuba reads."""
     import trimesh  # most scenes have no such part
 
-    turn, place = to_world[:3, :3], to_world[:3, 3]
-    normals = part.normals
-    if normals is not None:
-        normals = normals @ np.linalg.inv(turn)
-        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    mesh = trimesh.Trimesh(
-        part.vertices @ turn.T + place,
-        part.faces[:, ::-1] if mirrored else part.faces,
-        vertex_normals=normals,
-        process=False,
-    )
-    return bytes(mesh.export(file_type="ply", vertex_normal=normals is not None))
+    mesh = trimesh.Trimesh(part.vertices, part.faces, vertex_normals=part.normals, process=False)
+    return bytes(mesh.export(file_type="ply", vertex_normal=part.normals is not None))

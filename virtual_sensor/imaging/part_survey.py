@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.parts import KINDS, Part, read_part
+from virtual_sensor.imaging.parts import Part, check_kind, read_part
 from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
@@ -33,6 +33,9 @@ SHARP_DEG = 29.0
 
 _ALIKE = 3.0  # bends of one curved surface differ by a factor of so much
 _CLOSED = 0.05  # of a body's area, summed as vectors: a closed one's is 0
+_SMALLEST, _LARGEST = 0.05, 200.0  # size of a part in fields of view that is not doubted...
+_FITTING = 0.2, 20.0  # ...and that speaks for a unit
+_ON_MM, _BESIDE, _TINY = 1e-3, 1e-2, 1e-30  # of a facet: above it, beside it, its area
 _NO_WIDTH = 1e-6  # of the part's size: float32 leaves a crack of so much at a T-junction
 _HASH = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
@@ -96,9 +99,9 @@ def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
     path = Path(path)
     if unit not in UNITS_MM:
         raise InputError(f"unit {unit}: there is no such unit; give one of {', '.join(UNITS_MM)}")
-    kind = path.suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise InputError(f"{path}: parts are read from {', '.join(KINDS)}; export it as one")
+    kind = check_kind(path)
+    if kind == "3mf" and unit != "mm":
+        raise InputError(f"{path}: a 3MF file has its unit in it; leave out the unit {unit}")
     part = read_part(path, kind)
     found = survey_part(replace(part, vertices=part.vertices * UNITS_MM[unit]))
     notes = [*part.notes, *(f"{path}: {note}" for note in found.notes)]
@@ -108,21 +111,70 @@ def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
 def survey_part(part: Part) -> PartSurvey:
     """Survey a part that was read; the notes don't name its file."""
     mesh = Mesh.of(part.vertices, part.faces)
-    corners = part.vertices[part.faces].reshape(-1, 3)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    error = mesh.facet_error_mm
-    gaps = mesh.gaps
+    corners = part.vertices[part.faces]
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     return PartSurvey(
         _vector(low),
         _vector(high),
-        _vector(_top(corners.reshape(-1, 3, 3), (low + high) / 2.0)),
+        _vector(_top(corners, (low + high) / 2.0)),
         len(part.faces),
-        len(gaps),
+        len(mesh.gaps),
         int(mesh.flipped.sum()),
         mesh.double_faces,
-        float(1e3 * error.max(initial=0.0)),
-        tuple(_faults(mesh, gaps)),
+        float(1e3 * mesh.facet_error_mm.max(initial=0.0)),
+        tuple(_faults(mesh)),
     )
+
+
+def faults(part: Part) -> list[str]:
+    """Notes of what is wrong with a part, each with its remedy; they don't name its file."""
+    return _faults(Mesh.of(part.vertices, part.faces))
+
+
+def scale_note(size_mm: float, field_of_view_mm: float) -> str:
+    """A note of a part whose size does not go with a field of view; "" if it does.
+
+    Parameters
+    ----------
+    size_mm : float
+        Of the part, its longest edge.
+    field_of_view_mm : float
+        Longest edge of what the camera sees at the part's distance.
+    """
+    if _SMALLEST * field_of_view_mm < size_mm < _LARGEST * field_of_view_mm:
+        return ""
+    fitting = [
+        f'<scale value="{factor:g}"/> if its file is in {name}'
+        for name, factor in (("m", 1e3), ("cm", 10.0), ("inches", 25.4), ("um", 1e-3))
+        if _FITTING[0] < size_mm * factor / field_of_view_mm < _FITTING[1]
+    ]
+    remedy = f" Give its to_world a {' or a '.join(fitting)}" if fitting else ""
+    return (
+        f"the part is {size_mm:.3g} mm in size, and the camera sees {field_of_view_mm:.3g} mm"
+        f" there; lengths are in mm: is it at the right scale?{remedy}"
+    )
+
+
+def facet_error_mm(vertices_mm: Array, faces: Indices, points_mm: Array) -> float:
+    """How far the facets that points (N, 3) lie on are beside a curved surface, at most.
+
+    An estimate, see `Mesh.facet_error_mm`; 0 where no point lies on a facet.
+    """
+    corner = vertices_mm[faces]
+    low, high = corner.min(axis=1) - _ON_MM, corner.max(axis=1) + _ON_MM
+    met = np.zeros(len(faces), bool)
+    for point in points_mm:
+        near = np.flatnonzero(np.all((low <= point) & (point <= high), axis=1))
+        to = corner[near] - point
+        parts = np.cross(to, np.roll(to, -1, axis=1))  # twice the areas that the point cuts
+        whole = parts.sum(axis=1)
+        area = np.linalg.norm(whole, axis=1)
+        height = np.abs(np.einsum("ni,ni->n", to[:, 0], whole)) / np.maximum(area, _TINY)
+        weights = np.einsum("npi,ni->np", parts, whole) / np.maximum(area, _TINY)[:, None] ** 2
+        met[near[(height < _ON_MM) & np.all(weights > -_BESIDE, axis=1)]] = True
+    if not met.any():
+        return 0.0
+    return float(Mesh.of(vertices_mm, faces).facet_error_mm[met].max())
 
 
 def _vector(place: Array) -> Vector:
@@ -130,9 +182,8 @@ def _vector(place: Array) -> Vector:
     return x, y, z
 
 
-def _faults(mesh: "Mesh", gaps: list[tuple[float, Array]]) -> list[str]:
-    """Notes with remedies."""
-    notes, count = [], len(mesh.faces)
+def _faults(mesh: "Mesh") -> list[str]:
+    notes, count, gaps = [], len(mesh.faces), mesh.gaps
     if gaps:
         width, place = max(gaps, key=lambda gap: gap[0])
         x, y, z = place
@@ -147,8 +198,8 @@ def _faults(mesh: "Mesh", gaps: list[tuple[float, Array]]) -> list[str]:
         all_of_them = "all" if flipped == count else f"{flipped} of"
         notes.append(
             f"{all_of_them} its {count} triangles are turned inside out, and black from outside:"
-            " recalculate the normals in the program that made the file, or put a twosided bsdf"
-            " round the part's"
+            " recalculate the normals in the program that made the file, or put the part's <bsdf>"
+            ' into <bsdf type="twosided">'
         )
     if mesh.double_faces:
         notes.append(
@@ -202,8 +253,8 @@ class Mesh(Displayed):
     def double_faces(self) -> int:
         """Triangles with the same corners as another, beyond the first of each."""
         ordered = np.sort(self.faces[self._whole], axis=1).astype(np.uint64)
-        mixed = (ordered * _HASH).sum(axis=1, dtype=np.uint64)
-        return len(mixed) - len(np.unique(mixed))
+        mixed = np.sort((ordered * _HASH).sum(axis=1, dtype=np.uint64))
+        return int(np.sum(mixed[1:] == mixed[:-1]))
 
     @cached_property
     def _whole(self) -> NDArray[np.bool_]:
@@ -220,7 +271,7 @@ class Mesh(Displayed):
         half = (3 * np.flatnonzero(self._whole)[:, None] + np.arange(3)).ravel()
         start, end = self.start_of(half), self.end_of(half)
         key = np.minimum(start, end) * len(self.places_mm) + np.maximum(start, end)
-        order = np.argsort(key, kind="stable")
+        order = np.argsort(key)
         half, key = half[order], key[order]
         begins = np.flatnonzero(np.diff(key, prepend=-1))
         sizes = np.diff(begins, append=len(key))
@@ -330,43 +381,37 @@ class Mesh(Displayed):
         """
         if not len(self.faces):
             return np.zeros(0)
-        bend, across = self._bends()
-        sagging = bend * across
+        sagging = self._sagging()
         at_middles = (sagging.sum(axis=1, keepdims=True) - sagging) / 8.0
         at_centroid = sagging.sum(axis=1) / 9.0
         return np.maximum(np.abs(at_middles).max(axis=1), np.abs(at_centroid))
 
-    def _bends(self) -> tuple[Array, Array]:
-        """Angles at the three edges of triangles (M, 3), and the widths that they are spread over.
+    def _sagging(self) -> Array:
+        """Bend times across at the three edges of triangles (M, 3).
 
         Positive at convex edges, 0 at those that don't look smooth.
         """
         _, pairs, agree = self._edges
-        face, count = pairs // 3, len(self.faces)
+        one, other = pairs.T
+        corner = self.places_mm[self.faces]
+        edge = (np.roll(corner, -1, axis=1) - corner).reshape(-1, 3)
         with np.errstate(divide="ignore", invalid="ignore"):
             normal = self.area_vectors / self.areas[:, None]
-            edge = (
-                self.places_mm[self.end_of(pairs[:, 0])]
-                - self.places_mm[self.start_of(pairs[:, 0])]
-            )
-            length = np.linalg.norm(edge, axis=1)
-            one = normal[face[:, 0]]
-            other = normal[face[:, 1]] * np.where(agree, 1.0, -1.0)[:, None]
-            sine = np.einsum("pi,pi->p", np.cross(one, other), edge) / length
-            angle = np.arctan2(sine, np.einsum("pi,pi->p", one, other))
-            heights = 2.0 * self.areas[face] / length[:, None]
-        known = np.isfinite(angle)
-        bend, across = np.zeros(3 * count), np.zeros(3 * count)
-        twin = np.full(3 * count, -1)
-        for here, there in ((0, 1), (1, 0)):
-            half = pairs[known, here]
-            bend[half] = angle[known]
-            across[half] = heights[known].min(axis=1)
-            twin[half] = pairs[known, there]
-        bend[np.abs(bend) > np.radians(SHARP_DEG)] = 0.0
+            length = np.sqrt(np.einsum("hi,hi->h", edge, edge)).reshape(-1, 3)
+            height = (2.0 * self.areas[:, None] / length).ravel()
+            behind = normal[other // 3] * np.where(agree, 1.0, -1.0)[:, None]
+            from_apex = edge[one - one % 3 + (one + 2) % 3]
+            sine = np.einsum("pi,pi->p", from_apex, behind) / height[one]
+            cosine = np.einsum("pi,pi->p", normal[one // 3], behind)
+            gentle = cosine > np.cos(np.radians(SHARP_DEG))  # and not NaN
+        one, other = one[gentle], other[gentle]
+        bend, twin = np.zeros(len(edge)), np.full(len(edge), -1)
+        bend[one] = bend[other] = np.arcsin(np.clip(sine[gentle], -1.0, 1.0))
+        twin[one], twin[other] = other, one
         smooth = _continued(bend, twin)
         smooth &= smooth[twin] & (twin >= 0)
-        return np.where(smooth, bend, 0.0).reshape(-1, 3), across.reshape(-1, 3)
+        across = np.minimum(height, height[twin])
+        return np.where(smooth, bend * across, 0.0).reshape(-1, 3)
 
 
 def _continued(bend: Array, twin: Indices) -> NDArray[np.bool_]:
@@ -374,22 +419,23 @@ def _continued(bend: Array, twin: Indices) -> NDArray[np.bool_]:
 
     At another edge of it, or, across one that is flat in comparison, of the next triangle.
     """
-    half = np.arange(len(bend))
     smooth = np.zeros(len(bend), bool)
 
-    def alike(other: Indices) -> NDArray[np.bool_]:
-        ratio_kept = np.abs(bend[other]) * _ALIKE >= np.abs(bend)
-        return (
-            ratio_kept & (np.abs(bend[other]) <= np.abs(bend) * _ALIKE) & (bend * bend[other] > 0.0)
-        )
+    def look(half: Indices, other: Indices) -> None:
+        here, there = bend[half], bend[other]
+        alike = (here * there > 0.0) & (abs(there) * _ALIKE >= abs(here))
+        smooth[half[alike & (abs(there) <= abs(here) * _ALIKE)]] = True
 
     for step in (1, 2):
+        half = np.flatnonzero(~smooth & (bend != 0.0))
+        look(half, half - half % 3 + (half + step) % 3)
+    for step in (1, 2):
+        half = np.flatnonzero(~smooth & (bend != 0.0))
         other = half - half % 3 + (half + step) % 3
-        smooth |= alike(other)
-        flat = (np.abs(bend[other]) * _ALIKE < np.abs(bend)) & (twin[other] >= 0)
-        behind = twin[other]
+        flat = (abs(bend[other]) * _ALIKE < abs(bend[half])) & (twin[other] >= 0)
+        half, behind = half[flat], twin[other[flat]]
         for further in (1, 2):
-            smooth |= flat & alike(behind - behind % 3 + (behind + further) % 3)
+            look(half, behind - behind % 3 + (behind + further) % 3)
     return smooth
 
 

@@ -1,4 +1,4 @@
-"""Parts from files of meshes: PLY, OBJ and STL, checked before Mitsuba is given them.
+"""Parts from files of meshes: STL, OBJ, PLY and 3MF, checked before Mitsuba is given them.
 
 A file that Mitsuba reads right is left to it.  Others are read here and handed on as triangles in
 the scene's own place; no vertices are merged.
@@ -33,13 +33,18 @@ ASCII, binary                 heeded, by trimesh; binary is known by its size, n
 several solids in a file      heeded: they make one part
 facet normals                 the order of the corners holds, with a note where they contradict it
 attribute bytes               ignored: colours of some programs
+**3MF**
+unit                          heeded: lengths become mm, with a note; the other formats have none
+items, components             heeded with their transforms: what is built makes one part
+supports, materials, beams    ignored, with a note
 ============================  =====================================================================
 
-Lengths are in mm as in all scenes: none of these formats has units.
+Lengths are in mm as in all scenes.
 """
 
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +55,22 @@ from virtual_sensor.files import readable
 from virtual_sensor.imaging.part_files import read_obj, read_stl
 from virtual_sensor.imaging.ply_files import read_ply
 from virtual_sensor.imaging.polygons import Array, Indices, Polygons, triangulated
+from virtual_sensor.imaging.threemf_files import read_3mf
+
+AS_MESH = "export it as STL or 3MF from the CAD program, with a chord tolerance of 0.001 mm"
+_EXACT = (
+    *("step", "stp", "iges", "igs", "dxf", "dwg", "sldprt", "sldasm", "ipt", "fcstd", "brep"),
+    *("x_t", "x_b", "sat", "3dm", "catpart", "prt", "par", "jt", "f3d"),
+)
+_MAGIC = {  # by its first bytes: what a file is, and the remedy
+    "ply": (rb"ply\r?\n", 'a PLY file; say <shape type="ply">, and name it .ply'),
+    "3mf": (rb"PK\x03\x04", 'a ZIP archive, such as 3MF; say <shape type="3mf">, and name it .3mf'),
+    "step": (rb"\s*ISO-10303-21;", f"a STEP file; {AS_MESH}"),
+    "iges": (rb"[^\r\n]{72}S[ 0]{6}1\s*\n", f"an IGES file; {AS_MESH}"),
+    "dxf": (rb"\s*0\s*\n\s*SECTION\s", f"a DXF file; {AS_MESH}"),
+    "dwg": (rb"AC10\d\d", f"a DWG file; {AS_MESH}"),
+    "glb": (rb"glTF", "a glTF file; export it as STL or PLY"),
+}
 
 
 @dataclass(frozen=True)
@@ -75,6 +96,16 @@ class Part(Displayed):
     by_mitsuba: bool = False
     notes: tuple[str, ...] = ()
 
+    def placed(self, to_world: Array) -> "Part":
+        """The part at another place, by a matrix (4, 4); a mirrored one keeps its outside."""
+        turn, normals = to_world[:3, :3], self.normals
+        if normals is not None:
+            normals = normals @ np.linalg.inv(turn)
+            normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        faces = self.faces[:, ::-1] if np.linalg.det(turn) < 0.0 else self.faces
+        vertices = self.vertices @ turn.T + to_world[:3, 3]
+        return replace(self, vertices=vertices, faces=faces, normals=normals)
+
     def _line(self) -> str:
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return f"{len(self.faces)} triangles, from {place(low)} to {place(high)} mm"
@@ -87,7 +118,7 @@ def read_part(path: Path, kind: str) -> Part:
     ----------
     path : Path
     kind : str
-        "ply", "obj" or "stl", whatever the file's name.
+        One of `KINDS`, whatever the file's name.
 
     Raises
     ------
@@ -96,6 +127,8 @@ def read_part(path: Path, kind: str) -> Part:
     """
     data = readable(path).read_bytes()
     with naming(path):
+        if (other := _other_kind(data)) and other[0] != kind:
+            raise InputError(f"it is no {kind.upper()} file but {other[1]}")
         read = _READERS[kind](data)
         vertices = read.vertices
         _check_vertices(vertices)
@@ -117,6 +150,31 @@ def read_part(path: Path, kind: str) -> Part:
     return Part(vertices, triangles, normals, by_mitsuba, tuple(notes))
 
 
+def _other_kind(data: bytes) -> tuple[str, str] | None:
+    """What a file is by its first bytes, and what to do with it."""
+    for kind, (begins, words) in _MAGIC.items():
+        if re.match(begins, data):
+            return kind, words
+    return None
+
+
+def check_kind(path: Path) -> str:
+    """The kind that a part's file is by its suffix, one of `KINDS`.
+
+    Raises
+    ------
+    InputError
+        Which says how to come by such a file.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind in KINDS:
+        return kind
+    if kind in _EXACT:
+        raise InputError(f"{path}: it is a file of exact surfaces; {AS_MESH}")
+    kinds = ", ".join(KINDS)
+    raise InputError(f"{path}: parts are read from {kinds}; export it as one of these")
+
+
 def _check_vertices(vertices: Array) -> None:
     if not len(vertices):
         raise InputError("it has no vertices; give a mesh")
@@ -130,9 +188,10 @@ def _check_vertices(vertices: Array) -> None:
 
 
 _READERS: dict[str, Callable[[bytes], Polygons]] = {
-    "ply": read_ply,
-    "obj": read_obj,
     "stl": read_stl,
+    "obj": read_obj,
+    "ply": read_ply,
+    "3mf": read_3mf,
 }
 
 KINDS = tuple(_READERS)

@@ -11,13 +11,15 @@ sensor                           a camera, if it is a `perspective`, a pinhole; 
 film                             the whole one, no crop; one beyond the memory is refused
 emitter                          a source, if it is a `laser_line`; others light the part too
 id                               the name of a camera or a source; those without one get a name
-shape of a file: ply, obj, stl   checked, and read where Mitsuba can't: `imaging.parts`
+shape of a file: stl, obj, ply,  checked, and read where Mitsuba can't: `imaging.parts`
+3mf
 other shapes, bsdf, texture      heeded, by Mitsuba
 to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
 to_world of the integrator       turns and moves the air
 medium                           ignored, with a note
 numbers                          what is not finite is refused
-lengths                          in mm; a scene that seems to be in metres gets a note
+lengths                          in mm; a scene, or a part, that seems to be in another unit gets a
+                                 note
 ===============================  ==================================================================
 
 `virtual_sensor.imaging.scene_file` says what becomes of the XML itself.
@@ -49,6 +51,7 @@ from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.loading import Loaded, load
+from virtual_sensor.imaging.part_survey import scale_note
 from virtual_sensor.imaging.scene_file import (
     SceneFile,
     filled,
@@ -649,21 +652,27 @@ def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str
 
 
 def _places(path: Path, loaded: Any, cameras: dict[str, Pinhole]) -> list[str]:
-    """Notes of a scene whose lengths seem to be in metres."""
+    """Notes of a scene, or a part, whose lengths seem not to be in mm."""
     box = loaded.bbox()
     corners = np.array([box.min, box.max], float)
     if not (np.isfinite(corners).all() and np.all(corners[0] <= corners[1])):
         raise InputError(f"{path}: its shapes have no finite size; give the scene a part")
     for name, camera in cameras.items():
         _check_clearance(f"{path}: {_sensor(name)}", loaded, camera.pose.origin_mm)
-    size, middle = np.max(corners[1] - corners[0]), corners.mean(axis=0)
-    distance = max(np.linalg.norm(c.pose.origin_mm - middle) for c in cameras.values())
-    if size > _METRES_MM[0] or distance > _METRES_MM[1]:
-        return []
-    return [
-        f"{path}: the part is {size:.2g} mm in size and the camera {distance:.2g} mm away; lengths"
-        " are in mm: is the scene in metres?"
-    ]
+    size, middle = float(np.max(corners[1] - corners[0])), corners.mean(axis=0)
+    distances, views = [], []
+    for camera in cameras.values():
+        origin = camera.pose.origin_mm
+        distances.append(np.linalg.norm(origin - middle))
+        away = np.linalg.norm(origin - np.clip(origin, *corners)) or distances[-1]
+        views.append(float(away * max(camera.size) / abs(camera.matrix[0, 0])))
+    if size <= _METRES_MM[0] and max(distances) <= _METRES_MM[1]:
+        return [
+            f"{path}: the part is {size:.2g} mm in size and the camera {max(distances):.2g} mm"
+            " away; lengths are in mm: is the scene in metres?"
+        ]
+    note = scale_note(size, max(views))
+    return [f"{path}: {note}"] if note else []
 
 
 def _check_clearance(where: str, loaded: Any, place_mm: Array) -> None:
