@@ -15,6 +15,7 @@ import virtual_sensor
 from virtual_sensor.display import LONGEST_LINE, Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres
+from virtual_sensor.reporting import objects
 
 ROW = np.array([1021.0, np.nan, 1279.0, 1100.0])
 
@@ -74,6 +75,13 @@ def test_every_object_that_a_user_meets_speaks():
     kinds = list(dataclasses_of_users())
     assert len(kinds) > 100
     assert [each for each in kinds if each.__repr__ is not Displayed.__repr__] == []
+
+
+def test_what_is_drawn_is_an_object_of_ours():
+    for name in objects.drawn_classes():
+        module, _, kind = name.rpartition(".")
+        found = getattr(importlib.import_module(f"virtual_sensor.{module}"), kind)
+        assert issubclass(found, Displayed), name
 
 
 def test_a_notebook_shows_line_table_and_picture_and_is_told_no_error(line, monkeypatch):

@@ -1,7 +1,8 @@
 """Objects that say what they are: in one line, as a table with a picture, as a file, as data frame.
 
-What is drawn and written stands in `reporting.objects` and `reporting.object_files`; they are
-loaded when they are first asked for, and matplotlib or pandas with them.
+What is drawn and written stands in `reporting.objects`, `reporting.notebook` and
+`reporting.object_files`; they are loaded when they are first asked for, and matplotlib or pandas
+with them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from virtual_sensor.errors import printable
+from virtual_sensor.statuses import StatusEnum
 
 LONGEST_LINE = 200
 """No object's repr has more characters."""
@@ -33,7 +35,7 @@ class Displayed:
 
     _field_units: ClassVar[Mapping[str, str]] = {}
     """Of fields whose names don't end in their unit."""
-    _statuses: ClassVar[Mapping[str, type[IntEnum]]] = {}
+    _statuses: ClassVar[Mapping[str, type[StatusEnum]]] = {}
     """What the numbers of these fields stand for."""
     _by_row: ClassVar[bool] = False
     """Whether the arrays have a row for each of many things, so that they are a table's columns."""
@@ -59,7 +61,7 @@ class Displayed:
         return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 3].rstrip()}..."
 
     def _repr_html_(self) -> str:
-        html: str = _reporting("objects").html_of(self)
+        html: str = _reporting("notebook").html_of(self)
         return html
 
     def plot(self, ax: Any = None) -> Any:

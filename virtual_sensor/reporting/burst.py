@@ -175,7 +175,7 @@ def draw(result: Burst) -> Picture:
     panels = [
         Panel(
             "The line's centre minus its mean, over time",
-            partial(_over_time, result=result),
+            partial(draw_over_time, result=result),
             "A map of the line's centre minus its mean, over column and time",
             width=2,
         ),
@@ -222,7 +222,7 @@ def _words(sway: Sway, unit: str) -> str:
     return f"at most {largest} {unit}, median {median} {unit}"
 
 
-def _over_time(axes: Axes, result: Burst) -> None:
+def draw_over_time(axes: Axes, result: Burst) -> None:
     """The line's centre minus its mean, over column and time."""
     centres = result.centres_px
     sway = centres[..., 1] - spread(centres).mean[:, 1]

@@ -179,7 +179,7 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
     bottom = _BELOW_PX + _KEY_PX * keys
     size = (width - 100.0) / width, (height - bottom - _ABOVE_PX) / height
     axes = figure.add_axes((84.0 / width, bottom / height, *size))
-    _draw(axes, measured)
+    draw_errors(axes, measured)
     _legend(axes, measured, ncols=3, loc="lower left", bbox_to_anchor=(-0.15, 1.0))
     _number(axes, numbers, measured)
 
@@ -200,11 +200,11 @@ def _draw_large(measured: Sequence[Measured], figure: Figure) -> None:
 
 
 def _draw_small(measured: Sequence[Measured], axes: Axes) -> None:
-    _draw(axes, measured)
+    draw_errors(axes, measured)
     _legend(axes, measured, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
-def _draw(axes: Axes, measured: Sequence[Measured]) -> None:
+def draw_errors(axes: Axes, measured: Sequence[Measured]) -> None:
     """One task: hollow marks, filled ones on the front, its steps, the bands, the bound."""
     shown = [m for m in measured if np.isfinite([m.rms_px, m.time_s]).all() and m.time_s > 0.0]
     axes.set(xscale="log", yscale="log")

@@ -20,7 +20,14 @@ from virtual_sensor.metrology.detectors import STEGER
 from virtual_sensor.records import Record, plain, write_csv, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Content, Page, Section
-from virtual_sensor.reporting.pictures import CELL_IN, Panel, PanelPicture, Picture, draw_picture
+from virtual_sensor.reporting.pictures import (
+    CELL_IN,
+    Panel,
+    PanelPicture,
+    Picture,
+    coarser,
+    draw_picture,
+)
 from virtual_sensor.reporting.style import (
     BLACK,
     GREEN,
@@ -60,7 +67,6 @@ _ON_PAGES = {"size", "median_width_px", "time_s"}
 _PEAKS = (GREEN, SKY, ORANGE, PURPLE, YELLOW)
 _POINTS = 72.0  # of an inch
 _MARGIN_PX, _CLOSE_UP_PX = 12, (48, 30)
-_MOST_PX = 900  # shown of an image along a side: finer pixels are taken together
 _MOST_STRETCH, _LEAST_STRETCH = 50.0, 1.5
 _PANEL_SHAPE = 0.62  # height over width of a panel's axes
 
@@ -361,7 +367,7 @@ class _View:
     ) -> None:
         """A part of the image with the centres; rows are drawn so many times as high as columns."""
         left, right, top, bottom = window
-        shown, block = _coarser(self.image[top:bottom, left:right])
+        shown, block = coarser(self.image[top:bottom, left:right])
         behind = (left + block[1] * shown.shape[1] - 0.5, top + block[0] * shown.shape[0] - 0.5)
         extent = (left - 0.5, behind[0], behind[1], top - 0.5)
         axes.imshow(shown, cmap="gray", extent=extent, interpolation="nearest", aspect=stretch)
@@ -415,20 +421,6 @@ def _draw_over(view: _View, values: NDArray[np.float64], label: str, axes: Axes)
     axes.axhline(median, color=colour("truth"), lw=1.0, ls="--")
     behind = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1}
     write_on_line(axes, f"median {median:.3g} px", median, right=True, bbox=behind)
-
-
-def _coarser(image: NDArray) -> tuple[NDArray[np.float32], tuple[int, int]]:
-    """An image with blocks of pixels as one, their brightest, and the blocks' rows and columns.
-
-    So a line of a pixel is seen in any size.
-    """
-    block = tuple(max(-(-size // _MOST_PX), 1) for size in image.shape)
-    values = np.where(np.isfinite(image), image, np.nan).astype(np.float32)
-    spare = [(0, -size % step) for size, step in zip(image.shape, block, strict=True)]
-    padded = np.pad(values, spare, mode="edge")
-    rows, columns = padded.shape
-    blocks = padded.reshape(rows // block[0], block[0], columns // block[1], block[1])
-    return np.fmax.reduce(np.fmax.reduce(blocks, axis=3), axis=1), (block[0], block[1])
 
 
 def _stretched(stretch: float) -> str:

@@ -1,43 +1,63 @@
-"""How an object is seen: its picture in a user's axes, and its line, table and picture as HTML.
+"""Pictures of objects: what `plot` draws in a user's axes, a notebook shows, and a file holds.
 
 A drawing is found by its class's name, so that nobody imports what they don't use.
 """
 
 from __future__ import annotations
 
-import base64
-import dataclasses
-import io
-from collections.abc import Callable, Iterator, Mapping
-from html import escape
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
-from virtual_sensor.display import Displayed, brief
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
-from virtual_sensor.reporting.style import YELLOW, style
+from virtual_sensor.reporting.pictures import coarser
+from virtual_sensor.reporting.style import (
+    BLUE,
+    CYCLE,
+    GREY,
+    VERMILION,
+    colour,
+    drawable,
+    style,
+    write_beside,
+)
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what they are, not what is imported
+    from virtual_sensor.imaging.camera_noise import CameraNoise
+    from virtual_sensor.imaging.render import Frame
+    from virtual_sensor.medium.index_field import IndexField
     from virtual_sensor.metrology.centres import LineCentres
+    from virtual_sensor.metrology.cylinder_fit import CylinderFit
+    from virtual_sensor.metrology.dot_peaks import DotCentres
+    from virtual_sensor.metrology.truth import DotErrors, LineErrors, TrueLine
+    from virtual_sensor.optics.ray_families import Pinhole, RayFamily
+    from virtual_sensor.optics.sensitivity import Sensitivity
+    from virtual_sensor.optics.trace import Rays
+    from virtual_sensor.poses import Pose
+    from virtual_sensor.records import Table
 
+Array = NDArray[np.float64]
 Draw = Callable[[Axes, Any], object]
 
+_U, _V = "u in px", "v in px"
 _DRAWINGS: dict[str, Draw] = {}
-_MIDDLE_GREY = "#808080"  # letters and axes that are read on white as well as on black
-_LETTERS = dict.fromkeys(
-    ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), _MIDDLE_GREY
-)
-_SMALL_IN, _SMALL_DPI, _SHOWN_PX = (4.4, 2.8), 160, 440
-_MOST_NUMBERS = 1 << 20  # whose range is looked for
-_MOST_ROWS = 24
+_MOST_PX = 600  # of an image along a side
+_MOST_DOTS = 20_000  # points that are drawn
+_MOST_TRIANGLES = 15_000
+_MARGIN_PX = 20  # about what is lit
+_ROUND = np.linspace(0.0, 2.0 * np.pi, 60)
+_UM_PER_MM = 1e3
 
 
 def draws(*classes: str) -> Callable[[Draw], Draw]:
@@ -48,6 +68,11 @@ def draws(*classes: str) -> Callable[[Draw], Draw]:
         return draw
 
     return register
+
+
+def drawn_classes() -> list[str]:
+    """Names of the classes that have a picture."""
+    return list(_DRAWINGS)
 
 
 def names_of(thing: object) -> Iterator[str]:
@@ -66,7 +91,7 @@ def plot(thing: object, axes: Axes | None = None) -> Axes:
     draw = drawing_of(thing)
     kind = type(thing).__name__
     if draw is None:
-        raise InputError(f"a {kind} has no picture; to_dataframe() gives its numbers")
+        raise InputError(f"plot: a {kind} has no picture; to_dataframe() gives its numbers")
     if axes is None:
         from matplotlib import pyplot
 
@@ -75,9 +100,8 @@ def plot(thing: object, axes: Axes | None = None) -> Axes:
             draw(axes, thing)
         return axes
     if not isinstance(axes, Axes):
-        raise InputError(
-            f"plot: ax is a {type(axes).__name__}; give an Axes of matplotlib, or none"
-        )
+        given = type(axes).__name__
+        raise InputError(f"plot: ax is a {given}; give an Axes of matplotlib, or none")
     draw(axes, thing)
     return axes
 
@@ -92,107 +116,569 @@ def write_picture(path: Path, thing: object) -> None:
         figure.savefig(temporary, format=path.suffix.lower().lstrip("."))
 
 
-# ---------------------------------------------------------------------------------------- HTML
-
-
-def html_of(thing: Displayed) -> str:
-    """An object for a notebook: its line, its fields, and a small picture; it never raises."""
-    line = f"<div><strong>{escape(type(thing).__name__)}</strong>{_rest(thing)}</div>"
-    parts = []
-    for make in (_table, _picture):
-        try:
-            parts.append(make(thing))
-        except Exception:  # a notebook shows what it can
-            continue
-    return (
-        '<div style="font-size:13px; line-height:1.4">'
-        f'{line}<div style="display:flex; flex-wrap:wrap; gap:16px; align-items:flex-start">'
-        f"{''.join(parts)}</div></div>"
-    )
-
-
-def _rest(thing: object) -> str:
-    return escape(repr(thing).removeprefix(type(thing).__name__))
-
-
-def _table(thing: Displayed) -> str:
-    rows = []
-    for each in dataclasses.fields(thing):  # type: ignore[arg-type]
-        if each.name.startswith("_") or each.metadata.get("internal"):
-            continue
-        value, kind = getattr(thing, each.name), thing._statuses.get(each.name)
-        unit = thing._field_units.get(each.name, unit_of(each.name))
-        if kind is None:
-            rows.append((each.name, f"{_shown(value)} {unit}".rstrip()))
-            continue
-        by_key = value if isinstance(value, Mapping) else {"": value}
-        for key, numbers in by_key.items():
-            name = f"{each.name} of {key}" if key else each.name
-            rows += [(name, words) for words in _counted(numbers, kind)]
-    cell = "padding:1px 10px 1px 0; text-align:left; vertical-align:top; border:0"
-    body = "".join(
-        f'<tr style="background:none"><td style="{cell}; opacity:0.7">{escape(name)}</td>'
-        f'<td style="{cell}">{escape(words)}</td></tr>'
-        for name, words in rows[:_MOST_ROWS]
-    )
-    return f'<table style="margin:4px 0; border:0; max-width:34em">{body}</table>'
-
-
-def _counted(status: Any, kind: Any) -> Iterator[str]:
-    """How many have each status, with what it means."""
-    status = np.asarray(status)
-    for member in kind:
-        if number := int(np.sum(status == member)):
-            words = getattr(member, "message", "")
-            yield f"{number} {member.name.lower()}{f': {words}' if words else ''}"
-
-
-def _shown(value: Any) -> str:
-    """A value in a cell: of an array its shape and its range."""
-    if not isinstance(value, np.ndarray) or not value.ndim:
-        return brief(value)
-    if value.size <= 4 and value.dtype.kind in "bufi":
-        return f"({', '.join(f'{number:.5g}' for number in value.ravel().tolist())})"
-    words = brief(value)
-    if value.dtype.kind not in "uif" or not value.size:
-        return words
-    sample = value.ravel()[:: max(1, value.size // _MOST_NUMBERS)]
-    finite = sample[np.isfinite(sample)]
-    if not finite.size:
-        return f"{words} all NaN"
-    missing = 1.0 - finite.size / sample.size
-    gaps = f", {100.0 * missing:.2g} % NaN" if missing else ""
-    return f"{words} {finite.min():.5g} to {finite.max():.5g}{gaps}"
-
-
-def _picture(thing: Displayed) -> str:
-    """The picture as an image within the page, on whatever ground the page has."""
-    draw = drawing_of(thing)
-    if draw is None:
-        return ""
-    with style(), rc_context({**_LETTERS, "font.size": 9.0, "grid.color": f"{_MIDDLE_GREY}40"}):
-        figure = Figure(figsize=_SMALL_IN, dpi=_SMALL_DPI, layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = figure.add_subplot()
-        axes.patch.set_alpha(0.0)
-        draw(axes, thing)
-        file = io.BytesIO()
-        figure.savefig(file, format="png", transparent=True)
-    coded = base64.b64encode(file.getvalue()).decode("ascii")
-    name = escape(f"picture of a {type(thing).__name__}")
-    return (
-        f'<img alt="{name}" style="width:{_SHOWN_PX}px; max-width:100%; background:none"'
-        f' src="data:image/png;base64,{coded}">'
-    )
-
-
-# ------------------------------------------------------------------------------------- drawings
+# ------------------------------------------------------------------------------ lines and dots
 
 
 @draws("metrology.centres.LineCentres")
 def _line_centres(axes: Axes, line: LineCentres) -> None:
-    pixel = line.pixel.reshape(-1, 2)
-    axes.plot(pixel[:, 0], pixel[:, 1], ".", markersize=2.0, color=YELLOW)
+    """The centres as the camera sees them; below, which columns have none."""
+    _dots(axes, line.pixel, color=colour("line"), label="ok")
+    by_row = line.normal_deg.size and np.all(line.normal_deg == 0.0)
+    places = line.row if by_row else line.column
+    height = 0.0
+    for status, count in line._statuses["status"].counts(line.status).items():
+        if status:
+            height += 0.035
+            at = np.asarray(places)[line.status == status]
+            edge = np.full(at.size, 1.0 - height if by_row else height)
+            xy = (edge, at) if by_row else (at, edge)
+            axis = axes.get_yaxis_transform() if by_row else axes.get_xaxis_transform()
+            name = f"{status.name.lower()}: {count}"
+            axes.plot(
+                *xy,
+                "|" if not by_row else "_",
+                ms=3.0,
+                transform=axis,
+                color=colour(status.name.lower()),
+                label=name,
+            )
+    _as_image(axes)
+    if height:
+        axes.legend(markerscale=2.0, fontsize="small")
+
+
+@draws("metrology.dot_peaks.DotCentres")
+def _dot_centres(axes: Axes, dots: DotCentres) -> None:
+    """The dots, their areas as their flux."""
+    flux = np.nan_to_num(dots.flux)
+    size = 20.0 + 80.0 * flux / flux.max(initial=1e-300)
+    axes.scatter(*dots.pixel.T, s=size, color=colour("line"))
+    _as_image(axes)
+
+
+@draws("metrology.truth.TrueLine")
+def _true_line(axes: Axes, line: TrueLine) -> None:
+    for number, row in enumerate(line.row):
+        axes.plot(row, color=CYCLE[number % len(CYCLE)])
+    _as_image(axes)
+
+
+@draws(
+    "optics.ray_search.FoundPixels",
+    "optics.projection.ProjectedPoints",
+    "studies.search.SearchTable",
+)
+def _pixels(axes: Axes, found: Any) -> None:
+    _dots(axes, found.pixel, ms=5.0, color=BLUE)
+    _as_image(axes)
+
+
+@draws("metrology.truth.LineErrors")
+def _line_errors(axes: Axes, errors: LineErrors) -> None:
+    """Found minus true, and the sigma that was predicted."""
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    axes.plot(errors.column, errors.error_px, ".", ms=2.5, color=VERMILION, label="error")
+    if np.isfinite(errors.sigma).any():
+        order = np.argsort(errors.column)
+        u, sigma = errors.column[order], errors.sigma[order]
+        axes.plot(
+            u, np.stack([sigma, -sigma], 1), color=BLUE, lw=0.8, label=["predicted sigma", ""]
+        )
+        axes.legend()
+    axes.set(xlabel=_U, ylabel="found minus true in px")
+
+
+@draws("metrology.truth.DotErrors")
+def _dot_errors(axes: Axes, errors: DotErrors) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    for axis, marker, error in zip("uv", "os", errors.error_px.T, strict=True):
+        axes.plot(errors.true_pixel[:, 0], error, marker, color=colour(axis), label=axis)
+    axes.legend()
+    axes.set(xlabel=_U, ylabel="found minus true in px")
+
+
+# -------------------------------------------------------------------------------------- images
+
+
+@draws("imaging.render.Frame")
+def _frame(axes: Axes, frame: Frame) -> None:
+    """The part of the frame that is lit."""
+    at = np.divmod(frame.truth.index.astype(int), frame.radiance.shape[1])
+    rows, columns = (
+        slice(max(i.min(initial=2**31) - _MARGIN_PX, 0), i.max(initial=-1) + 1 + _MARGIN_PX)
+        for i in at
+    )
+    lit = frame.truth.index.size > 0
+    _image(axes, frame.radiance, (rows, columns) if lit else None)
+
+
+@draws(
+    "imaging.image_files.Image",
+    "imaging.image_formats.StoredImage",
+    "studies.trial.images.TrialImage",
+)
+def _whole_image(axes: Axes, image: Any) -> None:
+    names = ("pixels", "values", "grey")
+    _image(axes, next(getattr(image, name) for name in names if hasattr(image, name)))
+
+
+@draws("studies.detect.Detected")
+def _detected(axes: Axes, found: Any) -> None:
+    _image(axes, found.image)
+    _dots(axes, found.line.pixel, color=colour("line"))
+
+
+def _image(axes: Axes, image: NDArray[Any], window: tuple[slice, slice] | None = None) -> None:
+    """An image, or the rows and columns of a window, in brightness as the eye sees it."""
+    rows, columns = window or (slice(0, None), slice(0, None))
+    shown, (high, wide) = coarser(image[rows, columns], _MOST_PX)
+    left, top = columns.start - 0.5, rows.start - 0.5
+    extent = (left, left + wide * shown.shape[1], top + high * shown.shape[0], top)
+    finite = shown[np.isfinite(shown)]
+    low, most = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+    norm = PowerNorm(0.5, low, most if most > low else low + 1.0)
+    axes.imshow(shown, "gray", norm, extent=extent, aspect="auto", interpolation="nearest")
+    axes.grid(visible=False)
+    axes.set(xlabel=_U, ylabel=_V)
+
+
+# ------------------------------------------------------------------------------------ in space
+
+
+@draws(
+    "metrology.triangulation.TriangulatedPoints",
+    "optics.crossings.Crossings",
+    "optics.ray_maps.RayPoints",
+    "imaging.render.PixelTruth",
+)
+def _points(axes: Axes, found: Any) -> None:
+    """Points from the side from which most is seen of them."""
+    points = np.asarray(found.point_mm, float).reshape(-1, 3)
+    points = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // _MOST_DOTS)]
+    across, up = _side(points)
+    axes.plot(points[:, across], points[:, up], ".", ms=2.5, color=BLUE)
+    _from_side(axes, across, up)
+
+
+@draws("imaging.checks.LitLine")
+def _lit_line(axes: Axes, line: Any) -> None:
+    across, up = _side(line.points_mm)
+    axes.plot(*line.points_mm[:, [across, up]].T, color=colour("laser"))
+    _from_side(axes, across, up)
+
+
+@draws("optics.trace.Rays")
+def _rays(axes: Axes, rays: Rays) -> None:
+    """Where rays ended, and whence they came."""
+    known = np.isfinite(rays.position).all(axis=1)
+    step = max(1, int(known.sum()) // 500)
+    end, direction = rays.position[known][::step], rays.direction[known][::step]
+    size = float(np.ptp(end, axis=0).max(initial=0.0)) or 1.0
+    start = end - 0.5 * size * direction
+    across, up = _side(np.concatenate([start, end]))
+    both = np.stack([start, end])[..., [across, up]]
+    axes.plot(both[..., 0], both[..., 1], color=BLUE, lw=0.8)
+    axes.plot(*both[1].T, ".", ms=5.0, color=VERMILION)
+    _from_side(axes, across, up)
+
+
+@draws("imaging.parts.Part")
+def _part(axes: Axes, part: Any) -> None:
+    _shaded(axes, part.vertices, part.faces)
+
+
+@draws("imaging.part_survey.Mesh")
+def _mesh(axes: Axes, mesh: Any) -> None:
+    _shaded(axes, mesh.places_mm, mesh.faces)
+
+
+@draws("imaging.scene.Scene")
+def _scene(axes: Axes, scene: Any) -> None:
+    """The part in its air, the cameras and the sources, from the side."""
+    families = {name: source.family for name, source in scene.sources.items()}
+    outlines = [_outline(shape) for shape in scene.mitsuba.shapes()]
+    _devices(axes, scene.cameras, families, scene.sources, outlines, scene.medium)
+
+
+@draws("devices.sensor.SensorModel")
+def _sensor(axes: Axes, sensor: Any) -> None:
+    laser = sensor.laser
+    _devices(axes, {"camera": sensor.camera}, {"laser": laser.family}, {"laser": laser})
+
+
+@draws("optics.ray_families.Pinhole")
+def _camera(axes: Axes, camera: Pinhole) -> None:
+    _devices(axes, {"camera": camera})
+
+
+@draws("devices.laser.LaserLine")
+def _laser(axes: Axes, laser: Any) -> None:
+    _devices(axes, {}, {"laser": laser.family}, {"laser": laser})
+
+
+@draws("optics.ray_families.Sheet")
+def _sheet(axes: Axes, sheet: RayFamily) -> None:
+    _devices(axes, {}, {"sheet": sheet})
+
+
+@draws("metrology.calibration.Calibration")
+def _calibration(axes: Axes, calibration: Any) -> None:
+    """The camera, and its laser plane where the plane is seen edge-on."""
+    camera, (normal, offset) = calibration.camera, calibration.laser.plane
+    target = normal * offset
+    across, up = _devices(axes, {"camera": camera}, towards=target)
+    along = np.array([-normal[up], normal[across]])
+    if (length := np.linalg.norm(along)) > 1e-6:
+        reach = 0.5 * np.linalg.norm(camera.pose.origin_mm - target)
+        ends = target[[across, up]] + np.array([[-1.0], [1.0]]) * along / length * reach
+        axes.plot(*ends.T, color=colour("laser"), label="laser plane")
+        write_beside(axes, "laser plane", tuple(ends[np.argmax(ends[:, 1])]), (-7.0, -3.0))
+
+
+@draws("poses.Pose")
+def _pose(axes: Axes, pose: Pose) -> None:
+    """Its axes in the world."""
+    origin = np.asarray(pose.origin_mm, float)
+    size = 0.3 * float(np.linalg.norm(origin)) or 1.0
+    ends = origin + size * np.asarray(pose.rotation, float).T
+    across, up = _side(np.stack([np.zeros(3), *ends, origin]))
+    axes.plot(0.0, 0.0, "+", color=GREY, ms=9.0)
+    write_beside(axes, "world's origin", (0.0, 0.0), (6.0, 6.0), color=GREY)
+    for axis, end in zip("xyz", ends, strict=True):
+        line = np.stack([origin, end])[:, [across, up]]
+        axes.plot(*line.T, color=colour(axis), lw=2.0)
+        if np.ptp(line, axis=0).max() > 0.02 * size:
+            write_beside(axes, axis, tuple(line[1]), (5.0, 5.0), color=colour(axis))
+    _from_side(axes, across, up)
+
+
+def _devices(
+    axes: Axes,
+    cameras: Mapping[str, Pinhole],
+    families: Mapping[str, RayFamily] | None = None,
+    sources: Mapping[str, Any] | None = None,
+    outlines: Sequence[Sequence[Array]] = (),
+    medium: Any = None,
+    towards: Array | None = None,
+) -> tuple[int, int]:
+    """Cameras and sources with their light, about a part, from the side; gives the two axes."""
+    lights = {}
+    for name, family in (families or {}).items():
+        source = (sources or {}).get(name)
+        low, high = source.extent if source else (np.array([0.0, -5.0]), np.array([0.0, 5.0]))
+        starts, directions = family.rays(np.zeros(2), np.array([low[1], high[1]]))
+        reach = _reach(family.pose, towards)
+        lights[name] = np.stack([*starts, *(starts + reach * directions)[::-1]])
+    targets = [corners[2:].mean(axis=0) for corners in lights.values()]
+    target = np.mean(targets, axis=0) if targets else towards
+    sights = {}
+    for name, camera in cameras.items():
+        width, height = camera.size
+        corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+        reach = _reach(camera.pose, target)
+        lines = camera.lines_of_sight(corners)
+        sights[name] = camera.pose.origin_mm, camera.pose.origin_mm + reach * np.nan_to_num(lines)
+    seen = [*lights.values(), *(np.stack([o, *far]) for o, far in sights.values())]
+    across, up = _side(np.concatenate(seen))
+    flat = [across, up]
+    if medium is not None:
+        corners = medium.to_world(np.array(list(product(*np.asarray(medium.box).T))))
+        _hull(axes, corners[:, flat], facecolor="none", edgecolor=GREY, ls=":", lw=1.0)
+    for outline in outlines:
+        polygons = [_hull_of(each[:, flat]) for each in outline]
+        axes.add_collection(PolyCollection(polygons, facecolor=GREY, edgecolor=GREY, lw=0.4))
+    for name, corners in lights.items():
+        _hull(axes, corners[:, flat], facecolor=(colour("laser"), 0.3), edgecolor=colour("laser"))
+        _name(axes, name, corners[:2].mean(axis=0)[flat], colour("laser"), "s")
+    for name, (origin, far) in sights.items():
+        _hull(axes, np.stack([origin, *far])[:, flat], facecolor=(colour("camera"), 0.3))
+        _name(axes, name, origin[flat], colour("camera"), "o")
+    axes.autoscale_view()
+    _from_side(axes, across, up)
+    axes.margins(0.12)
+    return across, up
+
+
+def _reach(pose: Pose, target: Array | None) -> float:
+    """How far a device's light is drawn: to a target, or to the point nearest to the origin."""
+    forward = np.asarray(pose.rotation, float)[:, 2]
+    origin = np.asarray(pose.origin_mm, float)
+    depth = float(((np.zeros(3) if target is None else target) - origin) @ forward)
+    return depth if depth > 0.0 else float(np.linalg.norm(origin)) or 100.0
+
+
+def _name(axes: Axes, name: str, at: Array, paint: str, marker: str) -> None:
+    axes.plot(*at, marker, color=paint, ms=7.0)
+    left = at[0] > np.mean(axes.get_xlim())
+    write_beside(axes, drawable(name), tuple(at), (-9.0 if left else 9.0, 4.0))
+
+
+def _outline(shape: Any) -> list[Array]:
+    """Convex pieces (N, 3) of a shape of Mitsuba's, world, mm: its triangles, or one hull."""
+    from virtual_sensor.engine import mi
+
+    held = mi.traverse(shape)
+    if shape.is_mesh():
+        vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
+        faces = np.array(held["faces"]).reshape(-1, 3)
+        return list(vertices[faces[:: -(-len(faces) // _MOST_TRIANGLES)]])
+    kind = type(shape).__name__
+    ring = np.stack([np.cos(_ROUND), np.sin(_ROUND), 0.0 * _ROUND], axis=1)
+    if kind in ("Cylinder", "Disk") and "to_world" in held:
+        local = (
+            np.concatenate([ring, ring + np.array([0.0, 0.0, 1.0])]) if kind == "Cylinder" else ring
+        )
+        matrix = np.array(held["to_world"].matrix, float).reshape(-1)[:16].reshape(4, 4)
+        return [local @ matrix[:3, :3].T + matrix[:3, 3]]
+    box = shape.bbox()
+    return [np.array(list(product(*zip(np.array(box.min), np.array(box.max), strict=True))), float)]
+
+
+def _shaded(axes: Axes, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
+    """Triangles as they are seen obliquely from above, lit from the left."""
+    turn = np.radians(-35.0)
+    forward = np.array([np.sin(turn) * 0.8, np.cos(turn) * 0.8, -0.6])
+    right = np.array([np.cos(turn), -np.sin(turn), 0.0])
+    view = np.stack([right, np.cross(right, forward), forward])
+    corner = (np.asarray(vertices, float) @ view.T)[faces[:: -(-len(faces) // _MOST_TRIANGLES)]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal = normal / np.where(length > 0.0, length, 1.0)
+    front = normal[:, 2] <= 0.0
+    light = 0.35 + 0.6 * np.clip(normal @ [-0.4, 0.6, -0.7], 0.0, 1.0)
+    order = np.argsort(-corner[..., 2].mean(axis=1))
+    order = order[front[order]] if front.any() else order
+    shade = np.repeat(light[order, None], 3, axis=1)
+    axes.add_collection(
+        PolyCollection(corner[order][..., :2], facecolors=shade, edgecolors=shade, lw=0.3)
+    )
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+
+
+def _hull_of(points: Array) -> Array:
+    """Corners (M, 2) of the convex hull of points in a plane."""
+    if len(points) <= 3:
+        return points
+    hull: Array = cv2.convexHull(points.astype(np.float32)).reshape(-1, 2).astype(float)
+    return hull
+
+
+def _hull(axes: Axes, points: Array, **style: Any) -> None:
+    axes.fill(*_hull_of(points).T, **style)
+
+
+def _side(points: Array) -> tuple[int, int]:
+    """The two of the axes x, y, z along which points extend farthest, z upwards if it is one."""
+    known = points[np.isfinite(points).all(axis=1)] if len(points) else np.zeros((1, 3))
+    extent = np.ptp(known, axis=0) if len(known) else np.zeros(3)
+    across, up = sorted(np.argsort(extent, kind="stable")[1:].tolist())
+    return across, up
+
+
+def _from_side(axes: Axes, across: int, up: int) -> None:
+    axes.set(xlabel=f"{'xyz'[across]} in mm", ylabel=f"{'xyz'[up]} in mm")
+    axes.set_aspect("equal", adjustable="datalim")
+
+
+# -------------------------------------------------------------------------------------- fields
+
+
+@draws("medium.index_field.IndexField")
+def _field(axes: Axes, field: IndexField) -> None:
+    """The section of the field across its x."""
+    node = 0 if field.mirror[0] else field.shape[0] // 2
+    section, ends = field.nodes[node], []
+    for axis in (0, 1):
+        low, high = field.box[:, axis + 1]
+        ends += [low, high]
+        if field.mirror[axis + 1]:
+            back = np.flip(section, axis).take(range(section.shape[axis] - 1), axis)
+            section = np.concatenate([back, section], axis)
+    step = [-(-size // _MOST_PX) for size in section.shape]
+    drawn = axes.imshow(
+        1e5 * section[:: step[0], :: step[1]].T, origin="lower", extent=ends, cmap="inferno_r"
+    )
+    axes.grid(visible=False)
+    bar = axes.figure.colorbar(drawn, ax=axes, shrink=0.9)
+    bar.set_label("10⁵ (n − 1)")
+    place = field.origin[0] + node * field.spacing[0]
+    own = "the field's " if field.pose else ""
+    axes.locator_params(axis="x", nbins=2)
+    axes.set(xlabel=f"{own}y in mm, at x = {place:.4g} mm", ylabel=f"{own}z in mm")
+
+
+@draws("medium.field_family.FieldFamily")
+def _family(axes: Axes, family: Any) -> None:
+    _field(axes, family.fields[max(family.fields)])
+
+
+@draws("studies.field_info.FieldInfo")
+def _field_info(axes: Axes, info: Any) -> None:
+    _field(axes, info.field)
+
+
+# ----------------------------------------------------------------------------------- quantities
+
+
+@draws("imaging.camera_noise.CameraNoise")
+def _camera_noise(axes: Axes, camera: CameraNoise) -> None:
+    """Noise over signal, and what it is made of: EMVA 1288's photon transfer."""
+    signal = np.geomspace(1.0, camera.full_well_e, 200)
+    flat = np.ones_like(signal)
+    parts = {
+        "dark": camera.dark_noise_e * flat,
+        "shot": np.sqrt(signal),
+        "PRNU": camera.prnu * signal,
+        "DSNU": camera.dsnu_e * flat,
+        "rounding": flat / np.sqrt(12.0) / camera.gain,
+    }
+    whole = np.sqrt(sum(part**2 for part in parts.values()))
+    axes.loglog(signal, whole, color=BLUE, lw=2.0, label="in all")
+    for number, (name, part) in enumerate(parts.items()):
+        if part.max() > 0.0:
+            axes.loglog(signal, part, "--", lw=1.0, color=CYCLE[1 + number], label=name)
+    axes.set(xlabel="signal in electrons", ylabel="noise in electrons")
+    axes.set_ylim(bottom=max(float(whole.min()) / 20.0, 1e-6))
+    axes.legend(fontsize="small")
+
+
+@draws("metrology.cylinder_fit.CylinderFit")
+def _cylinder_fit(axes: Axes, fit: CylinderFit) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    axes.plot(fit.residual_um, ".", ms=2.5, color=BLUE)
+    axes.set(xlabel="point", ylabel="distance from the cylinder in µm")
+
+
+@draws("metrology.deviation.Deviation", "metrology.deviation.PathDisplacement")
+def _differences(axes: Axes, found: Any) -> None:
+    """The length of each difference, ray by ray; of those in space, if there are any."""
+    held = {name: values for name, values in vars(found).items() if name.endswith("_um")} or vars(
+        found
+    )
+    for number, (name, values) in enumerate(held.items()):
+        words = name.rpartition("_")[0].replace("_", " ")
+        length = np.linalg.norm(values, axis=1)
+        axes.plot(length, "o-", ms=3.5, color=CYCLE[number], label=words)
+    unit = unit_of(next(iter(held)))
+    axes.set(xlabel="ray", ylabel=f"length in {unit}")
+    axes.legend(fontsize="small")
+
+
+@draws("optics.sensitivity.Sensitivity")
+def _sensitivity(axes: Axes, found: Sensitivity) -> None:
+    """By how much pixels move with the parameters that move them most."""
+    sizes = {name: np.linalg.norm(by, axis=1) for name, by in found.of_pixel.items()}
+    largest = {n: np.nanmax(s) for n, s in sizes.items() if np.isfinite(s).any()}
+    for number, name in enumerate(sorted(largest, key=lambda name: -largest[name])[:6]):
+        axes.semilogy(found.laser_y_mm, sizes[name], ".-", color=CYCLE[number], label=name)
+    axes.set(xlabel="y along the line in mm", ylabel="px per unit")
+    if largest:
+        axes.legend(fontsize="small")
+
+
+@draws("records.Table")
+def _table(axes: Axes, table: Table) -> None:
+    """The second column of numbers over the first, and the next ones in the same unit."""
+    columns = {n: c for n, c in table.columns().items() if np.asarray(c).dtype.kind in "uif"}
+    (first, x), *others = columns.items()
+    if not others:
+        raise InputError(f"plot: a {type(table).__name__} has one column of numbers, {first}")
+    unit = unit_of(others[0][0])
+    same = [(name, y) for name, y in others if unit_of(name) == unit][:6]
+    for number, (name, y) in enumerate(same):
+        axes.plot(x, y, ".-", ms=3.0, color=CYCLE[number], label=name)
+    axes.set(xlabel=first, ylabel=same[0][0] if len(same) == 1 else f"in {unit}" if unit else "")
+    if len(same) > 1:
+        axes.legend(fontsize="small")
+
+
+# ------------------------------------------------------------------------------------- studies
+
+
+@draws("studies.measure.Measurement")
+def _measurement(axes: Axes, result: Any) -> None:
+    """How far the measured section is from the true one."""
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    for name, state in result.states.items():
+        along = state.section.along_mm(state.points_mm)
+        axes.plot(along, state.section_error_um, ".", ms=2.5, color=colour(name), label=name)
+    axes.set(xlabel="y along the line in mm", ylabel="measured minus true in µm")
+    axes.legend(markerscale=3.0)
+
+
+@draws("studies.measure.State")
+def _state(axes: Axes, state: Any) -> None:
+    _frame(axes, state.frame)
+    limits = axes.axis()
+    _dots(axes, state.centres_px, color=colour("line"))
+    axes.axis(limits)
+
+
+@draws("studies.section.Section")
+def _section(axes: Axes, section: Any) -> None:
+    points = np.array(section.point_mm, float)
+    steps = np.flatnonzero(~section.joined[: len(points) - 1]) + 1
+    axes.plot(*np.insert(points, steps, np.nan, axis=0).T, color=BLUE)
+    axes.set(xlabel="along the line in mm", ylabel="away from the laser in mm")
     axes.invert_yaxis()
-    axes.set_xlabel("u, px")
-    axes.set_ylabel("v, px")
+
+
+@draws("studies.search.Search")
+def _search(axes: Axes, found: Any) -> None:
+    _pixels(axes, found.rays)
+
+
+@draws("studies.burst.Burst")
+def _burst(axes: Axes, burst: Any) -> None:
+    from virtual_sensor.reporting.burst import draw_over_time
+
+    draw_over_time(axes, burst)
+
+
+@draws("studies.sweep_table.Sweep")
+def _sweep(axes: Axes, sweep: Any) -> None:
+    from virtual_sensor.reporting.sweep import panels_of
+
+    panel = panels_of(sweep)[0]
+    panel.draw(axes)
+    axes.set_title(panel.title)
+
+
+@draws("studies.chart.chart.Chart")
+def _chart(axes: Axes, chart: Any) -> None:
+    from virtual_sensor.reporting.chart import draw_errors
+
+    panel = chart.panels[0]
+    draw_errors(axes, chart.of(panel))
+    axes.set_title(panel)
+
+
+@draws("studies.trial.trial.Trial")
+def _trial(axes: Axes, trial: Any) -> None:
+    """Error over time of the detectors, on the image that they are to be chosen for."""
+    for number, name in enumerate(trial.detectors):
+        scores = [each for each in trial.scores if each.detector == name]
+        x, y = ([getattr(each, field) for each in scores] for field in ("time_us", "rms_px"))
+        axes.loglog(x, y, "o", color=CYCLE[number % len(CYCLE)], label=name)
+    axes.set(xlabel="time a column in µs", ylabel="rms error in px")
+    axes.legend(fontsize="small")
+
+
+# --------------------------------------------------------------------------------------- parts
+
+
+def _dots(axes: Axes, pixel: NDArray[Any], **style: Any) -> None:
+    """Pixels (..., 2) as dots, those that there are."""
+    flat = np.asarray(pixel, float).reshape(-1, 2)
+    flat = flat[np.isfinite(flat).all(axis=1)]
+    flat = flat[:: max(1, len(flat) // _MOST_DOTS)]
+    axes.plot(*flat.T, ".", **{"ms": 2.5, **style})
+
+
+def _as_image(axes: Axes) -> None:
+    """Axes of an image: v downwards."""
+    axes.set(xlabel=_U, ylabel=_V)
+    if not axes.yaxis_inverted():
+        axes.invert_yaxis()

@@ -206,6 +206,21 @@ def key_above(axes: Axes) -> None:
         axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())
 
 
+def coarser(image: NDArray[Any], most_px: int = 900) -> tuple[NDArray[np.float32], tuple[int, int]]:
+    """An image of so many pixels a side at most, for a picture; and how many became one.
+
+    Blocks of pixels are taken as one, their brightest: so a line of a pixel is seen in any size.
+    The other two numbers are the blocks' rows and columns.
+    """
+    block = tuple(max(-(-size // most_px), 1) for size in image.shape)
+    values = np.where(np.isfinite(image), image, np.nan).astype(np.float32)
+    spare = [(0, -size % step) for size, step in zip(image.shape, block, strict=True)]
+    padded = np.pad(values, spare, mode="edge")
+    rows, columns = padded.shape
+    blocks = padded.reshape(rows // block[0], block[0], columns // block[1], block[1])
+    return np.fmax.reduce(np.fmax.reduce(blocks, axis=3), axis=1), (block[0], block[1])
+
+
 def _arranged(panels: Sequence[Panel], most: int) -> tuple[int, int, list[tuple[int, int]]]:
     """Rows and columns of a picture of at most so many columns, and the place of each panel."""
     columns = max(min(most, sum(p.width for p in panels)), *(p.width for p in panels))

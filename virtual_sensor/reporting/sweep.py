@@ -195,12 +195,19 @@ def draw(result: Sweep) -> Picture:
 
     Further parameters make a panel for each combination.
     """
+    title = f"Sweep of {drawable(Path(result.summary.scene).stem)}"
+    over = listed([drawable(parameter.name) for parameter in result.summary.swept])
+    return draw_picture(f"{title} over {over}" if over else title, panels_of(result))
+
+
+def panels_of(result: Sweep) -> list[Panel]:
+    """Its panels: the quantities that are known, for each combination of further parameters."""
     table, swept = result.table, result.summary.swept
     quantities = list(_quantities(table).values())
     quantities = [each for each in quantities if each.known.size] or quantities[-1:]
     first, second, rest, mapped = _arranged(swept)
     facets = list(_facets(table, rest))
-    panels = [
+    return [
         Panel(
             "\n".join(filter(None, (quantity.title, words))),
             partial(
@@ -216,9 +223,6 @@ def draw(result: Sweep) -> Picture:
         for words, rows in facets[:_MOST_FACETS]  # sweep.csv and the page's table have all
         for quantity in (quantities if len(facets) == 1 else quantities[::2])
     ]
-    title = f"Sweep of {drawable(Path(result.summary.scene).stem)}"
-    over = listed([drawable(parameter.name) for parameter in swept])
-    return draw_picture(f"{title} over {over}" if over else title, panels)
 
 
 def _arranged(swept: Sequence[SweptParameter]) -> tuple[_Axis, _Axis, list[_Axis], bool]:
