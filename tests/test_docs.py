@@ -1,45 +1,169 @@
-"""What the pages show is what a reader can run."""
+"""What the pages show is what a reader can run: each block of Python and each command.
+
+The blocks of a page run from its top to its end, in one folder and with one set of names. A block
+that does not has its reason before it: ``<!-- not run: takes half an hour -->``.
+"""
 
 import re
+import shlex
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+import pytest
 import trimesh
 from artificial import line_image
+from command_line import command
 from several import text_of
 
 import virtual_sensor as vs
-from virtual_sensor.imaging.scene_file import shipped_scenes
+from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.metrology.calibration import read_calibration
 from virtual_sensor.metrology.centres import Status
 
-DOCS = Path(__file__).parents[1] / "docs"
-SCENE_FILES = DOCS / "reference" / "scene_files.md"
-SEVERAL = DOCS / "how_to" / "several_cameras.md"
-SOURCE = DOCS / "how_to" / "own_source.md"
-DETECTORS = DOCS / "explanation" / "detectors.md"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+
+_FENCE = re.compile(
+    r"^(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?```(?P<language>\w*)\n(?P<text>.*?)^```$",
+    re.M | re.S,
+)
 
 
-def test_the_python_of_the_page_on_detectors_runs_from_its_top_to_its_end():
-    """Rationale: the reader copies it; `image` is the reader's own."""
+class Block(NamedTuple):
+    """A block of code of a page, and why it is not run, if it isn't."""
+
+    language: str
+    text: str
+    why: str
+
+
+def blocks(page):
+    """The blocks of Python and of commands of a page."""
+    found = (
+        Block(each["language"], each["text"], each["why"] or "")
+        for each in _FENCE.finditer(page.read_text(encoding="utf-8"))
+    )
+    return [block for block in found if block.language in ("python", "sh")]
+
+
+def runnable(page):
+    """The blocks that run; of the README the Python: its commands are what CI runs."""
+    chosen = ("python",) if page.name == "README.md" else ("python", "sh")
+    return [each for each in blocks(page) if not each.why and each.language in chosen]
+
+
+def an_image():
+    """The reader's own image."""
+    image = line_image(np.full(60, 30.3), 2.0, 900.0, background=64.0)
+    return {"image": image.astype(np.uint16)}
+
+
+def two_by_two():
+    """A scene with two cameras and two lasers, small."""
+    cameras, lasers = [("near", 0, 1), ("far", 20, 1)], [("red", 0, 0), ("blue", 15, 4)]
+    text = text_of("cold_cylinder", cameras, lasers)
+    for name, ours in (("width", "256"), ("height", "256"), ("line_radius", "0.5")):
+        text = re.sub(rf'name="{name}" value="[^"]*"', f'name="{name}" value="{ours}"', text)
+    Path("two_by_two.xml").write_text(text, encoding="utf-8")
+    return {"y_mm": [0.0, -4.0]}
+
+
+def images_and_a_measurement():
+    """A folder of images, and a measurement with its calibration."""
+    Path("shots").mkdir()
     image = line_image(np.full(60, 30.3), 2.0, 900.0, background=64.0).astype(np.uint16)
-    known = {"image": image}
-    blocks = re.findall(r"```python\n(.*?)```", DETECTORS.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(blocks) == 2
-    exec(blocks[0], known)
-    np.testing.assert_allclose(known["line"].row, 30.3, atol=0.01)
-    scene = '"hot_cylinder"'
-    assert scene in blocks[1]
-    exec(blocks[1].replace(scene, f"{scene}, width=1024, height=1024, line_radius=0.3"), known)
-    line = known["line"]
-    assert known["grey"].dtype == np.uint16
-    assert np.sum(line.status == Status.OK) > 400
-    assert np.all(line.sigma[np.isfinite(line.sigma)] > 0.05)
+    vs.save_png(image, "shots/one.png", bits=12)
+    small = ("-D", "width=512", "-D", "height=512", "-D", "line_radius=0.4")
+    assert command("measure", "hot_cylinder", *small)[0] == 0
+    return {}
+
+
+BEFORE = {
+    "explanation/detectors.md": an_image,
+    "how_to/several_cameras.md": two_by_two,
+    "how_to/own_images.md": images_and_a_measurement,
+}
+"""What a page's reader has: a function that makes it in the working folder and gives names."""
+
+
+def lines_are_where_they_are(names):
+    """The last line is found in a frame with noise."""
+    assert names["grey"].dtype == np.uint16
+    line = names["line"]
+    assert np.sum(line.status == Status.OK) > 800
+    assert np.all(line.sigma[np.isfinite(line.sigma)] > 0.02)
+
+
+def points_lie_on_the_part(names):
+    """To what is straight about the pair."""
+    assert names["image"].max() > 0.0
+    assert np.isfinite(names["found"].pixel).all()
+    points = names["points"][np.isfinite(names["points"][:, 0])]
+    assert len(points) > 50
+    np.testing.assert_allclose(np.hypot(points[:, 1], points[:, 2] + 13.5), 13.5, atol=0.02)
+
+
+def the_source_lights_a_part(names):
+    """Its middle ray meets the part where the laser's does, and a ray beside it closer by."""
+    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    emitter = '<emitter type="focused_sheet"><float name="focus" value="380"/><transform'
+    text = re.sub(r'<emitter type="laser_line".*?<transform', emitter, cold, flags=re.DOTALL)
+    Path("scene.xml").write_text(text, encoding="utf-8")
+    scene = vs.load_scene("scene.xml", width=256, height=256, spp=1)
+    family = scene.source.family
+    np.testing.assert_allclose(family.coordinates([[0.0, 0.0, 0.0]])[0, :2], 0.0, atol=1e-4)
+    assert family.spread(0.0, 0.0, 300.0) == 1.0 - 300.0 / 380.0
+    assert np.sum(vs.render(scene) > 0.0) > 100
+
+
+AFTER = {
+    "explanation/detectors.md": lines_are_where_they_are,
+    "how_to/several_cameras.md": points_lie_on_the_part,
+    "how_to/own_source.md": the_source_lights_a_part,
+}
+"""What then holds."""
+
+
+def pages():
+    """The pages that have something to run; commands, and speckle on large films, take seconds."""
+    for page in PAGES:
+        if shown := runnable(page):
+            slow = any(each.language == "sh" or "speckled" in each.text for each in shown)
+            marks = [pytest.mark.slow] if slow else []
+            yield pytest.param(page.relative_to(ROOT).as_posix(), marks=marks)
+
+
+@pytest.mark.parametrize("page", list(pages()))
+def test_what_a_page_shows_runs(page, tmp_path, monkeypatch, unpainted_test):
+    """Rationale: the reader copies it."""
+    name = page.removeprefix("docs/")
+    monkeypatch.chdir(tmp_path)
+    names = BEFORE.get(name, dict)()
+    for block in runnable(ROOT / page):
+        if block.language == "python":
+            exec(compile(block.text, page, "exec"), names)
+        else:
+            for line in block.text.replace("\\\n", " ").splitlines():
+                words = shlex.split(line, comments=True)
+                assert words[:1] in ([], ["virtual-sensor"]), f"{page}: say why not: {line}"
+                status, _, errors = command(*words[1:]) if words else (0, "", "")
+                assert status == 0, f"{page}: {line}: {errors}"
+    AFTER.get(name, lambda names: None)(names)
+
+
+def test_commands_stand_in_blocks_of_their_own():
+    """Rationale: one that is only indented is not run, has no reason why, and can't be copied."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"^(?: {4,}|\t)virtual-sensor ", text, re.MULTILINE), page
 
 
 def test_the_shape_of_the_page_on_scene_files_loads(tmp_path):
     """A bracket of 2 x 1 x 0.5 inches, by trimesh."""
-    shape = re.search(r"```xml\n(.*?)```", SCENE_FILES.read_text(encoding="utf-8"), re.DOTALL)[1]
+    page = (DOCS / "reference" / "scene_files.md").read_text(encoding="utf-8")
+    shape = re.search(r"```xml\n(.*?)```", page, re.DOTALL)[1]
     trimesh.creation.box((2.0, 1.0, 0.5)).export(tmp_path / "bracket.stl")
     cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     path = tmp_path / "scene.xml"
@@ -48,39 +172,33 @@ def test_the_shape_of_the_page_on_scene_files_loads(tmp_path):
     np.testing.assert_allclose(part.bbox().max, [25.4, 12.7, 6.35 - 3.0], atol=1e-5)
 
 
-def block(page):
-    """The only Python of a page."""
-    (found,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
-    return found
+def test_the_calibration_of_the_page_on_own_images_is_read(tmp_path):
+    """All that it gives is used, and nothing is noted."""
+    page = (DOCS / "how_to" / "own_images.md").read_text(encoding="utf-8")
+    path = tmp_path / "calibration.yaml"
+    path.write_text(re.search(r"```yaml\n(.*?)```", page, re.DOTALL)[1], encoding="utf-8")
+    calibration = read_calibration(path)
+    assert calibration.notes == ()
+    np.testing.assert_allclose(calibration.camera.matrix[0, 0], 2400.0)
 
 
-def test_the_two_cameras_and_lasers_of_their_page_are_told_apart(tmp_path, monkeypatch):
-    """What is shown runs: the points of the pair lie on the part, to what is straight about it."""
-    cameras, lasers = [("near", 0, 1), ("far", 20, 1)], [("red", 0, 0), ("blue", 15, 4)]
-    text = text_of("cold_cylinder", cameras, lasers)
-    text = text.replace('name="width" value="2048"', 'name="width" value="256"')
-    text = text.replace('name="height" value="2048"', 'name="height" value="256"')
-    text = text.replace('name="line_radius" value="0.15"', 'name="line_radius" value="0.5"')
-    (tmp_path / "two_by_two.xml").write_text(text, encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    told: dict[str, Any] = {"vs": vs, "y_mm": [0.0, -4.0]}
-    exec(block(SEVERAL), told)
-    assert told["image"].max() > 0.0
-    assert np.isfinite(told["found"].pixel).all()
-    points = told["points"][np.isfinite(told["points"][:, 0])]
-    assert len(points) > 50
-    np.testing.assert_allclose(np.hypot(points[:, 1], points[:, 2] + 13.5), 13.5, atol=0.02)
+def test_links_lead_to_pages_pictures_and_headings():
+    """In the repository as on the site: anchors are made as GitHub makes them."""
+    broken = []
+    for page in [*PAGES, ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md"]:
+        text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+        for target in re.findall(r"\]\(<?([^)>\s]+)>?\)", re.sub(r"`[^`\n]*`", "", text)):
+            path, _, anchor = target.partition("#")
+            file = page.parent / path if path else page
+            if re.match(r"[a-z]+:", target) or (anchor.startswith("gh-") and file.exists()):
+                continue
+            if not file.exists() or (anchor and anchor not in anchors(file)):
+                broken.append(f"{page.relative_to(ROOT)}: {target}")
+    assert not broken, "\n".join(broken)
 
 
-def test_the_source_of_its_page_lights_a_part(tmp_path):
-    """Its middle ray meets the part where the laser's does, and a ray beside it closer by."""
-    exec(block(SOURCE), {})
-    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
-    emitter = '<emitter type="focused_sheet"><float name="focus" value="380"/><transform'
-    text = re.sub(r'<emitter type="laser_line".*?<transform', emitter, cold, flags=re.DOTALL)
-    (tmp_path / "scene.xml").write_text(text, encoding="utf-8")
-    scene = vs.load_scene(tmp_path / "scene.xml", width=256, height=256, spp=1)
-    family = scene.source.family
-    np.testing.assert_allclose(family.coordinates([[0.0, 0.0, 0.0]])[0, :2], 0.0, atol=1e-4)
-    assert family.spread(0.0, 0.0, 300.0) == 1.0 - 300.0 / 380.0
-    assert np.sum(vs.render(scene) > 0.0) > 100
+def anchors(page):
+    """Those of a page's headings."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
+    headings = re.findall(r"^#+ (.+)$", text, re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", each.lower()).replace(" ", "-") for each in headings}
