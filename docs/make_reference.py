@@ -243,8 +243,9 @@ def scene_parameters() -> str:
     for name, by_scene in defaults.items():
         only = "" if len(by_scene) == len(scenes) else ", ".join(f"`{scene}`" for scene in by_scene)
         values = {f"`{value}`" if value else "empty" for value in by_scene.values()}
-        unit = unit_of(SweptParameter(name, words.get(name, ""), ()))
-        rows.append((f"`{name}`", ", ".join(sorted(values)), unit, words.get(name, ""), only))
+        unit = unit_of(SweptParameter(name, words[name], ()))
+        said = re.sub(r",? ?\b(degrees|degC|mm|nm|px|s|um)\b(?=[,;:]|$)", "", words[name])
+        rows.append((f"`{name}`", ", ".join(sorted(values)), unit, said, only))
     head = ("parameter", "default", "unit", "what it is", "only in")
     return "\n".join(
         [
@@ -253,7 +254,8 @@ def scene_parameters() -> str:
             " parameters. Commands set them by `-D beta=15`, Python by"
             ' `vs.load_scene("hot_cylinder", beta=15)`, and the command `sweep` varies them. A'
             " scene of your own declares its parameters by `<default>` elements; a wrong name is"
-            " answered with all names of the scene.\n",
+            " answered with all names of the scene. Angles and lengths of the sensor are drawn in"
+            " the [glossary](glossary.md).\n",
             table(head, rows),
         ]
     )
