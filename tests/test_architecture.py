@@ -30,6 +30,7 @@ PACKAGES = {
 # Metrology serves images of real cameras too: it knows no renderer, and bent rays only when asked.
 METROLOGY_KNOWS = (
     "virtual_sensor.arrays",
+    "virtual_sensor.calls",
     "virtual_sensor.display",
     "virtual_sensor.errors",
     "virtual_sensor.files",

@@ -18,7 +18,7 @@ from virtual_sensor_plugins.refractive import Refractiv
 import virtual_sensor_plugins.refractivee
 scene = vs.load_scene("hot_cylinder")
 vs.renderr(scene)
-vs.render("hot_cylinder")
+vs.render(5)
 vs.render(scene, samples=4)
 vs.render_frame(scene).radiances
 """

@@ -5,7 +5,6 @@ Dr.Jit is imported by the functions that need it, so that the checks serve witho
 
 from __future__ import annotations
 
-import math
 import operator
 import sys
 from collections.abc import Callable
@@ -23,8 +22,9 @@ if TYPE_CHECKING:
 Result = TypeVar("Result")
 
 LARGEST = sys.float_info.max
-SMALLEST = math.ulp(0.0)
-"""Of all positive numbers; with `LARGEST` the bounds of what is positive and finite."""
+SMALLEST = sys.float_info.min
+"""With `LARGEST` the bounds of what is positive and finite: what is less counts as 0 in threads of
+Mitsuba, which flush it."""
 
 _PACKET = 64  # numbers: more than any processor's vectors hold
 _ALIGNMENT = 64  # bytes: the most that Dr.Jit asks for

@@ -34,7 +34,7 @@ def few(names: Sequence[str], most: int) -> str:
 def short(value: Any) -> str:
     """How a value is written in a message, however long it is."""
     try:
-        text = repr(value)
+        text = " ".join(repr(value).split())
     except ValueError:  # of an integer with too many digits
         text = f"a {type(value).__name__}"
     return text if len(text) <= 40 else f"{text[:37]}..."

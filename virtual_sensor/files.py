@@ -108,10 +108,10 @@ def named_file(
     Raises
     ------
     InputError
-        If there is none: it names the places that were looked in, the files that there are, and the
-        one of the nearest name.
+        If it is no name, or there is none: it names the places that were looked in, the files that
+        there are, and the one of the nearest name.
     """
-    asked = Path(name)
+    asked = path_of(f"the {kind}", name)
     with suppress(RuntimeError):  # a home that nobody knows
         asked = asked.expanduser()
     places = [place for place in dict.fromkeys([*folders, *installed]) if exists(place)]

@@ -4,12 +4,15 @@ Frames: world (mm), camera (x along u, y along v, z forward), laser (x across th
 line, z forward) and medium (that of its grid).
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError, short
 
@@ -18,6 +21,7 @@ Array = NDArray[np.float64]
 _SQUARE = 1e-4  # float32's rounding, of some turns after one another
 
 
+@public
 @dataclass(frozen=True, eq=False)
 class Pose(Displayed):
     """Where a frame stands in the world: ``world = rotation @ local + origin_mm``.
@@ -34,6 +38,17 @@ class Pose(Displayed):
     rotation: Array
     origin_mm: Array
 
+    def __post_init__(self) -> None:
+        for name, shape in (("rotation", (3, 3)), ("origin_mm", (3,))):
+            given = getattr(self, name)
+            try:
+                numbers = np.asarray(given, float)
+            except (TypeError, ValueError):
+                numbers = np.empty(0)
+            if numbers.shape != shape:
+                raise InputError(f"Pose: {name} is {short(given)}; give numbers of shape {shape}")
+            object.__setattr__(self, name, numbers)
+
     def _line(self) -> str:
         return listed(f"at {place(self.origin_mm)} mm", f"z axis {place(self.rotation[:, 2])}")
 
@@ -47,14 +62,21 @@ class Pose(Displayed):
         return hash((np.shape(self.rotation), float(np.sum(self.origin_mm))))
 
     @staticmethod
-    def from_matrix(to_world: ArrayLike) -> "Pose":
+    def from_matrix(to_world: ArrayLike) -> Pose:
         """Pose of a matrix (4, 4) in float32: with the nearest rotation, whose inverse is exact."""
-        matrix = np.asarray(to_world, float)
+        try:
+            matrix = np.asarray(to_world, float)
+        except (TypeError, ValueError):
+            matrix = np.empty(0)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise InputError(
+                f"Pose.from_matrix: to_world is {short(to_world)}; give finite numbers (4, 4)"
+            )
         u, _, vt = np.linalg.svd(matrix[:3, :3])
         return Pose(u @ vt, matrix[:3, 3])
 
     @staticmethod
-    def shift(by_mm: ArrayLike) -> "Pose":
+    def shift(by_mm: ArrayLike) -> Pose:
         """The motion by (x, y, z), mm, that turns nothing.
 
         Raises
@@ -65,7 +87,7 @@ class Pose(Displayed):
         return Pose(np.eye(3), _vector("by_mm", by_mm))
 
     @staticmethod
-    def turn(angle_deg: float, axis: ArrayLike, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> "Pose":
+    def turn(angle_deg: float, axis: ArrayLike, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
         """The motion that turns by an angle about an axis through a point, by the right-hand rule.
 
         Parameters
@@ -101,7 +123,7 @@ class Pose(Displayed):
         """World points (N, 3) in this frame (equation 4)."""
         return (np.asarray(points_mm, float) - self.origin_mm) @ self.rotation
 
-    def moved(self, motion: "Pose") -> "Pose":
+    def moved(self, motion: Pose) -> Pose:
         """The frame after a rigid motion of the world's points."""
         return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))
 
@@ -140,18 +162,16 @@ class Movable(Displayed):
         InputError
             If the motion is none: no rotation, or not finite.
         """
-        turn, shift = (np.array(a, float) for a in (motion.rotation, motion.origin_mm))
-        if turn.shape != (3, 3) or shift.shape != (3,) or not np.isfinite(shift).all():
-            raise InputError(
-                "a motion has a rotation (3, 3) and a finite origin_mm (3,), not"
-                f" {turn.shape} and {shift.shape}"
-            )
+        if not isinstance(motion, Pose):
+            raise InputError(f"moved: motion is {short(motion)}; give a Pose, such as Pose.shift")
+        turn, shift = motion.rotation, motion.origin_mm
+        if not np.isfinite(shift).all():
+            raise InputError("moved: the motion's origin_mm is not finite; give finite numbers")
         if not (keeps_lengths(turn, 1e-9) and np.linalg.det(turn) > 0.0):
             raise InputError(
                 "the motion's rotation does more than turn; give an orthogonal matrix of"
                 " determinant 1"
             )
-        motion = Pose(turn, shift)
         return replace(self, pose=self.pose.moved(motion) if self.pose else motion)  # type: ignore[type-var]
 
     def to_local(self, points_mm: ArrayLike) -> Array:

@@ -189,12 +189,32 @@ def test_threads_that_share_a_scene_get_the_frames_of_one():
             np.testing.assert_array_equal(frame.coordinates(), alone[name][1].coordinates())
 
 
-@pytest.mark.parametrize("scene", ["hot_cylinder", "my/scene.xml", None, 7])
-def test_what_is_no_scene_is_refused(scene):
-    """Rationale: a name is easily given in a scene's place; it was an AttributeError."""
-    for ask in (vs.render, render_frame, lambda scene: vs.ray_search(scene, [0.0])):
-        with pytest.raises(vs.InputError, match=r"is no scene; give .*load_scene"):
-            ask(scene)
+def test_a_name_or_a_path_stands_for_its_scene(tmp_path):
+    """Rationale: it is the first thing that is tried; it was an AttributeError."""
+    small = shipped_scenes() / "cold_cylinder.xml"
+    own = tmp_path / "my scene ä.xml"
+    own.write_text(small.read_text().replace('"2048"', '"64"'), encoding="utf-8")
+    scene = vs.load_scene(own)
+    for given in (own, str(own), str(own.with_suffix(""))):
+        np.testing.assert_array_equal(vs.render(given), vs.render(scene))
+    assert vs.render_frame(own).radiance.shape == (64, 64)
+    np.testing.assert_array_equal(vs.ray_search(own, 0.0).pixel, vs.ray_search(scene, 0.0).pixel)
+    point = [0.0, 1.0, 0.0]
+    np.testing.assert_array_equal(vs.project(own, point), vs.project(scene, point))
+    np.testing.assert_array_equal(
+        vs.triangulate(str(own), [3.0, 5.0]), vs.triangulate(scene, [3.0, 5.0])
+    )
+
+
+def test_what_is_no_scene_is_refused():
+    """Rationale: an error that names the argument is mended at once."""
+    asked = (vs.render, render_frame, lambda scene: vs.ray_search(scene, [0.0]))
+    for ask in asked:
+        for given in (None, 7, np.zeros((2, 2))):
+            with pytest.raises(vs.InputError, match=r"scene is .*; give a scene of load_scene"):
+                ask(given)
+        with pytest.raises(vs.InputError, match=r"my/scene.xml: there is no such scene file"):
+            ask("my/scene.xml")
 
 
 def test_a_scene_of_another_variant_says_so_and_works_again_under_its_own():

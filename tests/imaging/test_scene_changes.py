@@ -157,7 +157,6 @@ def test_a_mirrored_pose_is_heeded_and_noted(hot):
         ("camera", {"origin_mm": np.array([0.0, 0.0, np.nan])}, "not a finite number"),
         ("laser", {"origin_mm": np.array([0.0, 0.0, 2e6])}, "from the origin"),
         ("camera", {"origin_mm": np.zeros(3)}, "stands on a surface"),
-        ("camera", {"rotation": np.eye(2)}, "rotation (3, 3)"),
     ],
 )
 def test_a_pose_that_can_not_be_is_refused(hot, name, change, words):

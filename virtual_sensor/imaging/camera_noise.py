@@ -10,6 +10,8 @@ Not modelled: motion and a shutter that rolls (a frame is one instant), dark cur
 from linearity, defect pixels, correlations between pixels, colour.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +26,7 @@ from virtual_sensor.arrays import (
     unmasked,
     whole_number,
 )
+from virtual_sensor.calls import public
 from virtual_sensor.devices.planck import c, h
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
@@ -35,6 +38,7 @@ _LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
 _MOST_E = 1e18  # what NumPy draws a Poisson number of
 
 
+@public
 @dataclass(frozen=True)
 class CameraNoise(Displayed):
     """A monochrome camera's parameters by EMVA 1288; the defaults are a 12-bit CMOS sensor's.
@@ -132,6 +136,7 @@ def photons(
     return energy_j * (wavelength_nm * 1e-9) / (h * c)
 
 
+@public
 def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
     """Photons of an image in any unit, so exposed that its brightest pixel has `peak_e` electrons.
 
@@ -148,6 +153,7 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
     return image * (peak_e / camera.quantum_efficiency / brightest)
 
 
+@public
 def record(
     photons: ArrayLike,
     camera: CameraNoise | None = None,

@@ -27,6 +27,8 @@ more than 179 million pixels         refused; truncated and damaged files as wel
 ===================================  =============================================================
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -39,6 +41,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL.PngImagePlugin import putchunk
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, unmasked, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, few
 from virtual_sensor.files import exists, path_of, readable, written_whole
@@ -96,6 +99,7 @@ class Image(Displayed):
         return np.array(self.pixels, dtype) if copy else np.asarray(self.pixels, dtype)
 
 
+@public
 def save_png(
     image: ArrayLike, path: str | Path, bits: int = 12, *, white: float | None = None
 ) -> Path:
@@ -238,6 +242,7 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     return list(dict.fromkeys(found)), tuple(notes)
 
 
+@public
 def read_image(path: str | Path, channel: str | None = None, bits: int | None = None) -> Image:
     """Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
 

@@ -322,12 +322,20 @@ def _in_users_terms(
         return InputError(shortened(f"{where}: {ours[1].strip()}", _LONGEST_WORD))
     for pattern, in_our_words in _COMPLAINTS:
         if found := re.search(pattern, text, re.DOTALL):
-            return InputError(shortened(f"{where}: {found.expand(in_our_words)}", _LONGEST_WORD))
+            given = _with_value(found[found.re.groups], values)
+            said = f"{where}: {found.expand(in_our_words)}{given}"
+            return InputError(shortened(said, _LONGEST_WORD))
     if raised := re.findall(r"^(\w[\w.]*(?:Error|Exception)\b.*)", text, re.MULTILINE):
         text = raised[-1]  # by a plugin, below its traceback
     reason = re.split(r"ading .*? \(line \d+, col \d+\): |\[[\w.:]+\] ", text)[-1]
     reason = " ".join(shortened(reason).split())
     return InputError(f"{where}: Mitsuba can't load the scene: {reason[:300]}")
+
+
+def _with_value(text: str, values: dict[str, str]) -> str:
+    """The parameters that have a value, for messages."""
+    named = [f"{name}={shortened(value)}" for name, value in values.items() if value == text]
+    return f" ({', '.join(named)})" if named else ""
 
 
 def _where(main: Path, state: Any, node: Any) -> str:

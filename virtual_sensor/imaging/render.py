@@ -1,5 +1,7 @@
 """Frames: what a camera records, with the ground truth of every pixel that a source lights."""
 
+from __future__ import annotations
+
 import weakref
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -16,13 +18,14 @@ from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
 from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
-from virtual_sensor.optics.sight import check_scene_given
+from virtual_sensor.optics.sight import check_progress, scene_of
 from virtual_sensor.records import Described, status_names, vectors
 
 Image = NDArray[np.float32]
@@ -161,8 +164,9 @@ class Frame(Displayed):
         return image if values.ndim > 1 else image[:, :, 0]
 
 
+@public
 def render(
-    scene: Scene,
+    scene: Scene | str | Path,
     spp: int | None = None,
     seed: int = 0,
     camera: str | None = None,
@@ -172,7 +176,8 @@ def render(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene, str or Path
+        From `load_scene`, or its name or path.
     spp : int, optional
         Samples per pixel; the scene's own if not given.
     seed : int
@@ -194,8 +199,9 @@ def render(
         return _prepared(scene).exposed(samples, seed)[0].image()
 
 
+@public
 def render_frame(
-    scene: Scene,
+    scene: Scene | str | Path,
     spp: int | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
@@ -216,6 +222,7 @@ def render_frame(
     InputError, EngineError
         As `render` does.
     """
+    check_progress("render_frame", progress)
     scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = _prepared(scene)
@@ -245,7 +252,7 @@ def render_uncached(scene: Scene, spp: int | None = None) -> Image:
 
 def lit_pixels(scene: Scene) -> PixelTruth:
     """The pixels that the sources light, with the truth at their centres, and no frame."""
-    check_scene_given("lit_pixels", scene)
+    scene = scene_of("lit_pixels", scene)
     with ONE_FRAME:
         return _truth(_prepared(scene))
 
@@ -309,17 +316,17 @@ def _truth(prepared: Prepared) -> PixelTruth:
 
 def _checked(
     asker: str,
-    scene: Scene,
+    scene: Scene | str | Path,
     spp: int | None,
     seed: int,
     camera: str | None = None,
     source: str | None = None,
 ) -> tuple[Scene, int, int]:
     """The scene of the named devices, samples per pixel (0: the scene's own), and seed."""
-    check_scene_given(asker, scene)
+    loaded: Scene = scene_of(asker, scene)
     samples = 0 if spp is None else whole_number(f"{asker}: spp", spp, 1, _MOST_SAMPLES)
     seed = whole_number(f"{asker}: seed", seed, 0, _LARGEST_SEED)
-    return scene.only(camera, source), samples, seed
+    return loaded.only(camera, source), samples, seed
 
 
 EXR_LAYERS = (

@@ -42,12 +42,13 @@ from virtual_sensor_plugins import refractive
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, pinhole_of
 
 from virtual_sensor import engine
-from virtual_sensor.arrays import to_vectors
+from virtual_sensor.arrays import LARGEST, number_within, to_vectors
+from virtual_sensor.calls import public
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError, naming
+from virtual_sensor.errors import InputError, naming, nearest, short
 from virtual_sensor.files import exists, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.loading import Loaded, load
@@ -63,7 +64,7 @@ from virtual_sensor.imaging.scene_file import (
 )
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
-from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.index_field import IndexField, field_of
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 from virtual_sensor.optics.transports import Transport
@@ -298,9 +299,22 @@ class Scene(Displayed):
             sources = {source: self._named("source", sources, source)}
         return replace(self, cameras=cameras, sources=sources)
 
-    def with_medium(self, medium: IndexField | None) -> Scene:
-        """The same scene in other air; None: in homogeneous air, its part cold."""
-        return replace(self, medium=medium, air=self.air.without_file(), hot=medium is not None)
+    def with_medium(self, medium: IndexField | str | Path | None) -> Scene:
+        """The same scene in other air; None: in homogeneous air, its part cold.
+
+        Parameters
+        ----------
+        medium : IndexField, str, Path or None
+            A field; or its file, or the name of one that comes with the program, which is read for
+            the scene's wavelength.
+
+        Raises
+        ------
+        InputError
+            If it is no field, or can't be read.
+        """
+        air = field_of("with_medium: medium", medium, self.air.wavelength_nm)
+        return replace(self, medium=air, air=self.air.without_file(), hot=air is not None)
 
     def cold(self) -> Scene:
         """The same scene in homogeneous air, its part cold."""
@@ -314,6 +328,7 @@ class Scene(Displayed):
         InputError
             If its air comes from no file, or the file does not hold that instant.
         """
+        number_within("at: time_s", time_s, -LARGEST, LARGEST, "the flow time in s")
         with naming(self.path):
             air = self.air.at(time_s)
             medium = air.read()
@@ -365,14 +380,10 @@ class Scene(Displayed):
 
     def _matrix(self, name: str, pose: Pose) -> Array:
         """A camera's or source's ``to_world``, (4, 4)."""
+        if not isinstance(pose, Pose):
+            raise InputError(f"{self.path}: {name}: {short(pose)} is no Pose; give one")
         matrix = np.eye(4)
-        try:
-            matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
-        except ValueError:
-            raise InputError(
-                f"{self.path}: {name}: a pose has a rotation (3, 3) and an origin (3,), not"
-                f" {np.shape(pose.rotation)} and {np.shape(pose.origin_mm)}"
-            ) from None
+        matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
         if name in self.cameras:
             matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
         return matrix
@@ -387,7 +398,7 @@ class Scene(Displayed):
         InputError
             As `load_scene` does, and if a file of the scene was changed since it was loaded.
         """
-        return self._again({name: str(value) for name, value in parameters.items()}, {})
+        return self._again(_texts(parameters), {})
 
     def _again(self, parameters: dict[str, str], poses: dict[str, Array]) -> Scene:
         """The scene loaded again with some parameters and poses, its other changes applied."""
@@ -428,7 +439,7 @@ class Scene(Displayed):
         if name not in named:
             raise InputError(
                 f"{self.path}: no {kind} '{shortened(str(name))}'; the scene has:"
-                f" {_listed(named) or 'none'}"
+                f" {_listed(named) or 'none'}{nearest(name, named)}"
             )
         return named[name]
 
@@ -494,6 +505,7 @@ def _listed(named: Mapping[str, Any]) -> str:
     return shortened(", ".join(named))
 
 
+@public
 def load_scene(name: str | Path, **parameters: object) -> Scene:
     """Load a scene.
 
@@ -502,7 +514,8 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     name : str or Path
         A Mitsuba XML file, or the name of a scene that comes with the program.
     **parameters
-        Values for the scene's ``$parameters``, such as ``temperature=1250, beta=15``.
+        Values for the scene's ``$parameters``: numbers, texts, paths, True and False, or lists of
+        numbers, such as ``temperature=1250, dots=[0, -5]``.
 
     Raises
     ------
@@ -510,7 +523,7 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
         Naming the file, the element and the remedy.
     """
     path = find_scene(name)
-    stage = _staged(path, {key: str(value) for key, value in parameters.items()}, Path(), {})
+    stage = _staged(path, _texts(parameters), Path(), {})
     air, transport = stage.air, stage.transport
     with naming(stage.where):
         medium = air.read()
@@ -518,6 +531,34 @@ def load_scene(name: str | Path, **parameters: object) -> Scene:
     return Scene(
         path, stage.parameters, medium, air, stage.cameras, stage.sources, transport, True, stage
     )
+
+
+def _texts(parameters: Mapping[str, object]) -> dict[str, str]:
+    """Parameters' values as a scene's XML has them."""
+    return {name: _text(name, value) for name, value in parameters.items()}
+
+
+def _text(name: str, value: object) -> str:
+    if isinstance(value, str | Path):
+        return str(value)
+    if isinstance(value, bool | np.bool_):
+        return str(value).lower()
+    try:
+        numbers = np.asarray(value)
+    except ValueError:  # lists of different lengths
+        numbers = np.empty((0, 0))
+    if numbers.ndim > 1 or numbers.dtype.kind not in "iufU":
+        raise InputError(
+            f"{name} is {short(value)}; give a number, a text or a list of numbers, or leave it out"
+            f"{'; a field is given by scene.with_medium' * isinstance(value, IndexField)}"
+        )
+    return ", ".join(map(_number, numbers.ravel()))
+
+
+def _number(number: Any) -> str:
+    """A number's text: that of 64.0 is one that an integer can have too."""
+    whole = isinstance(number, np.floating) and abs(number) < 1e15 and number == round(number)
+    return f"{int(number)}" if whole else str(number)
 
 
 def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Array]) -> _Stage:
@@ -578,7 +619,10 @@ def _read(
     unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in free)]
     if unknown:
         names = ", ".join(sorted(defaults)) or "none"
-        raise InputError(f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}")
+        raise InputError(
+            f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}"
+            f"{nearest(unknown[0], defaults)}"
+        )
     if "temperature" in values:
         _check_temperature(path, values["temperature"])
     with naming(path):

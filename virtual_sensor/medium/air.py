@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
@@ -22,6 +23,7 @@ _HOTTEST_FIT_C = 100.0  # the equations are fitted up to here
 _IDEAL_FROM_C = 200.0  # from here on the air is an ideal gas
 
 
+@public
 def air_refractivity(
     wavelength_nm: ArrayLike = 532.0,
     temperature_c: ArrayLike = 20.0,

@@ -16,10 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from virtual_sensor.arrays import points_of, to_numpy, to_vectors
+from virtual_sensor.arrays import (
+    LARGEST,
+    number_within,
+    numbers_of,
+    points_of,
+    to_numpy,
+    to_vectors,
+)
+from virtual_sensor.calls import public
 from virtual_sensor.display import listed, place, span
 from virtual_sensor.engine import mi
-from virtual_sensor.errors import InputError, naming
+from virtual_sensor.errors import InputError, naming, short
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
@@ -30,6 +38,7 @@ from virtual_sensor.poses import Movable, Pose
 from virtual_sensor.records import vectors
 
 
+@public
 @dataclass(frozen=True, eq=False)
 class IndexField(Movable):
     """Refractivity on a regular grid, in surroundings of uniform air.
@@ -83,6 +92,7 @@ class IndexField(Movable):
         return {**vectors("point_mm", points, "xyz"), "refractivity": self.nodes.ravel()}
 
     @classmethod
+    @public
     def from_arrays(
         cls,
         refractivity: ArrayLike,
@@ -116,14 +126,14 @@ class IndexField(Movable):
         InputError
             If a shape or a value is unfit.
         """
-        nodes = np.array(refractivity, dtype=np.float64)
-        origin, spacing = (np.array(v, dtype=np.float64) for v in (origin_mm, spacing_mm))
+        nodes = numbers_of("refractivity", refractivity)
+        origin, spacing = numbers_of("origin_mm", origin_mm), numbers_of("spacing_mm", spacing_mm)
         if nodes.ndim != 3 or min(nodes.shape) < MIN_NODES:
             raise InputError(
                 f"a field needs at least {MIN_NODES} nodes along each of x, y and z; "
                 f"this one has the shape {nodes.shape}"
             )
-        if origin.shape != (3,) or spacing.shape != (3,) or len(mirror) != 3:
+        if origin.shape != (3,) or spacing.shape != (3,) or np.shape(mirror) != (3,):
             raise InputError("origin_mm, spacing_mm and mirror need three entries each: x, y, z")
         if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
             raise InputError("origin_mm must be finite, and spacing_mm finite and positive")
@@ -138,7 +148,10 @@ class IndexField(Movable):
                 f"{np.argwhere(missing)[0].tolist()}; give them one, or mark those that lie in the "
                 "solid (`solid`, 1 there and 0 in the air)"
             )
-        if nodes.min() <= -1.0 or not -1.0 < ambient < np.inf:
+        ambient = number_within(
+            "ambient", ambient, -LARGEST, LARGEST, "n - 1 of the surrounding air"
+        )
+        if nodes.min() <= -1.0 or not ambient > -1.0:
             raise InputError("n - 1 must be above -1, in the field and in the surrounding air")
         for array in (nodes, origin, spacing):
             array.flags.writeable = False
@@ -146,6 +159,7 @@ class IndexField(Movable):
         return cls(nodes, origin, spacing, float(ambient), even, source)
 
     @classmethod
+    @public
     def read(
         cls,
         path: str | Path,
@@ -184,6 +198,7 @@ class IndexField(Movable):
         """What is pickled: all but Dr.Jit's memory."""
         return vars(self) | {"_lookups": {}}
 
+    @public
     def write(self, path: str | Path) -> None:
         """Write the field as a NetCDF-3 file that `read` takes back, all of it or nothing.
 
@@ -232,6 +247,7 @@ class IndexField(Movable):
         )
         return replace(made, pose=self.pose)
 
+    @public
     def simplified(self, interpolation: str = "cubic", dimensions: int = 3) -> IndexField:
         """Give the same nodes seen more simply: what a cruder model of the air would make of them.
 
@@ -281,6 +297,7 @@ class IndexField(Movable):
         size = (np.array(self.shape) - 1) * self.spacing
         return np.array([self.origin - np.where(self.mirror, size, 0.0), self.origin + size])
 
+    @public
     def refractivity(self, points_mm: ArrayLike) -> np.ndarray:
         """Refractivity n - 1 at world positions.
 
@@ -301,6 +318,7 @@ class IndexField(Movable):
             result[inside] += delta.numpy()
         return result
 
+    @public
     def gradient(self, points_mm: ArrayLike) -> np.ndarray:
         """Gradient of n at world positions.
 
@@ -351,9 +369,26 @@ class IndexField(Movable):
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """World points (N, 3) in the field's frame, and which of them are in the box."""
-        points = points_of(points_mm)
+        points = np.atleast_2d(points_of(points_mm))
         if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
+            raise InputError(f"points_mm must have the shape (N, 3), not {np.shape(points_mm)}")
         low, high = self.box
         local = self.to_local(points)
         return local, ((local >= low) & (local <= high)).all(axis=1)
+
+
+def field_of(name: str, given: Any, wavelength_nm: float = 532.0) -> Any:
+    """A field that a caller gives: itself, one to be read by its path or name, or None.
+
+    Raises
+    ------
+    InputError
+        Naming it, if it is none, or can't be read.
+    """
+    if isinstance(given, str | Path):
+        return IndexField.read(given, wavelength_nm=wavelength_nm)
+    if given is not None and not hasattr(given, "lookup"):
+        raise InputError(
+            f"{name} is {short(given)}; give an IndexField, such as scene.medium, or its file"
+        )
+    return given

@@ -21,6 +21,8 @@ Matrices are OpenCV's or ROS's (rows, cols, data) or lists, nested or not.  What
 (a rectification, a projection matrix, how it was calibrated) is not used, and noted.
 """
 
+from __future__ import annotations
+
 import json
 import re
 from collections.abc import Iterable
@@ -35,6 +37,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, place
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import readable
@@ -164,6 +167,7 @@ def calibration_text(calibration: Calibration, file_name: str) -> str:
     return str(storage.releaseAndGetString())
 
 
+@public
 def read_calibration(path: Path) -> Calibration:
     """Read a calibration.
 

@@ -1,11 +1,14 @@
 """Line centres: what every detector gives, and why a centre is missing."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.statuses import StatusEnum
 
@@ -71,6 +74,7 @@ class Status(StatusEnum):
     )
 
 
+@public
 @dataclass(frozen=True)
 class LineCentres(Displayed):
     """Centres of a laser line; NaN where `status` is not OK.
@@ -113,7 +117,7 @@ class LineCentres(Displayed):
     status: NDArray[np.uint8]
 
     @classmethod
-    def of_rows(cls, row: Array) -> "LineCentres":
+    def of_rows(cls, row: Array) -> LineCentres:
         """Centres (W,) at a row in each column, of which no more is known; NO_PEAK where NaN."""
         blank, along = np.full(row.size, np.nan), np.full(row.size, 90.0)
         status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
@@ -131,12 +135,12 @@ class LineCentres(Displayed):
         return np.where(there[..., None], np.stack([self.column, self.row], axis=-1), np.nan)
 
     @property
-    def transposed(self) -> "LineCentres":
+    def transposed(self) -> LineCentres:
         """The same centres in the transposed image: rows are columns there."""
         turned = 90.0 - self.normal_deg
         return replace(self, column=self.row, row=self.column, normal_deg=turned)
 
-    def judged(self, status: NDArray[np.integer]) -> "LineCentres":
+    def judged(self, status: NDArray[np.integer]) -> LineCentres:
         """The same centres with another `status`, their numbers NaN where it is not OK."""
         good, names = status == Status.OK, ("row", "sigma", "width", "amplitude", "background")
         measured = {name: np.where(good, getattr(self, name), np.nan) for name in names}

@@ -4,6 +4,8 @@ The sum of squared distances to the surface is least (geometric or orthogonal le
 and unit are those of the points, the world's in mm.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import ndtri, stdtrit
 
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.deviation import UM_PER_MM
@@ -79,6 +82,7 @@ class CylinderFit(Displayed):
         return listed(f"radius {self.radius_mm:.7g} mm", f"{self.count} points", spread, axis)
 
 
+@public
 def fit_cylinder(points_mm: ArrayLike, *, direction: ArrayLike | None = None) -> CylinderFit:
     """Fit a circular cylinder by orthogonal least squares.
 

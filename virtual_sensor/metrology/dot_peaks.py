@@ -1,5 +1,7 @@
 """Centroids of laser dots: the paper's discrete laser rays as a camera sees them."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import SMALLEST, number_within, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.metrology.line_profiles import QUARTILE, checked_image, saturation_level
 from virtual_sensor.statuses import StatusEnum
@@ -76,6 +79,7 @@ class DotCentres(Displayed):
         return listed(tally(self.status, DotStatus.OK), span("columns", self.pixel[:, 0]))
 
 
+@public
 def dot_centres(
     image: ArrayLike,
     *,

@@ -4,6 +4,8 @@ A smoothed copy shows where the line is; its centre comes from the untouched pix
 filter cannot shift it.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
 from virtual_sensor.arrays import LARGEST, number_within
+from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import (
@@ -55,6 +58,7 @@ NEIGHBOURS = 65  # columns in which most centres must have a sigma
 SAME_HEIGHT = 0.7  # from which on a second peak may be the line as well
 
 
+@public
 def line_centres(
     image: ArrayLike,
     method: str | Foreign = "gaussian",

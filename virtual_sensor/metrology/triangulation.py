@@ -1,12 +1,16 @@
 """From pixels to points: the line of sight meets the laser plane (Beermann et al. 2018, 3.3)."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, numbers_of, points_of
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
@@ -44,6 +48,7 @@ class TriangulatedPoints(Displayed):
         return listed(tally(self.status, CrossingStatus.OK), *spans)
 
 
+@public
 def triangulate(
     sensor: Any,
     pixel: ArrayLike,
@@ -59,12 +64,15 @@ def triangulate(
 
     Parameters
     ----------
-    sensor : Scene, SensorModel or Calibration
+    sensor : Scene, SensorModel, Calibration, str or Path
+        Or the scene's name or path.
     pixel : array_like of shape (..., 2)
         (u, v) in px, integer at pixel centres; undistorted first, where the camera distorts.
-    medium : IndexField, optional
-        That bends both lines of sight and laser: the scene's, say (`scene.medium`). By default
-        light runs straight. A calibration knows no rays that a medium could bend.
+        What has such pixels may be given itself: `LineCentres`, say.
+    medium : IndexField, str or Path, optional
+        That bends both lines of sight and laser: the scene's, say (`scene.medium`), or the file of
+        another. By default light runs straight. A calibration knows no rays that a medium could
+        bend.
     camera, source : str, optional
         Names, where the scene has several.
     coordinate : array_like of shape (...)
@@ -90,6 +98,7 @@ def triangulate(
     return points.point_mm
 
 
+@public
 def triangulated_points(
     sensor: Any,
     pixel: ArrayLike,
@@ -102,9 +111,12 @@ def triangulated_points(
 ) -> TriangulatedPoints:
     """`triangulate` with a status for each pixel; bent light by maps made to a tolerance in px."""
     number_within("triangulate: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
-    if hasattr(sensor, "cameras"):
-        sensor = sensor.only(camera, source).sensor
-    pixel = points_of(pixel, 2)
+    scene = _scene_of(sensor)
+    if scene is not None:
+        if isinstance(medium, str | Path):
+            medium = scene.with_medium(medium).medium
+        sensor = scene.only(camera, source).sensor
+    pixel = points_of(getattr(pixel, "pixel", pixel), 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
     shape, s = pixel.shape[:-1], numbers_of("triangulate: coordinate", coordinate)
@@ -126,6 +138,22 @@ def triangulated_points(
         rows = pixel.reshape(-1, 2), np.broadcast_to(s, shape).ravel()
         point, status = _on_rays(sensor, *rows, medium, tolerance_px)
     return TriangulatedPoints(point.reshape(*shape, 3), status.reshape(shape))
+
+
+def _scene_of(sensor: Any) -> Any:
+    """A scene that is given, or by whose name or path it is; None of another sensor."""
+    if isinstance(sensor, str | Path):
+        from virtual_sensor.optics.sight import scene_of
+
+        return scene_of("triangulate", sensor)
+    if hasattr(sensor, "cameras"):
+        return sensor
+    if not (hasattr(sensor, "camera") and hasattr(sensor, "laser")):
+        raise InputError(
+            f"triangulate: sensor is {short(sensor)}; give a scene of load_scene, its name or path,"
+            " or a Calibration"
+        )
+    return None
 
 
 def _plane(laser: Any, s: Array) -> tuple[Array, Array] | None:

@@ -5,6 +5,8 @@ of a frame sees, or from whoever drew the image.  One function compares line cen
 says how many it left out, and why.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -15,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt
 
 from virtual_sensor.arrays import numbers_of
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -97,7 +100,7 @@ class TrueLine(Displayed):
         return {name: values.ravel() for name, values in layers.items()}
 
     @classmethod
-    def of_rows(cls, row: ArrayLike) -> "TrueLine":
+    def of_rows(cls, row: ArrayLike) -> TrueLine:
         """A line that was drawn at a row in each of W columns; NaN where it is not."""
         rows = np.atleast_2d(np.asarray(row, float))
         known = np.isfinite(rows)
@@ -109,7 +112,7 @@ class TrueLine(Displayed):
     @classmethod
     def of_search(
         cls, pixel: Array, found: Mask, width: int, longest_step: float = _LONGEST_STEP
-    ) -> "TrueLine":
+    ) -> TrueLine:
         """A line along which laser rays were searched: a cubic spline through their pixels.
 
         It is parted where the surface breaks it, and not continued beyond the rays.
@@ -151,7 +154,7 @@ class TrueLine(Displayed):
         return cls(rows, to_ends, status)
 
     @classmethod
-    def of_coordinates(cls, across_mm: NDArray[np.floating], radius_mm: float) -> "TrueLine":
+    def of_coordinates(cls, across_mm: NDArray[np.floating], radius_mm: float) -> TrueLine:
         """A line in a frame whose pixels know which light they see.
 
         The middle of the sheet is where the coordinate across it goes through zero.
@@ -176,7 +179,7 @@ class TrueLine(Displayed):
         return cls(row, _to_ends(row, _SAME_LINE_PX), status).seen_in(across_mm, radius_mm)
 
     @classmethod
-    def of_frame(cls, frame: Any, source: str | None = None) -> "TrueLine":
+    def of_frame(cls, frame: Any, source: str | None = None) -> TrueLine:
         """A source's line in a rendered `Frame`; the name can be left out where it is the only one.
 
         Raises
@@ -187,7 +190,7 @@ class TrueLine(Displayed):
         name = frame.source_name(source)
         return cls.of_coordinates(frame.coordinates(name)[:, :, 0], frame.radius_mm[name])
 
-    def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> "TrueLine":
+    def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> TrueLine:
         """The same line, CUT where a frame shows that an edge hides a part of its profile."""
         known = np.isfinite(self.row)
         whole = _sees_whole_profile(self.row, across_mm, radius_mm)
@@ -203,7 +206,7 @@ class TrueLine(Displayed):
             near |= (np.abs(v - row[nearest]) <= half_px) & (distance <= half_px)
         return near
 
-    def moved(self, rows_px: float) -> "TrueLine":
+    def moved(self, rows_px: float) -> TrueLine:
         """The same line in an image that begins so many rows earlier."""
         return replace(self, row=self.row + rows_px)
 
@@ -308,6 +311,7 @@ class LineErrors(Displayed):
         return (error > WRONG_PX) | (error > np.maximum(WRONG_SIGMAS * self.sigma, FINE_PX))
 
 
+@public
 def compare_line(
     line: LineCentres,
     truth: Any,

@@ -5,20 +5,24 @@ By maps, the ray of the camera through the point is read from a table of its ben
 meets the point. Parts hide nothing: a point within one or behind it has its pixel too.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within, points_of
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.covering_maps import by_octaves, in_mm, in_view, rays_through
 from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import MapStatus, NoMapError
-from virtual_sensor.optics.sight import check_scene_given, chosen
+from virtual_sensor.optics.sight import SearchScene, chosen, scene_of
 from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
@@ -74,8 +78,9 @@ class ProjectedPoints(Displayed):
         )
 
 
+@public
 def project(
-    scene: Any,
+    scene: SearchScene | str | Path,
     points_mm: ArrayLike,
     through_medium: bool = True,
     camera: str | None = None,
@@ -86,8 +91,8 @@ def project(
 
     Parameters
     ----------
-    scene : Scene
-        From `load_scene`.
+    scene : Scene, str or Path
+        From `load_scene`, or its name or path.
     points_mm : array_like of shape (..., 3)
         World, mm; whether a part hides them is not asked.
     through_medium : bool
@@ -109,8 +114,9 @@ def project(
     return projected_points(scene, points_mm, through_medium, camera).pixel
 
 
+@public
 def projected_points(
-    scene: Any,
+    scene: SearchScene | str | Path,
     points_mm: ArrayLike,
     through_medium: bool = True,
     camera: str | None = None,
@@ -136,10 +142,9 @@ def projected_points(
     if points.shape[-1:] != (3,):
         raise InputError(f"project: points_mm has the shape {points.shape}; give it (N, 3)")
     if method not in (None, "tabulated", "newton"):
-        raise InputError(f"project: method must be tabulated or newton, not '{method}'")
+        raise InputError(f"project: method must be tabulated or newton, not {short(method)}")
     number_within("project: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
-    check_scene_given("project", scene)
-    scene = chosen(scene, camera, None)
+    scene = chosen(scene_of("project", scene), camera, None)
     view, rows = scene.camera, points.reshape(-1, 3)
     finite = np.asarray(np.isfinite(rows).all(axis=1))
     rows = np.where(finite[:, None], rows, np.nan)

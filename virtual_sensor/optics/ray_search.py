@@ -5,16 +5,20 @@ camera's pixel is sought whose bent line of sight meets the surface there.  Ever
 and batched over all laser rays at once.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import whole_number
+from virtual_sensor.arrays import SMALLEST, number_within, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, nearest, short
 from virtual_sensor.optics.map_search import tabulated_roots
 from virtual_sensor.optics.newton_search import Roots, newton, newton_along_line
 from virtual_sensor.optics.ray_families import Pinhole
@@ -23,9 +27,10 @@ from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sight import (
     REFERENCE,
     SearchScene,
-    check_scene_given,
+    check_progress,
     chosen,
     incidence_points,
+    scene_of,
     seen_points,
 )
 from virtual_sensor.statuses import StatusEnum
@@ -114,8 +119,9 @@ class FoundPixels(Displayed):
         )
 
 
+@public
 def ray_search(
-    scene: SearchScene,
+    scene: SearchScene | str | Path,
     laser_y_mm: ArrayLike,
     method: str = "paper",
     *,
@@ -127,14 +133,14 @@ def ray_search(
     tolerance_px: float = 1e-3,
     camera: str | None = None,
     source: str | None = None,
-    progress: Callable[[float], None] = lambda fraction: None,
+    progress: Callable[[float], None] | None = None,
 ) -> FoundPixels:
     """Find the pixels that see laser rays' incidence points.
 
     Parameters
     ----------
-    scene : Scene
-        From `load_scene`.
+    scene : Scene, str or Path
+        From `load_scene`, or its name or path.
     laser_y_mm : array_like of shape (N,)
         Positions of the rays along the line, in the laser's reference plane (the paper's discharge
         locations y).
@@ -156,7 +162,7 @@ def ray_search(
         Of the maps of "tabulated".
     camera, source : str, optional
         Names of the scene's, where it has several.
-    progress : callable
+    progress : callable, optional
         Called with the fraction of the whole that is done, at the paper's steps.
 
     Returns
@@ -168,10 +174,14 @@ def ray_search(
     InputError
         If the method is neither, or a number can't be searched with.
     """
-    check_scene_given("ray_search", scene)
-    scene = chosen(scene, camera, source)
+    scene = chosen(scene_of("ray_search", scene), camera, source)
+    check_progress("ray_search", progress)
+    progress = progress or (lambda fraction: None)
     if method not in METHODS:
-        raise InputError(f"ray_search: method must be one of {', '.join(METHODS)}, not '{method}'")
+        raise InputError(
+            f"ray_search: method must be one of {', '.join(METHODS)}, not {short(method)}"
+            f"{nearest(method, METHODS)}"
+        )
     b = np.atleast_1d(_numbers("laser_y_mm", laser_y_mm))
     if b.ndim > 1:
         raise InputError(f"ray_search: laser_y_mm has the shape {b.shape}; give a list, (N,)")
@@ -182,8 +192,9 @@ def ray_search(
         raise InputError(f"ray_search: grid_px must be two positive numbers of px, not {grid_px}")
     limits = {"r_max_um": r_max_um, "z_max_mm": z_max_mm, "tolerance_px": tolerance_px}
     for name, value in limits.items():
-        if not value > 0.0:
-            raise InputError(f"ray_search: {name} must be positive, not {value}")
+        number_within(f"ray_search: {name}", value, SMALLEST, np.inf, "a positive number")
+    if march is not None and not isinstance(march, March):
+        raise InputError(f"ray_search: march is {short(march)}; give a March, or leave it out")
     (march or REFERENCE).check(scene.medium)
     progress(0.0)
     if method == "paper":

@@ -1,14 +1,16 @@
 """Bent laser rays and lines of sight, from the sensor to the surface: what searches march."""
 
+import importlib
 from collections.abc import Callable
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.eikonal import bend, in_plane
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_status import RayStatus
@@ -50,11 +52,30 @@ def chosen(scene: SearchScene, camera: str | None, source: str | None) -> Search
     return only(camera, source)
 
 
-def check_scene_given(asker: str, scene: object) -> None:
-    """Raise InputError unless it is a scene: a name or a path is easily given in its place."""
+def scene_of(asker: str, scene: Any) -> Any:
+    """The scene that is given, or that is loaded by the name or path that is.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if isinstance(scene, str | Path):  # who loads scenes lies above, and is asked by name alone
+        return importlib.import_module("virtual_sensor.imaging.scene").load_scene(scene)
     if not all(hasattr(scene, name) for name in ("medium", "surface")):
-        given = f"load_scene({scene!r})" if isinstance(scene, str) else "one from load_scene"
-        raise InputError(f"{asker}: {str(scene)[:80]!r} is no scene; give {given}")
+        raise InputError(
+            f"{asker}: scene is {short(scene)}; give a scene of load_scene, or its name or path"
+        )
+    return scene
+
+
+def check_progress(asker: str, progress: object) -> None:
+    """Raise InputError unless it can be told how much is done."""
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"{asker}: progress is {short(progress)}; give a function of the fraction done, such as"
+            " print"
+        )
 
 
 def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:

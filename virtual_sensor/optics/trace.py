@@ -1,15 +1,20 @@
 """Rays in, rays out, as NumPy arrays: the march for people who want just that."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import by_rows, points_of, to_numpy, to_scalars, to_vectors
+from virtual_sensor.arrays import by_rows, numbers_of, points_of, to_numpy, to_scalars, to_vectors
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import field_of
 from virtual_sensor.optics.eikonal import Field, March, Straight, after_length, bend
 from virtual_sensor.optics.ray_status import RayStatus
 from virtual_sensor.optics.surfaces import NoSurface
@@ -49,8 +54,9 @@ class Rays(Displayed):
         return listed(f"{self.status.size} rays", *words, span("paths", self.optical_path_mm, "mm"))
 
 
+@public
 def trace(
-    field: Field,
+    field: Field | str | Path,
     origins_mm: ArrayLike,
     directions: ArrayLike,
     length_mm: ArrayLike,
@@ -63,7 +69,8 @@ def trace(
 
     Parameters
     ----------
-    field : IndexField or ExactField
+    field : IndexField, ExactField, str or Path
+        Or its file; or the name of one that comes with the program.
     origins_mm, directions : array_like of shape (N, 3)
         World; directions of any length but zero, or one for all, (3,).
     length_mm : float or array_like of shape (N,)
@@ -76,28 +83,32 @@ def trace(
     InputError
         If shapes do not match, a number is not finite, a direction is zero or a length negative.
     """
+    air: Field | None = field_of("trace: field", field)
+    if air is None:
+        raise InputError("trace: field is None, homogeneous air; rays are straight in it")
     origins, directions = (np.atleast_2d(points_of(x)) for x in (origins_mm, directions))
     if directions.shape == (1, 3) and origins.ndim == 2:
         directions = np.repeat(directions, len(origins), axis=0)
     if origins.shape != directions.shape or origins.shape[1:] != (3,):
         raise InputError(
-            f"trace: origins {origins.shape} and directions {directions.shape} must both be (N, 3)"
+            f"trace: origins_mm {origins.shape} and directions {directions.shape} must both be"
+            " (N, 3)"
         )
     longest = np.abs(directions).max(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         scaled = directions / longest[:, None]  # a square of 1e300 is infinite
     norm = np.linalg.norm(scaled, axis=1)
-    lengths = np.asarray(length_mm, float)
+    lengths = numbers_of("trace: length_mm", length_mm)
     if lengths.shape not in ((), norm.shape):
         raise InputError(f"trace: length_mm {lengths.shape} must be one number or ({len(norm)},)")
     if not (np.isfinite(origins).all() and np.isfinite(norm).all() and np.all(norm > 0.0)):
-        raise InputError("trace: origins and directions must be finite, and directions not zero")
+        raise InputError("trace: origins_mm and directions must be finite, and directions not zero")
     if not (np.isfinite(lengths).all() and np.all(lengths >= 0.0)):
-        raise InputError("trace: lengths must be finite and not negative")
+        raise InputError("trace: length_mm must be finite and not negative")
     lengths = np.broadcast_to(lengths, norm.shape)
     march = March(step_mm, method, precision, tolerance_mm=tolerance_mm)
     unit = scaled / norm[:, None]
-    return by_rows(lambda *rays: _marched(field, march, *rays), origins, unit, lengths)
+    return by_rows(lambda *rays: _marched(air, march, *rays), origins, unit, lengths)
 
 
 def _marched(field: Field, march: March, origins: Array, directions: Array, lengths: Array) -> Rays:
