@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.camera_noise import record as record
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
+    from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
     from virtual_sensor.imaging.render import render as render
     from virtual_sensor.imaging.render import render_frame as render_frame
     from virtual_sensor.imaging.scene import load_scene as load_scene
@@ -53,6 +54,7 @@ _HOME = {
     "compare_line": "metrology.truth",
     "line_centres": "metrology.line_peaks",
     "load_scene": "imaging.scene",
+    "new_scene": "imaging.new_scene.write",
     "project": "optics.projection",
     "ray_search": "optics.ray_search",
     "read_image": "imaging.image_files",

@@ -12,6 +12,7 @@ from virtual_sensor.cli import (
     detect,
     doctor,
     measure,
+    new,
     reproduce,
     search,
     simulation,
@@ -59,6 +60,7 @@ def before_the_command(
         engine.activate(variant)
 
 
+app.command(epilog=new.EPILOG)(new.new)
 app.command(epilog=measure.EPILOG)(measure.measure)
 app.command(epilog=search.EPILOG)(search.search)
 app.command(epilog=burst.EPILOG)(burst.burst)

@@ -102,7 +102,9 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
     Its name is the field's without a unit at the end, its default the field's, and its help the
     field's words under "Attributes" of the dataclass. Metadata of a field: `counts` says how many
-    numbers are written with commas in between, or, if (), words; `internal` makes no option.
+    numbers are written with commas in between, or, if (), words; `repeated` takes one each
+    time that it is given; `flag` is the option's name where it is not the field's; `internal` makes
+    none.
     """
     signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []
@@ -130,7 +132,7 @@ def _optional(kind: Any) -> list[Field[Any]]:
 
 
 def _flag(each: Field[Any]) -> str:
-    return re.sub(r"_(mm|c|pa|s|px_per_s)$", "", each.name)
+    return re.sub(r"_(mm|um|nm|c|pa|s|px_per_s)$", "", each.name)
 
 
 def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
@@ -140,7 +142,10 @@ def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
     default: Any = each.default
     if "counts" in each.metadata:
         hint, default = str | None, ",".join(f"{part:g}" for part in default or ()) or None
+    if each.metadata.get("repeated"):
+        hint, default = list[float] | None, None
     flag = [f"--{_flag(each)}"] if hint is bool else []  # no --no-NAME
+    flag = [each.metadata["flag"]] if "flag" in each.metadata else flag
     option = typer.Option(default, *flag, help=" ".join(words[each.name].split()))
     return inspect.Parameter(
         _flag(each), inspect.Parameter.KEYWORD_ONLY, default=option, annotation=hint
@@ -149,6 +154,8 @@ def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
 
 def _said(each: Field[Any], given: Any) -> Any:
     """The field's value, from that of its option."""
+    if each.metadata.get("repeated"):
+        return tuple(given or ())
     counts = each.metadata.get("counts")
     if counts is None:
         return given

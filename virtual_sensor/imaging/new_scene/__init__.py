@@ -1,0 +1,1 @@
+"""A scene of one's own: a part, and a sensor over it that suits it."""

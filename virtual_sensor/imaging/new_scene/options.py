@@ -1,0 +1,114 @@
+"""What a new scene can be told: the options of `virtual-sensor new` and of `new_scene`."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+UPWARD: dict[str, tuple[str, float]] = {
+    "z": ("z", 0.0),
+    "-z": ("x", 180.0),
+    "y": ("x", 90.0),
+    "-y": ("x", -90.0),
+    "x": ("y", -90.0),
+    "-x": ("y", 90.0),
+}
+"""Axes of a part that may be up, and the turn that makes each the world's z: axis and degrees."""
+
+_LIST = {"repeated": True}
+
+
+@dataclass(frozen=True)
+class NewScene:
+    """A part and the sensor over it; what is not given is chosen so that it suits the part.
+
+    Lengths in mm, angles in degrees.
+
+    Attributes
+    ----------
+    part : str, optional
+        File of the part, STL, OBJ, PLY or 3MF, which is copied beside the scene; by default a
+        cylinder.
+    unit : str, optional
+        Of the lengths in the part's file: um, mm, cm, m, inch, foot; by default mm.
+    up : str
+        Axis of the part that points upwards: z, -z, y, -y, x, -x.
+    diameter_mm : float, optional
+        Of the cylinder, where there is no part, mm; by default 27.
+    length_mm : float, optional
+        Of the cylinder, mm; by default 170.
+    focal_length_mm : float, optional
+        Of the camera's lens, mm; by default about four times the film's width, 35.
+    pixel_um : float, optional
+        Pitch of the camera's pixels, um; by default 3.45.
+    film : str, optional
+        Pixels of the camera, width by height; by default 2448x2048.
+    distance_mm : float, optional
+        Working distance, from the camera to the line, mm; by default so that the camera sees what
+        is lit of the part.
+    alpha : tuple of float
+        Triangulation angle between the laser and the camera, degrees, by default 30; one for each
+        camera, repeated for several.
+    tilt : tuple of float
+        Laser from the vertical, degrees, by default 0; one for each laser, repeated for several.
+    laser_offset_mm : tuple of float
+        Laser beside the middle, across its line, mm, by default 0; one for each laser.
+    beta : float, optional
+        The whole sensor round the x-axis, degrees; by default 0.
+    turn : float, optional
+        The whole sensor round the vertical, degrees; by default 0, the line along y.
+    at_mm : tuple of three float, optional
+        X,Y,Z of the line's middle, mm; by default the part's surface under the middle of its box.
+    line_length_mm : float, optional
+        Of the laser's line, mm; by default four fifths of the part.
+    line_radius_mm : float, optional
+        Half the line's width, to 1/e^2, mm; by default four pixels.
+    fan : float, optional
+        Full fan angle of the laser, degrees; by default 0, a sheet of parallel light.
+    wavelength_nm : float, optional
+        Of the laser, nm; by default 532.
+    roughness : float, optional
+        Of bare iron (Mitsuba's `roughconductor`), from 0.05, shiny, to 0.5, dull. By default the
+        surface scatters evenly, as if it were painted or scaled.
+    temperature_c : float, optional
+        Of a hot part, degC: its glow can then be switched on by the parameter `emissivity`.
+    field : str, optional
+        Hot air round it: a field file (.nc), or one that is installed. By default light runs
+        straight.
+    from_scene : str, optional
+        Copy this scene, with its fields and meshes; the other options change its parameters.
+    """
+
+    part: str | None = None
+    unit: str | None = None
+    up: str = "z"
+    diameter_mm: float | None = None
+    length_mm: float | None = None
+    focal_length_mm: float | None = None
+    pixel_um: float | None = None
+    film: str | None = None
+    distance_mm: float | None = None
+    alpha: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)
+    tilt: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)
+    laser_offset_mm: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)
+    beta: float | None = None
+    turn: float | None = None
+    at_mm: tuple[float, float, float] | None = dataclasses.field(
+        default=None, metadata={"counts": (3,)}
+    )
+    line_length_mm: float | None = None
+    line_radius_mm: float | None = None
+    fan: float | None = None
+    wavelength_nm: float | None = None
+    roughness: float | None = None
+    temperature_c: float | None = None
+    field: str | None = None
+    from_scene: str | None = dataclasses.field(default=None, metadata={"flag": "--from"})
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """What was said, by the names of the attributes."""
+        return {
+            each.name: value
+            for each in dataclasses.fields(self)
+            if (value := getattr(self, each.name)) not in (None, (), each.default)
+        }

@@ -1,0 +1,257 @@
+"""Where a sensor is put over a part, and with which lens, so that it sees what its laser lights.
+
+The sensor's frame: origin where the middle of its line falls, y along the line, z up.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.new_scene.options import NewScene
+from virtual_sensor.imaging.new_scene.part import NewPart
+from virtual_sensor.poses import Pose
+
+Array = NDArray[np.float64]
+
+LENSES_MM = (4, 6, 8, 12, 16, 25, 35, 50, 75, 100, 150)
+"""Focal lengths of lenses that are sold."""
+
+_PIXEL_UM, _FILM = 3.45, "2448x2048"
+_X, _Y, _Z = np.eye(3)
+_SAMPLES = 201  # of a line
+_ASIDE = 1e-6  # of the part's size: a cut through none of its vertices
+_FILMS_DEEP = 4.0  # focal length by the film's width, by default
+_FILM_USED = 0.85  # by what is lit
+_PART_LIT = 0.8  # of the part's breadth, by default
+_LINE_PX = 4.0  # radius of the line, by default
+_BEFORE_APEX = 0.95  # of the way from the line to where a fan's light would cross
+_MOST_PX = 100_000
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A sensor over a part: one value for each of its parameters.
+
+    Attributes
+    ----------
+    at_mm : ndarray of shape (3,)
+    alphas, tilts, offsets_mm : tuple of float
+        Of the cameras, and of the lasers.
+    size_px : tuple of int
+        Of the film.
+    pixel_um, focal_mm, distance_mm : float
+    line_length_mm, line_radius_mm, laser_distance_mm : float
+    chosen : tuple of str
+        What was not given, by the names of `NewScene`.
+    """
+
+    at_mm: Array
+    alphas: tuple[float, ...]
+    tilts: tuple[float, ...]
+    offsets_mm: tuple[float, ...]
+    size_px: tuple[int, int]
+    pixel_um: float
+    focal_mm: float
+    distance_mm: float
+    line_length_mm: float
+    line_radius_mm: float
+    laser_distance_mm: float
+    chosen: tuple[str, ...]
+
+
+def placed(part: NewPart, said: NewScene) -> Placement:
+    """A sensor over a part, as it is told, and as it suits the part where nothing is told.
+
+    Raises
+    ------
+    InputError
+        If the laser's sheet misses the part.
+    """
+    chosen: dict[str, float] = {}
+    size_px, pixel_um = film_of(said.film or _FILM), said.pixel_um or _PIXEL_UM
+    film_mm = size_px[0] * pixel_um / 1000.0, size_px[1] * pixel_um / 1000.0
+    alphas, (tilts, offsets) = said.alpha or (30.0,), _lasers(said)
+    turn, beta = said.turn or 0.0, 0.0 if part.radius_mm else said.beta or 0.0  # round its axis
+    at = _at(part, turn) if said.at_mm is None else np.array(said.at_mm)
+    frame = _frame(at, beta, turn)
+    sheet = _towards(frame, tilts[0])
+    profile = LitProfile.of(part.corners_mm, sheet)
+    if not profile.met:
+        low, high = (_point(corner) for corner in part.box_mm)
+        raise InputError(
+            f"--at {_point(at)}: the laser's sheet misses the part there; its box is from {low} to"
+            f" {high} mm"
+        )
+    if (length := said.line_length_mm) is None:
+        lit = profile.t_mm[np.isfinite(profile.height_mm)]
+        length = chosen["line_length_mm"] = rounded(_PART_LIT * float(np.ptp(lit)), up=False)
+    lit_mm = profile.points_mm(sheet, length)
+    views = [_towards(frame, tilts[0] + alpha) for alpha in alphas]
+    focal, distance = said.focal_length_mm, said.distance_mm
+    if focal is None:
+        focal = _lens_of(film_mm[0])
+        if distance is not None:
+            enough = [f for f in LENSES_MM if _needed_mm(views, lit_mm, f, film_mm) <= distance]
+            focal = float(max(enough, default=LENSES_MM[0]))
+        chosen["focal_length_mm"] = focal
+    if distance is None:
+        needed = max(_needed_mm(views, lit_mm, focal, film_mm), part.size_mm)
+        distance = chosen["distance_mm"] = rounded(needed, up=True)
+    if (radius := said.line_radius_mm) is None:
+        radius = _LINE_PX * distance * pixel_um / 1000.0 / focal
+        radius = chosen["line_radius_mm"] = rounded(radius)
+    laser_distance = distance
+    if said.fan:
+        apex = length / 2.0 / math.tan(math.radians(said.fan) / 2.0)
+        laser_distance = min(distance, rounded(_BEFORE_APEX * apex, up=False))
+    sensor = alphas, tilts, offsets, size_px, pixel_um, focal, distance
+    return Placement(at, *sensor, length, radius, laser_distance, tuple(chosen))
+
+
+def film_of(text: str) -> tuple[int, int]:
+    """Width and height in pixels."""
+    found = re.fullmatch(r"\s*(\d{1,6})\s*[x×*,]\s*(\d{1,6})\s*", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (0 < width <= _MOST_PX and 0 < height <= _MOST_PX):
+        raise InputError(f"--film {text[:40]}: give width x height in pixels, such as 2448x2048")
+    return width, height
+
+
+def _lasers(said: NewScene) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Tilts and offsets of the lasers, as many of each."""
+    tilts, offsets = said.tilt or (0.0,), said.laser_offset_mm or (0.0,)
+    count = max(len(tilts), len(offsets))
+    if {len(tilts), len(offsets)} - {1, count}:
+        raise InputError("--tilt, --laser-offset: give one of either for each laser")
+    tilts, offsets = (each * count if len(each) == 1 else each for each in (tilts, offsets))
+    if len({*zip(tilts, offsets, strict=True)}) < count:
+        raise InputError("--tilt, --laser-offset: two lasers make the same line; move one of them")
+    if len({*said.alpha}) < len(said.alpha):
+        raise InputError("--alpha: two cameras stand at the same place; turn one of them")
+    return tilts, offsets
+
+
+def _at(part: NewPart, turn: float) -> Array:
+    """The surface under the middle of the part's box; over a bore, at the height beside it."""
+    frame = _frame(np.mean(part.box_mm, axis=0), 0.0, turn)
+    profile = LitProfile.of(part.corners_mm, frame)
+    if not profile.met:  # between two bodies
+        middles = part.corners_mm.mean(axis=1)
+        aside = np.linalg.norm((middles - frame.origin_mm)[:, :2], axis=1)
+        frame = _frame(middles[np.argmin(aside)], 0.0, turn)
+        profile = LitProfile.of(part.corners_mm, frame)
+    place = frame.origin_mm + np.array([0.0, 0.0, profile.middle_height_mm])
+    digits = 4 - math.floor(math.log10(part.size_mm))
+    return np.round(place, max(digits, 0)) + 0.0
+
+
+def _frame(at_mm: Array, beta: float, turn: float) -> Pose:
+    """The frame of a sensor that is turned by beta round its x-axis, then round the vertical."""
+    return Pose(Pose.turn(turn, _Z).rotation @ Pose.turn(beta, _X).rotation, at_mm)
+
+
+def _towards(frame: Pose, angle: float) -> Pose:
+    """The frame, turned round the line: its z points to a device that is so many degrees aside."""
+    return Pose(frame.rotation @ Pose.turn(angle, _Y).rotation, frame.origin_mm)
+
+
+@dataclass(frozen=True)
+class LitProfile:
+    """What a sheet of parallel light lights of a part, in the sheet's frame.
+
+    Attributes
+    ----------
+    t_mm : ndarray of shape (N,)
+        Along the line, over all that the sheet's plane cuts.
+    height_mm : ndarray of shape (N,)
+        Towards the light; NaN where the plane meets nothing.
+    """
+
+    t_mm: Array
+    height_mm: Array
+
+    @staticmethod
+    def of(corners_mm: Array, sheet: Pose) -> LitProfile:
+        """Cut triangles (M, 3, 3) by the plane through a frame's origin, across its x."""
+        local = sheet.to_local(corners_mm.reshape(-1, 3)).reshape(-1, 3, 3)
+        local[:, :, 0] -= _ASIDE * np.ptp(local[:, :, 1])
+        x = local[:, :, 0]
+        start = local[(x.min(axis=1) < 0.0) & (x.max(axis=1) > 0.0)]
+        step = np.roll(start, -1, axis=1) - start
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = -start[:, :, 0] / step[:, :, 0]
+            places = start + share[:, :, None] * step
+        crossed = (share > 0.0) & (share < 1.0)
+        whole = crossed.sum(axis=1) == 2
+        cut = places[whole][crossed[whole]].reshape(-1, 2, 3)
+        if not len(cut):
+            return LitProfile(np.empty(0), np.empty(0))
+        (y0, z0), (y1, z1) = (cut[:, end, 1:].T for end in (0, 1))
+        t = np.linspace(cut[:, :, 1].min(), cut[:, :, 1].max(), _SAMPLES)
+        height = np.full(_SAMPLES, np.nan)
+        for number, place in enumerate(t):
+            over = (np.minimum(y0, y1) <= place) & (place <= np.maximum(y0, y1)) & (y0 != y1)
+            if over.any():
+                along = (place - y0[over]) / (y1 - y0)[over]
+                height[number] = np.max(z0[over] + along * (z1 - z0)[over])
+        return LitProfile(t, height)
+
+    @property
+    def met(self) -> bool:
+        """Whether the plane meets the part."""
+        return bool(np.isfinite(self.height_mm).any())
+
+    @property
+    def middle_height_mm(self) -> float:
+        """Height at t = 0; where nothing is there, the median of all."""
+        nearest = int(np.argmin(np.abs(self.t_mm)))
+        if self.t_mm[0] <= 0.0 <= self.t_mm[-1] and np.isfinite(self.height_mm[nearest]):
+            return float(self.height_mm[nearest])
+        return float(np.nanmedian(self.height_mm))
+
+    def points_mm(self, sheet: Pose, length_mm: float) -> Array:
+        """What is lit (N, 3) by a line of a length, world."""
+        lit = np.isfinite(self.height_mm) & (np.abs(self.t_mm) <= length_mm / 2.0)
+        t, height = self.t_mm[lit], self.height_mm[lit]
+        return sheet.to_world(np.column_stack([np.zeros_like(t), t, height]))
+
+
+def _lens_of(film_mm: float) -> float:
+    """The lens that sees a field of about a quarter of its distance."""
+    return float(min(LENSES_MM, key=lambda lens: abs(math.log(lens / (_FILMS_DEEP * film_mm)))))
+
+
+def _needed_mm(
+    views: Sequence[Pose], lit_mm: Array, focal_mm: float, film_mm: tuple[float, float]
+) -> float:
+    """From which distance cameras see points (N, 3), with something to spare.
+
+    `views` are frames whose z point to the cameras, and whose y are along u of the images.
+    """
+    needed = 0.0
+    for view in views:
+        across, along, height = view.to_local(lit_mm).T
+        for side, film in ((along, film_mm[0]), (across, film_mm[1])):
+            slope = _FILM_USED * film / 2.0 / focal_mm
+            needed = max(needed, float(np.max(np.abs(side) / slope + height, initial=0.0)))
+    return needed
+
+
+def rounded(value: float, up: bool | None = None, digits: int = 2) -> float:
+    """A positive number to so many digits: the nearest, or the next above or below."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    count = round(value / unit) if up is None else math.floor(value / unit + 1e-9)
+    if up and count * unit < value * (1.0 - 1e-9):
+        count += 1
+    return float(f"{count * unit:.12g}")
+
+
+def _point(place: Array) -> str:
+    return ",".join(f"{float(value):.4g}" for value in place)

@@ -1,0 +1,157 @@
+"""The text of a new scene: XML whose parameters say what they are."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from virtual_sensor.imaging.camera_parameters import with_field_of_view
+from virtual_sensor.imaging.new_scene.options import NewScene
+from virtual_sensor.imaging.new_scene.part import NewPart
+from virtual_sensor.imaging.new_scene.placement import Placement
+
+Rows = list[tuple[str, object, str]]
+"""Parameters: name, value, and what it is."""
+
+WAVELENGTH_NM = 532.0
+"""Of the laser, by default."""
+
+_IRON = np.array(  # wavelength, nm, n and k: Johnson and Christy, Phys. Rev. B 9, 5056 (1974)
+    [
+        *((301, 1.67, 2.00), (342, 1.85, 2.27), (381, 2.12, 2.50), (413, 2.35, 2.65)),
+        *((451, 2.59, 2.77), (471, 2.67, 2.82), (496, 2.74, 2.88), (521, 2.86, 2.91)),
+        *((549, 2.95, 2.93), (582, 2.94, 2.99), (617, 2.88, 3.05), (659, 2.92, 3.10)),
+        *((704, 2.86, 3.19), (756, 2.87, 3.28), (821, 2.94, 3.39), (892, 2.96, 3.56)),
+        *((984, 2.92, 3.79), (1088, 2.97, 4.06), (1216, 3.03, 4.39), (1393, 3.09, 4.83)),
+    ]
+)
+
+
+def scene_text(
+    name: str, part: NewPart, part_place: str, sensor: Placement, said: NewScene, field: str
+) -> str:
+    """A scene's XML; `part_place` and `field` are the files' names from its folder."""
+    from markupsafe import Markup  # jinja2's
+
+    rows = _air(said, field) + _poses(sensor, said) + _devices(sensor, said)
+    values = {name: value_text(value) for name, value, _ in rows}
+    values = with_field_of_view(values, {})
+    lines = []
+    for parameter, _, words in rows:
+        tag = Markup('<default name="{}" value="{}"/>').format(parameter, values[parameter])
+        lines.append(Markup(f"{tag:<43} <!-- {words} -->"))
+    n, k = (
+        f"{np.interp(float(values['wavelength']), _IRON[:, 0], column):.3g}"
+        for column in _IRON.T[1:]
+    )
+    return _template().render(
+        name=name.replace("--", "- -"),
+        part=part,
+        part_place=part_place,
+        parameters=lines,
+        cameras=_numbered("camera", sensor.alphas, "alpha"),
+        lasers=_numbered("laser", sensor.tilts, "tilt", "laser_offset"),
+        offset=any(sensor.offsets_mm),
+        metal=said.roughness is not None,
+        n=n,
+        k=k,
+        wavelength=values["wavelength"],
+        glows=said.temperature_c is not None,
+    )
+
+
+def _numbered(stem: str, each: tuple[float, ...], *parameters: str) -> list[dict[str, str]]:
+    """The names of devices and of their parameters, numbered where there are several."""
+    ends = [""] if len(each) == 1 else [f"_{number + 1}" for number in range(len(each))]
+    return [{name: f"{name}{end}" for name in (stem, *parameters)} for end in ends]
+
+
+def _air(said: NewScene, field: str) -> Rows:
+    hot: Rows = [
+        ("temperature", said.temperature_c, "of the part, degC"),
+        ("emissivity", 0, "of the part at the wavelength: 0, no glow; oxidised steel: 0.8"),
+    ]
+    return [
+        *(hot if said.temperature_c is not None else []),
+        ("field", field, "of the hot air: a file, or one that is installed; empty: none"),
+        ("time", "", "flow time of the air, s; empty: the field's last"),
+        ("wavelength", said.wavelength_nm or WAVELENGTH_NM, "of the laser, nm"),
+    ]
+
+
+def _poses(sensor: Placement, said: NewScene) -> Rows:
+    cameras = _numbered("camera", sensor.alphas, "alpha")
+    lasers = _numbered("laser", sensor.tilts, "tilt", "laser_offset")
+    from_laser = f"{lasers[0]['laser']} to {{}}, degrees: the triangulation angle"
+    rows: Rows = [
+        (names["alpha"], value, from_laser.format(names["camera"]))
+        for names, value in zip(cameras, sensor.alphas, strict=True)
+    ]
+    rows += [
+        (names["tilt"], value, f"{names['laser']} from the vertical, degrees")
+        for names, value in zip(lasers, sensor.tilts, strict=True)
+    ]
+    rows += [
+        (names["laser_offset"], value, f"{names['laser']} beside the middle, across its line, mm")
+        for names, value in zip(lasers, sensor.offsets_mm, strict=True)
+        if any(sensor.offsets_mm)
+    ]
+    return [
+        *rows,
+        ("beta", said.beta or 0, "sensor round its x-axis, degrees"),
+        ("turn", said.turn or 0, "sensor round the vertical, degrees; 0: its line lies along y"),
+        ("along", 0, "sensor along its x-axis, mm: to scan"),
+        *(
+            (f"at_{axis}", value, f"{axis} of the line's middle, mm")
+            for axis, value in zip("xyz", sensor.at_mm, strict=True)
+        ),
+    ]
+
+
+def _devices(sensor: Placement, said: NewScene) -> Rows:
+    width, height = sensor.size_px
+    surface = ("reflectance", 0.5, "of the part, from 0 to 1")
+    if said.roughness is not None:
+        surface = ("roughness", said.roughness, "of the metal, from 0.05, shiny, to 0.5, dull")
+    return [
+        ("line_length", sensor.line_length_mm, "mm"),
+        ("line_radius", sensor.line_radius_mm, "to 1/e^2, across the sheet, mm"),
+        ("fan", said.fan or 0, "full fan angle, degrees; 0: a sheet of parallel light"),
+        ("dots", "", "positions along the line, mm; empty: a line"),
+        ("laser_distance", sensor.laser_distance_mm, "from the laser's exit to the line, mm"),
+        ("distance", sensor.distance_mm, "from the camera to the line, mm"),
+        ("focal_length", sensor.focal_mm, "mm"),
+        ("film_width", width * sensor.pixel_um / 1000.0, "mm"),
+        ("pixel", sensor.pixel_um, "um; where given, film_width is width times it"),
+        ("fov", 1, "degrees; unless given, it follows from focal_length"),
+        ("width", width, "film, px; alone it leaves the field of view"),
+        ("height", height, "px"),
+        ("spp", 16, "samples per pixel, a square number"),
+        surface,
+        ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
+        ("tolerance", 0.003, "of the tables, px"),
+        ("step", 2, "of the ray march, mm"),
+    ]
+
+
+def value_text(value: object) -> str:
+    """A parameter's value as a scene's text has it."""
+    return f"{value:.9g}" if isinstance(value, (int, float)) else f"{value}"
+
+
+@cache
+def _template() -> Any:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template("scene.xml.j2")

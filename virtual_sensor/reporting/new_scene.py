@@ -1,0 +1,96 @@
+"""What is said of a scene that was written."""
+
+from pathlib import Path
+
+from virtual_sensor.imaging.new_scene.options import NewScene
+from virtual_sensor.imaging.new_scene.write import SeenLine, WrittenScene, parameter_of
+
+_NOTED = 0.02  # of a line that is not seen
+_CHOSEN = {
+    "focal_length_mm": "a lens of {} mm",
+    "distance_mm": "the camera {} mm from the line",
+    "line_length_mm": "a line {} mm long",
+    "line_radius_mm": "of a radius of {} mm",
+}
+
+
+def on_console(written: WrittenScene, said: NewScene) -> list[str]:
+    """Sentences for a terminal: the files, the part, the sensor, and what to do next."""
+    copied = f", and beside it {', '.join(str(file) for file in written.copied)}"
+    lines = [f"{written.path} is written{copied if written.copied else ''}."]
+    if found := written.survey:
+        size = " x ".join(f"{length:.4g}" for length in found.size_mm)
+        unit = "" if said.unit else " (lengths in mm; if they are not, say --unit)"
+        facets = f", facets within {found.facet_error_um:.2g} µm" if found.facet_error_um else ""
+        lines.append(f"The part is {size} mm{unit}: {found.triangles} triangles{facets}.")
+    chosen = [
+        _CHOSEN[name].format(written.parameters[parameter_of(name)])
+        for name in _CHOSEN
+        if name in written.chosen
+    ]
+    if chosen:
+        lines.append(f"Chosen to suit it: {', '.join(chosen)}.")
+    lines.append(_view(written))
+    return lines
+
+
+def _view(written: WrittenScene) -> str:
+    """What the camera sees."""
+    values = {name: float(written.parameters[name]) for name in _VIEW if name in written.parameters}
+    if len(values) < len(_VIEW):
+        return ""
+    scale = values["distance"] / values["focal_length"]
+    width = values["film_width"] * scale
+    height = width * values["height"] / values["width"]
+    pixel_um = 1e3 * width / values["width"]
+    return (
+        f"The camera sees {width:.3g} x {height:.3g} mm at that distance, {pixel_um:.3g} µm per"
+        f" pixel; the line is in the middle, at ({', '.join(_place(written))}) mm."
+    )
+
+
+_VIEW = ("distance", "focal_length", "film_width", "width", "height")
+
+
+def _place(written: WrittenScene) -> list[str]:
+    return [written.parameters.get(f"at_{axis}", "0") for axis in "xyz"]
+
+
+def notes(written: WrittenScene) -> list[str]:
+    """What part of the line is not seen, and the scene's own notes."""
+    found = []
+    for (camera, laser), line in written.lines.items():
+        which = f"{camera} with {laser}: " if len(written.lines) > 1 else ""
+        words = _unseen(line)
+        if words:
+            found.append(f"{which}{line.seen:.0%} of the line is seen; {', '.join(words)}")
+    return [*found, *written.notes]
+
+
+def _unseen(line: SeenLine) -> list[str]:
+    """Why parts of a line are not seen, and what would change that."""
+    causes = {
+        "passes the part or falls through a hole (--line-length, --at)": line.beside,
+        "lies outside the image (--distance, --focal-length)": line.outside,
+        "is hidden by the part (--alpha, --turn)": line.hidden,
+    }
+    return [f"{share:.0%} {words}" for words, share in causes.items() if share > _NOTED]
+
+
+def next_steps(written: WrittenScene, said: NewScene) -> list[str]:
+    """Commands to go on with."""
+    scene = _quoted(written.path.with_suffix(""))
+    if said.temperature_c is None or written.parameters.get("field"):
+        return [f"virtual-sensor measure {scene}"]
+    air = _quoted(written.path.with_name(f"{written.path.stem}_air.nc"))
+    return [
+        f"virtual-sensor measure {scene}    # cold, as long as there is no air",
+        f"virtual-sensor field simulate --scene {scene} -o {air}",
+        f"virtual-sensor measure {scene} -D field={air}",
+    ]
+
+
+def _quoted(path: Path) -> str:
+    import shlex
+
+    return shlex.quote(str(path))
