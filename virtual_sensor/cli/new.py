@@ -12,12 +12,12 @@ import typer
 from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
-from virtual_sensor.imaging.new_scene.options import NewScene
+from virtual_sensor.imaging.new_scene.options import SPELT, NewScene
 
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor new bracket --part bracket.stl\n\n"
-    "    virtual-sensor new bracket --part bracket.stl --unit inch --focal-length 25 --distance 300"
+    "    virtual-sensor new bracket --part bracket.stl --unit in --focal-length 25 --distance 300"
     "\n\n"
     "    virtual-sensor new bracket --part bracket.stl --roughness 0.2\n\n"
     "    virtual-sensor new pair --part bracket.stl --alpha 30 --alpha -30 --tilt 0 --tilt 10\n\n"
@@ -67,7 +67,7 @@ def _asked(said: NewScene) -> NewScene:
                 if not answers["part"]:
                     answers[name] = _answer(words, otherwise, float)
         part = said.part or answers.get("part")
-        if part and not said.unit:
+        if part and not said.unit and Path(part).suffix.lower() != ".3mf":  # which has its own
             size = " x ".join(f"{length:.4g}" for length in _size(Path(f"{part}")))
             answers["unit"] = _answer(f"{part} is {size}: in which unit", "mm", _unit)
         if not said.given:
@@ -99,8 +99,9 @@ def _file(text: str) -> str:
 def _unit(text: str) -> str:
     from virtual_sensor.imaging.part_survey import UNITS_MM
 
-    if text not in UNITS_MM:
-        raise InputError(f"{text}: give one of {', '.join(UNITS_MM)}")
+    known = {**SPELT, **UNITS_MM}
+    if text not in known:
+        raise InputError(f"{text}: give one of {', '.join(known)}")
     return text
 
 

@@ -14,6 +14,9 @@ UPWARD: dict[str, tuple[str, float]] = {
 }
 """Axes of a part that may be up, and the turn that makes each the world's z: axis and degrees."""
 
+SPELT = {"in": "inch", "ft": "foot"}
+"""Units as people may write them, and as they are called here."""
+
 _LIST = {"repeated": True}
 
 
@@ -29,7 +32,7 @@ class NewScene:
         File of the part, STL, OBJ, PLY or 3MF, which is copied beside the scene; by default a
         cylinder.
     unit : str, optional
-        Of the lengths in the part's file: um, mm, cm, m, inch, foot; by default mm.
+        Of the lengths in the part's file: um, mm, cm, m, in, ft; by default mm.
     up : str
         Axis of the part that points upwards: z, -z, y, -y, x, -x.
     diameter_mm : float, optional

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
-from virtual_sensor.imaging.new_scene.options import UPWARD, NewScene
+from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey, survey_part
-from virtual_sensor.imaging.parts import KINDS, read_part
+from virtual_sensor.imaging.parts import check_kind, read_part
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
@@ -117,13 +117,11 @@ def _cylinder(said: NewScene) -> NewPart:
 
 
 def _from_file(file: Path, said: NewScene) -> NewPart:
-    kind = readable(file).suffix.lower().removeprefix(".")
-    if kind not in KINDS:
-        raise InputError(
-            f"{file}: parts are read from {', '.join(KINDS)}; export it as one of them"
-        )
+    kind = check_kind(readable(file))
+    if kind == "3mf" and said.unit:
+        raise InputError(f"--unit {said.unit}: {file} has its unit in it; leave this out")
     part = read_part(file, kind)
-    unit = said.unit or "mm"
+    unit = SPELT.get(said.unit or "", said.unit or "mm")
     scale, moves = UNITS_MM[unit], []
     places = part.vertices * scale
     survey = survey_part(replace(part, vertices=places))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -34,15 +35,13 @@ def scene_text(
     name: str, part: NewPart, part_place: str, sensor: Placement, said: NewScene, field: str
 ) -> str:
     """A scene's XML; `part_place` and `field` are the files' names from its folder."""
-    from markupsafe import Markup  # jinja2's
-
     rows = _air(said, field) + _poses(sensor, said) + _devices(sensor, said)
     values = {name: value_text(value) for name, value, _ in rows}
     values = with_field_of_view(values, {})
     lines = []
     for parameter, _, words in rows:
-        tag = Markup('<default name="{}" value="{}"/>').format(parameter, values[parameter])
-        lines.append(Markup(f"{tag:<43} <!-- {words} -->"))
+        tag = f'<default name="{parameter}" value={quoteattr(values[parameter])}/>'
+        lines.append(f"{tag:<43} <!-- {words} -->")
     n, k = (
         f"{np.interp(float(values['wavelength']), _IRON[:, 0], column):.3g}"
         for column in _IRON.T[1:]
@@ -148,7 +147,6 @@ def _template() -> Any:
 
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -17,7 +17,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.files import check_output, exists, readable, scratch_folder, written_whole
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.new_scene.options import UPWARD, NewScene
+from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.new_scene.part import part_of
 from virtual_sensor.imaging.new_scene.placement import film_of, placed
 from virtual_sensor.imaging.new_scene.text import scene_text, value_text
@@ -187,7 +187,10 @@ def _check(said: NewScene) -> None:
                 )
     if not np.all(said.alpha):
         raise InputError("--alpha 0: the camera would look along the laser; give 30, for example")
-    for name, value, known in (("up", said.up, UPWARD), ("unit", said.unit or "mm", UNITS_MM)):
+    for name, value, known in (
+        ("up", said.up, UPWARD),
+        ("unit", said.unit or "mm", {**SPELT, **UNITS_MM}),
+    ):
         if value not in known:
             raise InputError(f"--{name} {value}: give one of {', '.join(known)}")
     if said.part and (said.diameter_mm or said.length_mm):
