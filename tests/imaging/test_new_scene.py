@@ -12,6 +12,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.new_scene.options import NewScene
 from virtual_sensor.imaging.new_scene.write import write_scene
 from virtual_sensor.imaging.scene_file import parameter_words
+from virtual_sensor.optics.surfaces import Cylinder
 
 SMALL = {
     "film": "612x512",
@@ -141,6 +142,7 @@ def test_what_is_written_explains_itself(tmp_path):
     scene = vs.load_scene(tmp_path / "shaft & 1")
     words = parameter_words(path)
     assert {name for name in scene.parameters if not words.get(name)} == set()
+    assert isinstance(scene.surface, Cylinder)
     assert scene.surface.radius_mm == 20.0
     assert (scene.parameters["temperature"], scene.medium) == ("900", None)
     assert not re.search(r"\n\s*\n\s*\n", path.read_text("utf-8"))
