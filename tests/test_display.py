@@ -48,6 +48,7 @@ def test_a_repr_is_one_short_line_whatever_is_in_the_object():
 # Rooms whose dataclasses come into users' hands; what is not frozen is state, and nobody's result.
 ROOMS = ("poses", "engine", "medium", "optics", "devices", "imaging", "metrology", "studies")
 INTERNAL = (
+    "virtual_sensor.imaging.new_scene",  # it gives a path
     "virtual_sensor.imaging.scene_file",
     "virtual_sensor.medium.heat_flow.mesh",
     "virtual_sensor.medium.heat_flow.openfoam",
