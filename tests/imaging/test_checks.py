@@ -151,8 +151,18 @@ def test_a_field_that_does_not_reach_the_line_is_refused(slab):
     """Rationale: the hottest air is at the part; without it the rest means nothing."""
     words = refusal(slab(0.0, half_width_mm=10.9).path)
     assert '<integrator type="refractive">: the field from (-200, -10.9, -20) to' in words
-    assert "the laser meets the part at (3.276, -11, -5.674) mm; give a larger field" in words
+    assert "the laser meets the part at (3.276, -11, -5.674) mm, 0.1 mm beyond its end" in words
+    assert "give a larger field, make one of this part (virtual-sensor field simulate" in words
     assert check_scene(slab(0.0, half_width_mm=11.1)) == []
+
+
+def test_a_field_in_metres_is_recognised(tmp_path):
+    """Rationale: 240 mm said to be 0.24 mm; "give a larger field" sent users to the solver."""
+    air = IndexField.read("hot_cylinder_1250C_quarter")
+    field = tmp_path / "air.nc"
+    air.with_nodes(air.nodes, air.origin / 1000.0, air.spacing / 1000.0).write(field)
+    with pytest.raises(InputError, match=r"lengths seem to be in m: .*--length-units m"):
+        check_scene(load_scene("hot_cylinder", field=field))
 
 
 def shift_by_snell(scene, jump, who="laser"):

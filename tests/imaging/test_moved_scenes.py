@@ -161,7 +161,7 @@ def test_air_that_stays_behind_is_refused(write, still):
     with pytest.raises(InputError, match=r"does not cover|floor"):
         check_scene(behind)
     away = still.with_medium(still.medium.moved(Pose(np.eye(3), np.array([0.0, 90.0, 0.0]))))
-    with pytest.raises(InputError, match="in the moved field's own frame; give a larger field"):
+    with pytest.raises(InputError, match=r"in the moved field's own frame, .* give a larger field"):
         check_scene(away)
     above = still.with_medium(still.medium.moved(Pose(np.eye(3), np.array([0.0, 0.0, 300.0]))))
     with pytest.raises(InputError, match="under the floor of the air's field"):

@@ -328,7 +328,7 @@ def test_what_is_ignored_or_assumed_is_noted(tmp_path):
         (note,) = vs.load_scene(path).notes
         assert note.startswith(str(path))
         assert re.search(words, note)
-    for name in ("cold_cylinder", "hot_cylinder", "stepped_shaft"):
+    for name in ("cold_cylinder", "hot_cylinder"):
         assert vs.load_scene(name).notes == ()
 
 

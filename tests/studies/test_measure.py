@@ -245,7 +245,7 @@ def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
     lost = ray_search(coarse, places, "newton").pixel - ray_search(fine, places, "newton").pixel
     said = float(re.search(r"air.nc: .*loses about ([\d.]+) px", note)[1])
     assert 0.2 < said / np.linalg.norm(lost, axis=1).max() < 5.0
-    assert coarse_grid(fine) == []
+    assert coarse_grid(fine) == {}
 
 
 def test_a_line_that_stands_upright_is_noted(tmp_path):

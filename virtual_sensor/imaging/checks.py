@@ -10,7 +10,7 @@ from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.imaging.field_solid import check_solid
+from virtual_sensor.imaging.field_solid import REFUSED, wrong_scale
 from virtual_sensor.imaging.part_survey import facet_error_mm
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
@@ -33,6 +33,7 @@ FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """Of a field's box, in the order of `IndexField.border_jump`."""
 
 _INSIDE_MM = 1e-4
+_CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
 _DULL = 0.2  # reflectance of an oxidised part
 _FIELD = '<integrator type="refractive">: the field'
 
@@ -112,8 +113,8 @@ def _check_pair(scene: Scene) -> list[str]:
     """Check the one camera with the one source."""
     line = lit_line(scene)
     with naming(scene.path):
-        found = check_solid(scene, line.points_mm)
-        found += _check_border(scene.medium, scene.sensor, line) if scene.medium else []
+        _check_solid(scene, line)
+        found = _check_border(scene.medium, scene.sensor, line) if scene.medium else []
         found += _facet_note(scene, line)
     return found + _glow_note(scene, line)
 
@@ -168,7 +169,7 @@ def lit_line(scene: Scene) -> LitLine:
         _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)
         if scene.medium:
-            _check_cover(scene.medium, line)
+            _check_cover(scene, scene.medium, line)
     return line
 
 
@@ -215,16 +216,38 @@ def _line_on_part(scene: Scene) -> LitLine:
     return LitLine(y[met], found.laser_point_mm[met])
 
 
-def _check_cover(field: IndexField, line: LitLine) -> None:
+def _check_cover(scene: Scene, field: IndexField, line: LitLine) -> None:
     """The field must hold the lit part of the surface."""
     low, high = field.box
     points = field.to_local(line.points_mm)
-    outside = np.any((points < low) | (points > high), axis=1)
-    if outside.any():
-        frame = " in the moved field's own frame" if field.pose else ""
+    short = np.maximum(low - points, points - high)
+    if not np.any(short > 0.0):
+        return
+    axis = int(np.argmax(short.max(axis=0)))
+    frame = " in the moved field's own frame" if field.pose else ""
+    remedy = wrong_scale(scene.mitsuba, field) or (
+        f"give a larger field, make one of this part ({scene.simulate_command}), or move it"
+        " (to_world of the integrator)"
+    )
+    raise InputError(
+        f"{_FIELD} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
+        f" laser meets the part at {_point(points[np.argmax(short.max(axis=1))])} mm{frame},"
+        f" {short[:, axis].max():.3g} mm beyond its end along {'xyz'[axis]}; {remedy}"
+    )
+
+
+def _check_solid(scene: Scene, line: LitLine) -> None:
+    """The field's solid must have much in common with the part; that it is the part, notes tell."""
+    fit, field = scene.field_fit, scene.medium
+    if fit is None or field is None:
+        return
+    height = fit.solid.height_mm(field.to_local(line.points_mm))
+    if fit.outside > REFUSED or np.median(height) > _CELLS_FAR * fit.solid.cell_mm:
+        middle = np.median(height)
+        off = f"; the laser's line lies {middle:.2g} mm above it" if middle > 0.0 else ""
         raise InputError(
-            f"{_FIELD} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
-            f" laser meets the part at {_point(points[outside][0])} mm{frame}; give a larger field"
+            f"{_FIELD} {fit.file.name} is not of this part: {fit.words}{off}; make one of this part"
+            f" ({scene.simulate_command}), or give none (field=)"
         )
 
 

@@ -1,17 +1,20 @@
 """Whether a field of air belongs to the scene's part: its solid is compared with the part."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from virtual_sensor.arrays import in_own_memory
+from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file
 
 Array = NDArray[np.float64]
@@ -19,92 +22,215 @@ Array = NDArray[np.float64]
 NOTED, REFUSED = 0.1, 0.5
 """Share of the field's solid that lies outside the part: noted from, and refused from."""
 
-_CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
+_OFF = 0.1  # of the part's surface: that so much lies beside the solid is noted
 _MOST_NODES = 20_000
+_RAYS = 64  # each way, on the part
+_AROUND_MM = 20.0  # the solid: farther away it is not known how far
+_CLEAR_MM = 1.0
+_SCALES = 0.02, 200.0  # of a part's size: a field round it is larger, and smaller
 
 
 @dataclass(frozen=True)
-class _Solid:
-    """The solid of a field's file, in the field's frame.
+class Solid:
+    """The solid of a field's file, in the field's frame, known to half a cell.
 
-    `nodes_mm` (N, 3) are some of its nodes, those next to the air left out; `away_mm` (nx, ny, nz)
-    is each node's distance to the solid; `cell_mm` the diagonal of a cell.
+    Attributes
+    ----------
+    nodes_mm : ndarray of shape (N, 3)
+        Some of its nodes, those next to the air left out.
+    level_mm : ndarray of shape (nx, ny, nz)
+        Of the nodes round it: distance to the nearest node of the other kind; negative in it.
+    slope : ndarray of shape (3, nx, ny, nz)
+        Its gradient.
+    origin_mm, spacing_mm : ndarray of shape (3,)
+        Of those nodes.
+    mirror : tuple of three bool
+        Whether it is even about the plane 0 of an axis, as `IndexField.mirror`.
+    plane_mm : ndarray of shape (3,)
+        Where those planes are.
+    known_mm : ndarray of shape (2, 3)
+        Corners of its bounding box; NaN where the field's border cuts it.
     """
 
     nodes_mm: Array
-    away_mm: NDArray[np.float32]
+    level_mm: Array
+    slope: Array
     origin_mm: Array
     spacing_mm: Array
     mirror: tuple[bool, ...]
+    plane_mm: Array
+    known_mm: Array
 
     @property
     def cell_mm(self) -> float:
+        """Diagonal of a cell."""
         return float(np.linalg.norm(self.spacing_mm))
 
-    def away_from(self, points_mm: Array) -> Array:
-        """Distance of points (N, 3) to the solid, mm; NaN outside the field."""
-        from_origin = points_mm - self.origin_mm
-        index = np.rint(np.where(self.mirror, np.abs(from_origin), from_origin) / self.spacing_mm)
-        inside = np.all((index >= 0) & (index < self.away_mm.shape), axis=1)
-        away = np.full(len(index), np.nan)
-        away[inside] = self.away_mm[tuple(index[inside].astype(int).T)]
-        return away
+    def height_mm(self, points_mm: Array) -> Array:
+        """How high points (N, 3) lie above its surface, in it negative; mm, shape (N,).
+
+        0 where the grid leaves open on which side they are.
+        """
+        beside = points_mm - self.plane_mm
+        unfolded = np.where(self.mirror, self.plane_mm + np.abs(beside), points_mm)
+        index = ((unfolded - self.origin_mm) / self.spacing_mm).T
+        level = ndimage.map_coordinates(self.level_mm, index, order=1, mode="nearest")
+        slopes = [
+            ndimage.map_coordinates(slope, index, order=1, mode="nearest") for slope in self.slope
+        ]
+        steepness = np.maximum(np.linalg.norm(slopes, axis=0), 1e-6)
+        cell = np.abs(slopes / steepness).T @ self.spacing_mm  # across its surface
+        return np.where(np.abs(level) > cell, level - np.sign(level) * cell / 2.0, 0.0)
 
 
-def check_solid(scene: Scene, lit_mm: Array) -> list[str]:
-    """Compare the solid in a scene's field file with the part; `lit_mm` (N, 3) is lit on it.
+@dataclass(frozen=True)
+class SolidFit:
+    """How a field's solid and the scene's part lie to each other.
+
+    Attributes
+    ----------
+    file : Path
+        The field's.
+    solid : Solid
+    outside : float
+        Share of the solid that lies outside the part.
+    beside : float
+        Share of the part's surface that lies beside that of the solid.
+    largest_mm : float
+        Largest distance between the two, but for the last hundredth.
+    shift_mm : ndarray of shape (3,) or None
+        What the part would have to be moved by; None if that would not do.
+    """
+
+    file: Path
+    solid: Solid
+    outside: float
+    beside: float
+    largest_mm: float
+    shift_mm: Array | None
+
+    @property
+    def alike(self) -> bool:
+        """Whether the solid is this part."""
+        return self.outside <= NOTED and self.beside <= _OFF and self.shift_mm is None
+
+    @property
+    def words(self) -> str:
+        """How far they are off."""
+        text = f"its solid and the part differ by up to {self.largest_mm:.2g} mm"
+        if self.outside > NOTED:
+            text += f", {self.outside:.0%} of it lies outside the part"
+        if self.shift_mm is not None:
+            dx, dy, dz = self.shift_mm + 0.0
+            text += f"; they are of one size, and it lies ({dx:.3g}, {dy:.3g}, {dz:.3g}) mm off"
+        return text
+
+
+def wrong_scale(part: Any, field: IndexField) -> str:
+    """What to do about a field whose lengths are in another unit than its file says; else ""."""
+    size = float(np.max(np.array(part.bbox().max) - np.array(part.bbox().min)))
+    share = float(np.max(field.box[1] - field.box[0])) / size
+    if _SCALES[0] < share < _SCALES[1]:
+        return ""
+    unit = "m" if share < 1.0 else "mm"
+    return (
+        f"its lengths seem to be in {unit}: let the units of its coordinates say so, or import it"
+        f" again with --length-units {unit}"
+    )
+
+
+def fit_of(part: Any, field: IndexField, file: Path, up: Array) -> SolidFit | None:
+    """Compare the solid in a field's file with a part.
+
+    Parameters
+    ----------
+    part : mitsuba.Scene
+    field : IndexField
+        The file's, as it is placed.
+    file : Path
+    up : ndarray of shape (3,)
+        Unit vector from the part to where it is seen from.
 
     Returns
     -------
-    list of str
-        A note, if the two differ by far; none where the file marks no solid.
-
-    Raises
-    ------
-    InputError
-        If they have little in common.
+    SolidFit or None
+        None where the file marks no solid.
     """
-    file, field = scene.air.path, scene.medium
-    if file is None or field is None:
-        return []
     solid = _solid_of(file, file.stat().st_mtime_ns)
     if solid is None:
-        return []
-    name = f'<integrator type="refractive">: the field {file.name}'
-    share = float(np.mean(_in_front(scene, field.to_world(solid.nodes_mm), solid.cell_mm)))
-    if share > NOTED:
-        text = f"{name} is not of this part: {share:.0%} of its solid lies outside the part"
-        if share > REFUSED:
-            raise InputError(f"{text}; give a field of this part, or none")
-        return [f"{text}, where the air is made up"]
-    away = solid.away_from(field.to_local(lit_mm))
-    if not np.nanmedian(away) > solid.cell_mm:
-        return []
-    text = (
-        f"{name} is not of this part: the laser's line lies {np.nanmedian(away):.2g} mm from its"
-        " solid"
+        return None
+    nodes = field.to_world(solid.nodes_mm)
+    front = _in_front(part, nodes, up, solid.cell_mm)
+    seen = _seen(part, up)
+    local = field.to_local(seen)
+    inside = np.all((local >= field.box[0]) & (local <= field.box[1]), axis=1)
+    height = np.abs(solid.height_mm(local[inside]))
+    away = np.zeros(len(nodes))
+    if front.any():
+        views = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
+        skin = np.concatenate([seen, *(_seen(part, view) for view in views)])
+        away[front] = cKDTree(skin).query(nodes[front])[0]
+    size = [float(np.percentile(each, 99.0)) for each in (height, away) if len(each)]
+    return SolidFit(
+        file,
+        solid,
+        float(np.mean(front)),
+        float(np.mean(height > 0.0)) if len(height) else 1.0,
+        max(size, default=np.nan),
+        _shift(part, solid) if field.pose is None else None,
     )
-    if np.nanmedian(away) > _CELLS_FAR * solid.cell_mm:
-        raise InputError(f"{text}; give a field of this part, or none")
-    return [text]
 
 
-def _in_front(scene: Scene, nodes_mm: Array, cell_mm: float) -> NDArray[np.bool_]:
+def _shift(part: Any, solid: Solid) -> Array | None:
+    """By what a solid lies beside a part of the same size."""
+    box = np.array([part.bbox().min, part.bbox().max], float)
+    off = solid.known_mm - box
+    known = np.isfinite(off)
+    if not known.any(axis=0).all() or np.any(np.abs(off[1] - off[0]) > solid.spacing_mm):
+        return None
+    shift = np.nanmean(off, axis=0)
+    shift[np.abs(shift) <= solid.spacing_mm] = 0.0
+    return shift if shift.any() else None
+
+
+def _seen(part: Any, up: Array) -> Array:
+    """Points (N, 3) all over what is seen of a part from above."""
+    low, high = (np.array(corner, float) for corner in (part.bbox().min, part.bbox().max))
+    middle, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    corners = np.array(np.meshgrid(*np.transpose([low, high]))).reshape(3, -1).T - middle
+    axes = side, np.cross(up, side)
+    reach = [np.abs(corners @ axis).max() for axis in axes]
+    steps = (np.arange(_RAYS) + 0.5) / _RAYS * 2.0 - 1.0
+    a, b = (grid.ravel() for grid in np.meshgrid(*(steps * each for each in reach)))
+    start = middle + (radius + _CLEAR_MM) * up + a[:, None] * axes[0] + b[:, None] * axes[1]
+
+    def distance(start: Array, heading: Array) -> Array:
+        ray = mi.Ray3f(mi.Point3f(to_vectors(start)), mi.Vector3f(to_vectors(heading)))
+        met = part.ray_intersect_preliminary(ray, coherent=False)
+        return np.array(dr.select(met.is_valid(), met.t, dr.inf), float)
+
+    found = by_rows(distance, start, np.broadcast_to(-up, start.shape))
+    met = np.isfinite(found)
+    return start[met] - found[met, None] * up
+
+
+def _in_front(part: Any, nodes_mm: Array, up: Array, cell_mm: float) -> NDArray[np.bool_]:
     """Which nodes (N, 3) of the solid are not behind the part's surface, as the sensor sees it."""
-    sensor = scene.sensor
-    up = -sensor.camera.pose.rotation[:, 2] - sensor.laser.pose.rotation[:, 2]
-    up = up / np.linalg.norm(up)
-    origin = mi.Point3f(*(in_own_memory(column, mi.Float) for column in nodes_mm.T))
-    direction = [dr.opaque(mi.Float, float(x), len(nodes_mm)) for x in up]
-    covered = scene.mitsuba.ray_test(mi.Ray3f(origin, mi.Vector3f(*direction)))
-    below = mi.Ray3f(origin, mi.Vector3f(*(-x for x in direction)))
-    below.maxt = dr.opaque(mi.Float, cell_mm, len(nodes_mm))
-    near = scene.mitsuba.ray_test(below)
-    return ~(covered | near).numpy().astype(bool)
+
+    def in_front(nodes_mm: Array, up: Array) -> NDArray[np.bool_]:
+        origin, heading = mi.Point3f(to_vectors(nodes_mm)), mi.Vector3f(to_vectors(up))
+        covered = part.ray_test(mi.Ray3f(origin, heading))
+        below = mi.Ray3f(origin, -heading)
+        below.maxt = dr.opaque(mi.Float, cell_mm, len(nodes_mm))
+        return np.array(~(covered | part.ray_test(below)), bool)
+
+    return by_rows(in_front, nodes_mm, np.broadcast_to(up, nodes_mm.shape))
 
 
 @lru_cache(maxsize=4)
-def _solid_of(file: Path, modified: int) -> _Solid | None:
+def _solid_of(file: Path, modified: int) -> Solid | None:
     """The solid that a field's file marks; None if it marks none."""
     air = read_field_file(file, 532.0)
     if air.solid is None or not air.solid.any():
@@ -114,11 +240,31 @@ def _solid_of(file: Path, modified: int) -> _Solid | None:
     core = core[tuple(slice(first, None) for first, _ in even)]
     index = np.argwhere(core if core.any() else air.solid)
     index = index[:: -(-len(index) // _MOST_NODES)]
-    away = ndimage.distance_transform_edt(~air.solid, sampling=air.spacing_mm)
-    return _Solid(
+    around = ndimage.find_objects(air.solid.astype(np.int8))[0]
+    margin = np.ceil(_AROUND_MM / air.spacing_mm).astype(int)
+    cut = tuple(
+        slice(max(s.start - more, 0), s.stop + more) for s, more in zip(around, margin, strict=True)
+    )
+    near = air.solid[cut]
+    level = ndimage.distance_transform_edt(~near, sampling=air.spacing_mm)
+    if not near.all():
+        level = level - ndimage.distance_transform_edt(near, sampling=air.spacing_mm)
+    ends = np.array([[s.start - 0.5, s.stop - 0.5] for s in around]).T
+    known = air.origin_mm + ends * air.spacing_mm
+    for axis, (place, even_axis) in enumerate(zip(around, air.mirror, strict=True)):
+        if place.stop == air.solid.shape[axis]:
+            known[1, axis] = np.nan
+        if even_axis:
+            known[0, axis] = 2.0 * air.origin_mm[axis] - known[1, axis]
+        elif place.start == 0:
+            known[0, axis] = np.nan
+    return Solid(
         air.origin_mm + index * air.spacing_mm,
-        away.astype(np.float32),
-        air.origin_mm,
+        level,
+        np.array(np.gradient(level, *air.spacing_mm)),
+        air.origin_mm + np.array([s.start for s in cut]) * air.spacing_mm,
         air.spacing_mm,
-        air.mirror,
+        tuple(air.mirror),
+        air.origin_mm,
+        known,
     )

@@ -27,9 +27,11 @@ lengths                          in mm; a scene, or a part, that seems to be in 
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import re
-from collections.abc import Iterable, Mapping
+import shlex
+from collections.abc import Hashable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -51,6 +53,8 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming, nearest, short
 from virtual_sensor.files import exists, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
+from virtual_sensor.imaging.field_notes import field_notes
+from virtual_sensor.imaging.field_solid import SolidFit, fit_of, wrong_scale
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.part_survey import scale_note
 from virtual_sensor.imaging.scene_file import (
@@ -66,7 +70,7 @@ from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField, field_of
 from virtual_sensor.optics.ray_families import Pinhole
-from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
+from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface, own_variant
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.poses import Pose
 
@@ -146,6 +150,7 @@ class _Stage:
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
     variant: str  # of Mitsuba
+    fits: dict[Hashable, SolidFit | None] = dataclasses.field(default_factory=dict)
 
     @property
     def air(self) -> MediumDescription:
@@ -162,7 +167,12 @@ class _Stage:
     def check_march(self, transport: Transport, medium: IndexField | None) -> None:
         """Refuse a march that can't get through the air."""
         with naming(f"{self.where}: refractive"):
-            transport.check(medium)
+            try:
+                transport.check(medium)
+            except InputError:
+                if medium and (hint := wrong_scale(self.loaded.scene, medium)):
+                    raise InputError(f"'field': {hint}") from None
+                raise
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -231,7 +241,39 @@ class Scene(Displayed):
     @property
     def notes(self) -> tuple[str, ...]:
         """What was ignored, converted or assumed when it was loaded."""
-        return self._stage.notes + (self.medium.notes if self.medium else ())
+        notes = self._stage.notes + (self.medium.notes if self.medium else ())
+        if self.air.path is None or not exists(self.air.path):
+            return notes
+        temperature = self.parameters.get("temperature", "")
+        of_field = field_notes(self.air, self.field_fit, temperature, self.simulate_command)
+        if self.medium and (hint := wrong_scale(self.mitsuba, self.medium)):
+            of_field = [f"the field {self.air.path.name}: {hint}"]
+        return (*notes, *(f"{self._stage.where}: {note}" for note in of_field))
+
+    @property
+    def field_fit(self) -> SolidFit | None:
+        """How its part and the solid in its field's file lie to each other; None if it has none."""
+        if self.air.path is None or self.medium is None or not exists(self.air.path):
+            return None
+        own_variant(self.mitsuba)
+        up, fits = self.towards_sensors, self._stage.fits
+        key = replace(self.air, time_s=None), self.air.path.stat().st_mtime_ns, up.tobytes()
+        if key not in fits:
+            fits[key] = fit_of(self.mitsuba, self.medium, self.air.path, up)
+        return fits[key]
+
+    @property
+    def simulate_command(self) -> str:
+        """The command that makes the air of this scene's part."""
+        name = self.path.stem if self.path.parent == shipped_scenes() else f"{self.path}"
+        return f"virtual-sensor field simulate --scene {shlex.quote(name)} -o air.nc"
+
+    @property
+    def towards_sensors(self) -> Array:
+        """Unit vector (3,) from the part to the middle of all that sees it and lights it."""
+        up = -np.sum([pose.rotation[:, 2] for pose in self.poses.values()], axis=0)
+        length = np.linalg.norm(up)
+        return up / length if length > _SAME_MM else np.array([0.0, 0.0, 1.0])
 
     @property
     def field(self) -> IndexField | None:

@@ -1,6 +1,7 @@
 """The quantities that a field can hold: their units, and values that are none of air's."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.units import ZERO_CELSIUS_K
@@ -47,3 +48,9 @@ def possible_ambient(name: str, value: float) -> float:
             f"attribute '{name}' is {value:g}{unit}, outside {low:g} to {high:g}{unit}; correct it"
         )
     return value
+
+
+def implied_temperature_c(refractivity: ArrayLike, ambient: float, ambient_c: float) -> np.ndarray:
+    """Temperature in degC of an ideal gas at ambient pressure with these n - 1."""
+    kelvin = ambient / np.asarray(refractivity, float) * (ambient_c + ZERO_CELSIUS_K)
+    return np.asarray(kelvin - ZERO_CELSIUS_K)

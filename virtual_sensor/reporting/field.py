@@ -24,7 +24,8 @@ from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, writ
 from virtual_sensor.reporting.style import BLACK, colour, drawable, key
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed
-from virtual_sensor.studies.field_info import COARSE_PX, Border, FieldInfo, Grid, inside_part
+from virtual_sensor.studies.field_grid import COARSE_PX
+from virtual_sensor.studies.field_info import Border, FieldInfo, Grid, inside_part
 
 Array = NDArray[np.float64]
 

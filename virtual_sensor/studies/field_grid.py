@@ -14,6 +14,9 @@ from virtual_sensor.records import Record
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+COARSE_PX = 0.1
+"""Error that a grid may cause: what a measurement must resolve; `FINE_PX` is what it can."""
+
 WALL_NODES = 4
 """Air within so many nodes of the solid is the wall layer: there a spline feels the fill inside."""
 
@@ -188,13 +191,13 @@ def pixel_loss(
 
     def shift(k: int) -> float:
         fewer = every(k)
-        return _furthest(pixels(fewer) - through_whole) if fewer else np.nan
+        return furthest(pixels(fewer) - through_whole) if fewer else np.nan
 
     return Richardson(shift(2), shift(4))
 
 
-def _furthest(moved: Array) -> float:
-    """Largest of some shifts (N, 2); NaN if no ray is found."""
+def furthest(moved: Array) -> float:
+    """Largest of some shifts (N, C); NaN if no ray is found."""
     return float(np.fmax.reduce(np.linalg.norm(moved, axis=1), initial=np.nan))
 
 
@@ -262,7 +265,7 @@ def grid_losses(
         if fewer is None:
             return np.nan, np.nan, np.nan
         delta = np.abs(fewer.refractivity(points) - values)
-        shift = _furthest(pixels_of(fewer) - through_whole)
+        shift = furthest(pixels_of(fewer) - through_whole)
         return float(delta.max()), float(np.sqrt(np.mean(delta**2))), shift
 
     losses = []

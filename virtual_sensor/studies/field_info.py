@@ -21,16 +21,26 @@ from virtual_sensor.imaging.checks import (
     border_crossings,
     lit_line,
 )
+from virtual_sensor.imaging.field_notes import field_notes
+from virtual_sensor.imaging.field_solid import fit_of
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, ambient_of, read_field_file
 from virtual_sensor.medium.netcdf_elements import open_netcdf, read_times, text
+from virtual_sensor.medium.quantities import implied_temperature_c
 from virtual_sensor.metrology.truth import FINE_PX
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.trace import trace
 from virtual_sensor.records import Record
-from virtual_sensor.studies.field_grid import Loss, Structure, grid_losses, narrowest_structures
+from virtual_sensor.studies.field_grid import (
+    COARSE_PX,
+    Loss,
+    Structure,
+    grid_losses,
+    narrowest_structures,
+)
 from virtual_sensor.studies.probes import probe_rays
 from virtual_sensor.studies.provenance import MadeWith, made_with
 
@@ -38,9 +48,6 @@ Array = NDArray[np.float64]
 
 USUAL_SCENE = "hot_cylinder"
 """The scene that a field is tried on if none is named."""
-
-COARSE_PX = 0.1
-"""Error that a grid may cause: what a measurement must resolve; `FINE_PX` is what it can."""
 
 _ANGLE_STEP_MM = 2.0
 _INTERNAL = {"internal": True}
@@ -228,11 +235,6 @@ class FieldInfo(Record):
         )
 
 
-def implied_temperature_c(refractivity: Array, ambient: float, ambient_c: float) -> Array:
-    """Temperature in degC of an ideal gas at ambient pressure with these n - 1."""
-    return np.asarray(ambient / refractivity * (ambient_c + 273.15) - 273.15)
-
-
 def field_info(
     path: Path,
     scene: str | None = None,
@@ -282,6 +284,11 @@ def field_info(
     report("tracing light", 0.1)
     in_it = loaded.with_medium(air)
     line, pixels, light, notes = None, None, None, [*air.notes]
+    if scene or parameters:
+        fit = fit_of(loaded.mitsuba, air, path, loaded.towards_sensors)
+        temperature = loaded.parameters.get("temperature", "")
+        described = MediumDescription(path, time_s)
+        notes += field_notes(described, fit, temperature, loaded.simulate_command)
     if air.pose:
         notes.append("the scene moves the field (to_world): boxes and cuts are of its own frame")
     try:

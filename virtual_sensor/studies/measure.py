@@ -40,6 +40,7 @@ from virtual_sensor.metrology.truth import (
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
 from virtual_sensor.studies.notes import (
+    beside_solid,
     centre_notes,
     coarse_grid,
     frame_notes,
@@ -238,7 +239,9 @@ def measure(
     laser = scene.sensor.laser
     notes, caveats = [*scene.notes, *check_scene(scene)], []
     probe_y = probe_rays(scene, y_mm)
-    notes += [*unlit_rays(laser, probe_y), *coarse_grid(scene)]
+    coarse = coarse_grid(scene)
+    notes += [*unlit_rays(laser, probe_y), *coarse]
+    caveats += [note for note, poor in coarse.items() if poor]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
     section = true_section(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
@@ -254,6 +257,8 @@ def measure(
 
     cold = state("cold", scene.cold(), 0.0, share)
     hot = state("hot", scene, share, 1.0) if scene.field else None
+    beside = beside_solid(scene, cold.dense.laser_point_mm)
+    notes, caveats = [*notes, *beside], [*caveats, *beside]
     for name, each in (("cold", cold), ("hot", hot)):
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)

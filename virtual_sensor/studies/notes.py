@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.imaging.render import RenderReport
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file
 from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import (
     FINE_PX,
     WRONG_PX,
@@ -17,10 +19,13 @@ from virtual_sensor.metrology.truth import (
 )
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.records import counts_of
-from virtual_sensor.studies.field_grid import pixel_loss
+from virtual_sensor.studies.field_grid import COARSE_PX, furthest, pixel_loss
 from virtual_sensor.studies.probes import probe_rays
 
 Array = NDArray[np.float64]
+
+BESIDE_MM = 1.0
+"""Of a line from the solid of its field: a fifth of the layer of hot air on a hot part."""
 
 _MANY = 0.1  # of what is expected: that so much is missing or wrong is a caveat
 _HARDLY = 0.25  # of the centres: that no more are compared is one
@@ -45,28 +50,61 @@ def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
     ]
 
 
-def coarse_grid(scene: Scene) -> list[str]:
-    """Note of a field whose grid loses more than is seen; some 0.15 s for a field of 2 MB."""
+def beside_solid(scene: Scene, points_mm: Array) -> list[str]:
+    """Note of a line, lit at points (N, 3), that does not lie on the solid of the scene's field."""
+    fit, field = scene.field_fit, scene.field
+    points_mm = points_mm[np.isfinite(points_mm).all(axis=1)]
+    if fit is None or field is None or not len(points_mm):
+        return []
+    height = fit.solid.height_mm(field.to_local(points_mm))
+    middle = float(np.median(height))
+    if abs(middle) <= BESIDE_MM:
+        return []
+    where = "above" if middle > 0.0 else "inside"
+    return [
+        f"the laser's line lies {abs(middle):.2g} mm {where} the solid of its field"
+        f" {fit.file.name}: what the air does to this line is not known"
+    ]
+
+
+def coarse_grid(scene: Scene) -> dict[str, bool]:
+    """Note of a field whose grid loses more than is seen; some 0.15 s for a field of 2 MB.
+
+    Returns
+    -------
+    dict from str to bool
+        With the note, if there is one, whether it is a caveat: that a measurement would show it.
+    """
     field = scene.field
     if field is None:
-        return []
+        return {}
     y = probe_rays(scene)
     file = scene.air.path
     solid = read_field_file(file, scene.air.wavelength_nm).solid if file else None
     if solid is not None and solid.shape != field.shape:
         solid = None
-    loss = pixel_loss(
-        field, solid, lambda other: ray_search(scene.with_medium(other), y, "newton").pixel
-    )
+
+    def pixels(other: IndexField | None) -> Array:
+        return ray_search(scene.with_medium(other), y, "newton").pixel
+
+    loss = pixel_loss(field, solid, pixels)
     name = file.name if file else "the field"
     if np.isnan(loss.every_2nd):
-        return [f"{name}: its grid has too few nodes to estimate its error"]
+        return {f"{name}: its grid has too few nodes to estimate its error": False}
     if loss.present <= FINE_PX:
-        return []
-    return [
+        return {}
+    cold = pixels(None)
+    moved_px = furthest(pixels(field) - cold)
+    beside = cold + np.array([0.0, loss.present])
+    error_um = 1e3 * furthest(triangulate(scene.sensor, beside) - triangulate(scene.sensor, cold))
+    return {
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
-        f" {loss.present:.2g} px of the line's place; virtual-sensor field info shows more"
-    ]
+        f" {loss.present:.2g} px of the line's place, some {error_um:.2g} um of the part, where the"
+        f" air moves the line by {moved_px:.2g} px; make it with closer nodes (field simulate"
+        " --grid, field import --spacing); virtual-sensor field info shows along which axis": (
+            loss.present > COARSE_PX
+        )
+    }
 
 
 def upright_line(found: FoundPixels, camera: str) -> list[str]:
