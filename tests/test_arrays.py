@@ -24,6 +24,8 @@ HOT = load_scene("hot_cylinder", width=64, height=64)
 
 EMPTY = {
     "air_refractivity": lambda: vs.air_refractivity(532.0, NONE),
+    "projected_points": lambda: projected_points(HOT, []),
+    "triangulated_points": lambda: vs.triangulated_points(HOT, []),
     "ray_search": lambda: vs.ray_search(HOT, NONE),
     "ray_search, of a list, by Newton": lambda: vs.ray_search(HOT, [], "newton"),
     "ray_search, by maps": lambda: vs.ray_search(HOT, NONE, "tabulated"),
@@ -50,10 +52,16 @@ EMPTY = {
 }
 # What takes a name, a scene, an image or its line: an image has pixels.
 OTHERS = {
+    "dot_centres",
+    "fit_cylinder",
+    "gaussian_blur",
+    "read_calibration",
     "read_image",
+    "speckled",
     "save_png",
     "compare_line",
     "load_scene",
+    "new_scene",
     "render",
     "render_frame",
     "record",

@@ -1,10 +1,80 @@
 """A virtual laser-triangulation sensor that sees through hot air.
 
 >>> import virtual_sensor as vs
->>> scene = vs.load_scene("hot_cylinder", beta=15)
->>> image = vs.render(scene)
->>> line = vs.line_centres(image)
->>> points_mm = vs.triangulate(scene, line.pixel)
+>>> scene = vs.load_scene("hot_cylinder", beta=15)  # a part, its air, a camera, a laser
+>>> image = vs.render(scene)                        # (H, W) radiance
+>>> grey = vs.record(image, peak_e=4000)            # (H, W) grey values of a 12-bit camera
+>>> vs.save_png(grey, "shot.png", bits=12)
+>>> line = vs.line_centres(grey, saturation=4095)   # .row .column .sigma .width .status
+>>> vs.Status.counts(line.status)                   # why columns have a centre, or none
+>>> points_mm = vs.triangulate(scene, line)         # (W, 3), as if light ran straight
+>>> points_mm = vs.triangulate(scene, line, medium=scene.medium)  # through the hot air
+
+Lengths are in mm, temperatures in degC, wavelengths in nm, angles in degrees; pixels are (u, v),
+integers at pixel centres. A scene may be given by its name or path: ``vs.render("hot_cylinder")``.
+``help(vs.render)`` says more of each name:
+
+Scenes, and what a camera sees of them
+    load_scene           Load a scene: from its Mitsuba XML file, or by its name one that comes
+                         with the program.
+    new_scene            Write a scene of one's own beside a copy of its part, ready to be
+                         measured.
+    Scene                A loaded scene: a part in its air, the cameras that see it, the sources
+                         that light it.
+    render               Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
+    render_frame         Render a camera's image together with its ground truth.
+    Frame                A rendered frame, and the truth at its pixels' centres.
+
+Images as a camera gives them
+    record               Take a frame: the grey values of a camera, with its noise, black level
+                         and clipping.
+    CameraNoise          A monochrome camera's parameters by EMVA 1288; the defaults are a
+                         12-bit CMOS sensor's.
+    gaussian_blur        Blur an image (H, W) by a Gaussian of so many px; the light that leaves
+                         it is lost.
+    speckled             An image (H, W) as coherent light shows it: with speckle, in the same
+                         unit.
+    Aperture             What the camera's lens lets through.
+    save_png             Write a grey image as a PNG file, as a camera of so many bits gives it.
+    read_image           Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
+
+From images to numbers
+    line_centres         Find the centres of a laser line in an image.
+    LineCentres          Centres of a laser line; NaN where `status` is not OK.
+    dot_centres          Find the intensity-weighted centroids of bright dots.
+    triangulate          Measure the points that pixels see on a source's rays, along straight
+                         or bent lines of sight.
+    triangulated_points  `triangulate` with a status for each pixel; bent light by maps made to
+                         a tolerance in px.
+    fit_cylinder         Fit a circular cylinder by orthogonal least squares.
+    compare_line         Compare the centres that are OK with the truth.
+    TrueLine             A line's true rows: arrays of shape (K, W), as a column may see the
+                         line up to K times.
+    read_calibration     Read a sensor's calibration: a file of OpenCV or ROS (YAML, XML or
+                         JSON).
+    Calibration          All that `triangulate` needs of a sensor: a camera and a laser plane in
+                         one world.
+
+Light through air
+    ray_search           Find the pixels that see laser rays' incidence points.
+    project              The pixels at which a scene's camera sees points, along bent lines of
+                         sight.
+    projected_points     `project` with a status for each point.
+    trace                March rays through a field for a given length of arc.
+    IndexField           Refractivity on a regular grid, in surroundings of uniform air.
+    air_refractivity     Refractivity n - 1 of air: Ciddor's equation, continued above 100 degC.
+    Pose                 Where a frame stands in the world: ``world = rotation @ local +
+                         origin_mm``.
+
+Statuses, whose members have a message, and errors
+    Status               Why there is a centre, or none.
+    CrossingStatus       How the search for a pixel's point ended.
+    SearchStatus         How a laser ray's search ended.
+    ProjectionStatus     Whether a point has a pixel, and if not, why.
+    RayStatus            How a ray's march ended.
+    InputError           A scene, a field, an option or an output folder that the program cannot
+                         work with.
+    EngineError          Dr.Jit or Mitsuba cannot run on this machine as things stand.
 
 Names are loaded when first used: those that compute with Dr.Jit start the engine then. Whoever
 imports drjit or mitsuba afterwards gets an LLVM library that is proven to work.
@@ -22,48 +92,76 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.camera_noise import record as record
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
+    from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
+    from virtual_sensor.imaging.render import Frame as Frame
     from virtual_sensor.imaging.render import render as render
     from virtual_sensor.imaging.render import render_frame as render_frame
+    from virtual_sensor.imaging.scene import Scene as Scene
     from virtual_sensor.imaging.scene import load_scene as load_scene
+    from virtual_sensor.imaging.speckle import Aperture as Aperture
+    from virtual_sensor.imaging.speckle import speckled as speckled
     from virtual_sensor.medium.air import air_refractivity as air_refractivity
     from virtual_sensor.medium.index_field import IndexField as IndexField
+    from virtual_sensor.metrology.calibration import Calibration as Calibration
+    from virtual_sensor.metrology.calibration import read_calibration as read_calibration
     from virtual_sensor.metrology.centres import LineCentres as LineCentres
     from virtual_sensor.metrology.centres import Status as Status
+    from virtual_sensor.metrology.cylinder_fit import fit_cylinder as fit_cylinder
+    from virtual_sensor.metrology.dot_peaks import dot_centres as dot_centres
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
     from virtual_sensor.metrology.triangulation import triangulate as triangulate
+    from virtual_sensor.metrology.triangulation import triangulated_points as triangulated_points
     from virtual_sensor.metrology.truth import TrueLine as TrueLine
     from virtual_sensor.metrology.truth import compare_line as compare_line
+    from virtual_sensor.optics.crossing_status import CrossingStatus as CrossingStatus
+    from virtual_sensor.optics.projection import ProjectionStatus as ProjectionStatus
     from virtual_sensor.optics.projection import project as project
+    from virtual_sensor.optics.projection import projected_points as projected_points
+    from virtual_sensor.optics.ray_search import SearchStatus as SearchStatus
     from virtual_sensor.optics.ray_search import ray_search as ray_search
     from virtual_sensor.optics.ray_status import RayStatus as RayStatus
     from virtual_sensor.optics.trace import trace as trace
     from virtual_sensor.poses import Pose as Pose
 
 _HOME = {
+    "Aperture": "imaging.speckle",
+    "Calibration": "metrology.calibration",
     "CameraNoise": "imaging.camera_noise",
+    "CrossingStatus": "optics.crossing_status",
     "EngineError": "errors",
+    "Frame": "imaging.render",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
     "Pose": "poses",
+    "ProjectionStatus": "optics.projection",
     "RayStatus": "optics.ray_status",
+    "Scene": "imaging.scene",
+    "SearchStatus": "optics.ray_search",
     "Status": "metrology.centres",
     "TrueLine": "metrology.truth",
     "air_refractivity": "medium.air",
     "compare_line": "metrology.truth",
+    "dot_centres": "metrology.dot_peaks",
+    "fit_cylinder": "metrology.cylinder_fit",
+    "gaussian_blur": "imaging.lens",
     "line_centres": "metrology.line_peaks",
     "load_scene": "imaging.scene",
     "new_scene": "imaging.new_scene.write",
     "project": "optics.projection",
+    "projected_points": "optics.projection",
     "ray_search": "optics.ray_search",
+    "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",
     "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",
     "save_png": "imaging.image_files",
+    "speckled": "imaging.speckle",
     "trace": "optics.trace",
     "triangulate": "metrology.triangulation",
+    "triangulated_points": "metrology.triangulation",
 }
 
 __all__ = list(_HOME)
@@ -93,9 +191,25 @@ if not TYPE_CHECKING:  # a checker would take any name for one of ours
 
     def __getattr__(name: str) -> Any:
         if name not in _HOME:
-            raise AttributeError(f"module 'virtual_sensor' has no attribute '{name}'")
+            said = f"module 'virtual_sensor' has no attribute '{name}'"
+            raise AttributeError(said, name=name, obj=sys.modules[__name__])  # Python has a guess
         return getattr(importlib.import_module(f"virtual_sensor.{_HOME[name]}"), name)
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return [] if _asked_by_help() else __all__
+
+
+def _asked_by_help() -> bool:
+    """Whether pydoc asks: it would load all names and print every class in full, 1,600 lines.
+
+    What it prints is the docstring above.
+    """
+    frame = sys._getframe(1)
+    for _ in range(4):
+        frame = frame.f_back  # type: ignore[assignment]
+        if frame is None:
+            return False
+        if frame.f_globals.get("__name__") == "pydoc":
+            return True
+    return False

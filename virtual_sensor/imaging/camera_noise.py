@@ -161,7 +161,7 @@ def record(
     *,
     peak_e: float | None = None,
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Take a frame.
+    """Take a frame: the grey values of a camera, with its noise, black level and clipping.
 
     Parameters
     ----------

@@ -4,6 +4,8 @@ The blur is the same all over the image.  Not modelled: vignetting, chromatic ab
 grows with the distance from the plane in focus.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 
 import numpy as np
@@ -12,6 +14,7 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import fourier_ellipsoid, fourier_gaussian, map_coordinates
 
 from virtual_sensor.arrays import image_of, number_within
+from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_families import Pinhole
 
@@ -23,12 +26,26 @@ _TILE = 16  # px: side of the squares in which light is looked for
 _APRON_PX = 3  # about a lit tile, in which the spline still shows
 
 
+@public
 def gaussian_blur(image: ArrayLike, sigma_px: float) -> Array:
-    """Blur an image (H, W) by a Gaussian of so many px; the light that leaves it is lost."""
+    """Blur an image (H, W) by a Gaussian of so many px; the light that leaves it is lost.
+
+    Parameters
+    ----------
+    image : array_like of shape (H, W)
+    sigma_px : float
+        Standard deviation; 0: no blur.
+
+    Raises
+    ------
+    InputError
+        If the image has another shape, or a number is not finite, or `sigma_px` negative.
+    """
     image, sigma = _checked(image, sigma_px, "sigma_px")
     return _blurred(image, fourier_gaussian, sigma, _REACH * sigma)
 
 
+@public
 def defocus_blur(image: ArrayLike, radius_px: float) -> Array:
     """Blur an image (H, W) by a disc: the lens's pupil out of focus, in geometric optics."""
     image, radius = _checked(image, radius_px, "radius_px")

@@ -549,7 +549,7 @@ def _listed(named: Mapping[str, Any]) -> str:
 
 @public
 def load_scene(name: str | Path, **parameters: object) -> Scene:
-    """Load a scene.
+    """Load a scene: from its Mitsuba XML file, or by its name one that comes with the program.
 
     Parameters
     ----------

@@ -12,6 +12,8 @@ laser line's columns are as alike as the aperture makes them.  Light that the su
 makes two patterns, which add: `polarisations`.  Light of other sources is added afterwards.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -23,6 +25,7 @@ from scipy.integrate import quad
 from scipy.special import j1, struve
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 
@@ -35,6 +38,7 @@ _DARK = 1e-30  # of the brightest pixel
 _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
 
 
+@public
 @dataclass(frozen=True)
 class Aperture(Displayed):
     """What the camera's lens lets through.
@@ -111,8 +115,9 @@ def _integral(function: Callable[[float], float], edges: list[float]) -> float:
     return float(sum(quad(function, a, b, limit=200)[0] for a, b in between))
 
 
+@public
 def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generator = 0) -> Array:
-    """Image (H, W) as coherent light shows it, in the same unit.
+    """An image (H, W) as coherent light shows it: with speckle, in the same unit.
 
     What lies within 8 grains of lit pixels is computed, the rest is dark.  At the image's borders
     the light goes on outside as it is on them.

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, place
 from virtual_sensor.errors import InputError, few, naming
-from virtual_sensor.files import readable
+from virtual_sensor.files import path_of, readable
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
 from virtual_sensor.poses import Pose
@@ -102,6 +102,7 @@ class Plane(Displayed):
         return self.normal * self.offset_mm
 
 
+@public
 @dataclass(frozen=True)
 class Calibration(Displayed):
     """All that `triangulate` needs of a sensor: a camera and a laser plane in one world.
@@ -168,14 +169,19 @@ def calibration_text(calibration: Calibration, file_name: str) -> str:
 
 
 @public
-def read_calibration(path: Path) -> Calibration:
-    """Read a calibration.
+def read_calibration(path: str | Path) -> Calibration:
+    """Read a sensor's calibration: a file of OpenCV or ROS (YAML, XML or JSON).
+
+    Parameters
+    ----------
+    path : str or Path
 
     Raises
     ------
     InputError
         Naming the file, the element and what it should be.
     """
+    path = path_of("read_calibration: path", path)
     notes: list[str] = []
     file = _File(path, _elements(path, notes), notes=notes)
     size = (_pixels(file, "image_width"), _pixels(file, "image_height"))

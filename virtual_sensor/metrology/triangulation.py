@@ -109,7 +109,20 @@ def triangulated_points(
     coordinate: ArrayLike = 0.0,
     tolerance_px: float = 1e-3,
 ) -> TriangulatedPoints:
-    """`triangulate` with a status for each pixel; bent light by maps made to a tolerance in px."""
+    """`triangulate` with a status for each pixel; bent light by maps made to a tolerance in px.
+
+    Parameters
+    ----------
+    sensor, pixel, medium, camera, source, coordinate
+        As those of `triangulate`.
+    tolerance_px : float
+        Of maps of bent light.
+
+    Raises
+    ------
+    InputError
+        As `triangulate` does.
+    """
     number_within("triangulate: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
     scene = _scene_of(sensor)
     if scene is not None:

@@ -67,6 +67,7 @@ class TruthStatus(StatusEnum):
     )
 
 
+@public
 @dataclass(frozen=True)
 class TrueLine(Displayed):
     """A line's true rows: arrays of shape (K, W), as a column may see the line up to K times.

@@ -4,7 +4,7 @@ from virtual_sensor.statuses import StatusEnum
 
 
 class RayStatus(StatusEnum):
-    """One per ray, beside its numbers."""
+    """How a ray's march ended."""
 
     HIT = 0, "The ray met the surface."
     ENDED = 1, "The ray went the asked length, or reached the asked plane."
