@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, ClassVar
@@ -102,6 +102,12 @@ class Displayed:
 def _reporting(module: str) -> Any:
     """A module that lies above: it is only known to whoever asks an object for its picture."""
     return importlib.import_module(f"virtual_sensor.reporting.{module}")
+
+
+def names_of(thing: object) -> Iterator[str]:
+    """The names of an object's class and of its bases, with their modules below the package."""
+    for each in type(thing).__mro__:
+        yield f"{each.__module__}.{each.__qualname__}".removeprefix("virtual_sensor.")
 
 
 def brief(value: Any) -> str:

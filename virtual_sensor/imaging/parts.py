@@ -46,6 +46,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,7 @@ from virtual_sensor.imaging.part_files import read_obj, read_stl
 from virtual_sensor.imaging.ply_files import read_ply
 from virtual_sensor.imaging.polygons import Array, Indices, Polygons, triangulated
 from virtual_sensor.imaging.threemf_files import read_3mf
+from virtual_sensor.records import vectors
 
 AS_MESH = "export it as STL or 3MF from the CAD program, with a chord tolerance of 0.001 mm"
 _EXACT = (
@@ -109,6 +111,9 @@ class Part(Displayed):
     def _line(self) -> str:
         low, high = self.vertices.min(axis=0), self.vertices.max(axis=0)
         return f"{len(self.faces)} triangles, from {place(low)} to {place(high)} mm"
+
+    def _columns(self) -> dict[str, Any]:
+        return vectors("vertex_mm", self.vertices, "xyz")
 
 
 def read_part(path: Path, kind: str) -> Part:

@@ -70,6 +70,14 @@ class PixelTruth(Displayed):
         lit = int(np.isfinite(self.depth_mm).sum())
         return f"{self.index.size} pixels that may be lit, {lit} are"
 
+    def _columns(self) -> dict[str, Any]:
+        found: dict[str, Any] = {"index": self.index}
+        found |= vectors("point_mm", self.point_mm, "xyz") | {"depth_mm": self.depth_mm}
+        for name, coordinates in self.source_coordinates.items():
+            found |= vectors(name, coordinates, "st")
+            found[f"{name}_status"] = status_names(self.status[name], LightStatus)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Frame(Displayed):
@@ -102,13 +110,9 @@ class Frame(Displayed):
 
     def _columns(self) -> dict[str, Any]:
         row, column = np.divmod(self.truth.index.astype(np.int64), self.radiance.shape[1])
-        found: dict[str, Any] = {"column": column, "row": row}
-        found["radiance"] = self.radiance.ravel()[self.truth.index]
-        found |= vectors("point_mm", self.truth.point_mm, "xyz") | {"depth_mm": self.truth.depth_mm}
-        for name, coordinates in self.truth.source_coordinates.items():
-            found |= vectors(name, coordinates, "st")
-            found[f"{name}_status"] = status_names(self.truth.status[name], LightStatus)
-        return found
+        radiance = self.radiance.ravel()[self.truth.index]
+        columns = {"column": column, "row": row, "radiance": radiance, **self.truth._columns()}
+        return {name: values for name, values in columns.items() if name != "index"}
 
     @cached_property
     def point_mm(self) -> Image:

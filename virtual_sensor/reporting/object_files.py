@@ -11,15 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.display import Displayed
-from virtual_sensor.errors import InputError
+from virtual_sensor.display import Displayed, names_of
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import written_whole
-from virtual_sensor.records import Table, plain, status_names, write_csv, write_json
+from virtual_sensor.records import Table, plain, status_names, write_csv, write_json, write_ply
 
 Writer = Callable[[Path, Any], None]
 
 PICTURES = (".png", ".svg", ".pdf")
 _AXES = {2: "uv", 3: "xyz"}
+_MOST_IN_JSON = 1_000_000  # numbers
 _MOST_NUMBERS = 16  # of an array in one cell's place: a pose's matrix, a lens's coefficients
 
 
@@ -60,7 +61,7 @@ def formats_of(thing: Displayed) -> dict[str, Writer]:
     found: dict[str, Writer] = {".csv": _write_csv, ".json": _write_json, ".npz": _write_npz}
     if objects.drawing_of(thing):
         found |= dict.fromkeys(PICTURES, objects.write_picture)
-    for names in reversed(list(objects.names_of(thing))):
+    for names in reversed(list(names_of(thing))):
         found |= _OWN.get(names, {})
     return found
 
@@ -82,6 +83,9 @@ def columns_of(thing: Displayed) -> dict[str, NDArray[Any]]:
 def _row_columns(thing: Displayed) -> Iterator[tuple[str, NDArray[Any]]]:
     """A column for each number of each row: of arrays whose shapes begin with the rows' shape."""
     held = dict(_public(thing))
+    for name, value in [*held.items()]:
+        if isinstance(value, Mapping):
+            held |= {f"{name}_{key}": each for key, each in value.items()}
     arrays = {name: value for name, value in held.items() if isinstance(value, np.ndarray)}
     shape = arrays["status"].shape if "status" in arrays else next(iter(arrays.values())).shape[:1]
     for name, array in arrays.items():
@@ -147,22 +151,26 @@ def _write_csv(path: Path, thing: Displayed) -> None:
 
 
 def _write_json(path: Path, thing: Displayed) -> None:
-    write_json(path, _tree(thing))
+    with naming(path):
+        tree = _tree(thing)
+    write_json(path, tree)
 
 
-def _tree(value: Any) -> Any:
+def _tree(value: Any, but: tuple[str, ...] = ()) -> Any:
     """An object as JSON has it, statuses by their names; what is no data is left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        found = {name: _tree(_named(value, name, each)) for name, each in _public(value)}
+        held = {name: each for name, each in _public(value) if name not in but}
+        found = {name: _tree(_named(value, name, each)) for name, each in held.items()}
         return {name: each for name, each in found.items() if each is not _NO_DATA}
     if isinstance(value, Mapping):
         return {str(key): _tree(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_tree(each) for each in value]
+    if isinstance(value, np.ndarray) and value.size > _MOST_IN_JSON:
+        raise InputError(f"an array of shape {value.shape} is too large for JSON; write .npz")
     found = plain(value)
-    return (
-        found if found is None or isinstance(found, bool | int | float | str | list) else _NO_DATA
-    )
+    data = found is None or isinstance(found, bool | int | float | str | list)
+    return found if data else _NO_DATA
 
 
 _NO_DATA = object()
@@ -195,5 +203,109 @@ def _arrays(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, array
 
 
-_OWN: dict[str, dict[str, Writer]] = {}
-"""Formats of its own that an object has, by its class's name (see `objects.names_of`)."""
+_MESHES = ("imaging.parts.Part", "imaging.part_survey.Mesh")
+_POINTS = {
+    "metrology.triangulation.TriangulatedPoints": "point_mm",
+    "optics.crossings.Crossings": "point_mm",
+    "optics.ray_maps.RayPoints": "point_mm",
+    "optics.ray_search.FoundPixels": "laser_point_mm",
+    "optics.sensitivity.Sensitivity": "laser_point_mm",
+    "optics.trace.Rays": "position",
+    "imaging.render.PixelTruth": "point_mm",
+    "imaging.checks.LitLine": "points_mm",
+    "studies.measure.State": "points_mm",
+    "studies.detect.Detected": "points_mm",
+}
+"""Which attribute of an object are its points (..., 3), world, mm."""
+
+
+def _write_points(path: Path, thing: Any) -> None:
+    name = next(_POINTS[each] for each in names_of(thing) if each in _POINTS)
+    if (held := getattr(thing, name)) is None:
+        raise InputError(f"{path}: without a calibration there are no points; write another format")
+    points = np.asarray(held, float).reshape(-1, 3)
+    line = getattr(thing, "line", None)
+    light = np.ones(len(points)) if line is None else np.ravel(line.amplitude)
+    write_ply(path, points, light if len(light) == len(points) else np.ones(len(points)))
+
+
+def _write_mesh(path: Path, mesh: Any) -> None:
+    import trimesh
+
+    vertices = mesh.vertices if hasattr(mesh, "vertices") else mesh.places_mm
+    whole = trimesh.Trimesh(vertices, mesh.faces, process=False)
+    data = whole.export(file_type=path.suffix.lower().lstrip("."))
+    with written_whole(path) as temporary:
+        temporary.write_bytes(data if isinstance(data, bytes) else data.encode("utf-8"))
+
+
+def _image_of(thing: Any) -> tuple[NDArray[Any], int | None]:
+    """An object's image (H, W), and its bits; None of floats."""
+    names = ("radiance", "pixels", "values", "grey")
+    image = next(getattr(thing, name) for name in names if hasattr(thing, name))
+    if image.dtype.kind not in "iu":
+        return image, None
+    clips = getattr(thing, "largest", None)
+    bits = int(clips).bit_length() if clips else getattr(thing, "bits", None)
+    return image, max(bits or 1, int(image.max(initial=0)).bit_length(), 1)
+
+
+def _write_grey(path: Path, thing: Any) -> None:
+    from virtual_sensor.imaging.image_files import save_png
+
+    image, bits = _image_of(thing)
+    save_png(image, path, bits or 16)
+
+
+def _write_tiff(path: Path, thing: Any) -> None:
+    import tifffile
+
+    with written_whole(path) as temporary:
+        tifffile.imwrite(temporary, _image_of(thing)[0])
+
+
+def _write_exr(path: Path, frame: Any) -> None:
+    from virtual_sensor.imaging.render import write_exr
+
+    write_exr(path, frame, {})
+
+
+def _write_field(path: Path, field: Any) -> None:
+    field.write(path)
+
+
+def _write_calibration(path: Path, calibration: Any) -> None:
+    from virtual_sensor.metrology.calibration import calibration_text
+
+    text = calibration_text(calibration, path.name)
+    with written_whole(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _write_scene(path: Path, scene: Any) -> None:
+    """All of it but the air's nodes, which are its file's."""
+    write_json(path, {"notes": scene.notes, **_tree(scene, but=("medium",))})
+
+
+def _write_summary(path: Path, result: Any) -> None:
+    from virtual_sensor.studies.measure import summary
+
+    write_json(path, summary(result))
+
+
+_IMAGES: dict[str, Writer] = {".png": _write_grey, **dict.fromkeys((".tif", ".tiff"), _write_tiff)}
+_OWN: dict[str, dict[str, Writer]] = {
+    **{name: {".ply": _write_points} for name in _POINTS},
+    **{name: dict.fromkeys((".ply", ".stl", ".obj"), _write_mesh) for name in _MESHES},
+    "imaging.render.Frame": {**_IMAGES, ".exr": _write_exr},
+    "imaging.image_files.Image": _IMAGES,
+    "imaging.image_formats.StoredImage": _IMAGES,
+    "studies.trial.images.TrialImage": _IMAGES,
+    "medium.index_field.IndexField": {".nc": _write_field},
+    "metrology.calibration.Calibration": dict.fromkeys(
+        (".yaml", ".yml", ".xml", ".json"), _write_calibration
+    ),
+    "imaging.scene.Scene": {".json": _write_scene},
+    "studies.measure.Measurement": {".json": _write_summary},
+}
+"""Formats that only some objects have, by their classes' names (see `display.names_of`)."""

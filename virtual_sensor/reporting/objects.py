@@ -5,7 +5,7 @@ A drawing is found by its class's name, so that nobody imports what they don't u
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from virtual_sensor.display import names_of
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
@@ -73,12 +74,6 @@ def draws(*classes: str) -> Callable[[Draw], Draw]:
 def drawn_classes() -> list[str]:
     """Names of the classes that have a picture."""
     return list(_DRAWINGS)
-
-
-def names_of(thing: object) -> Iterator[str]:
-    """The names of an object's class and of its bases, with their modules below the package."""
-    for each in type(thing).__mro__:
-        yield f"{each.__module__}.{each.__qualname__}".removeprefix("virtual_sensor.")
 
 
 def drawing_of(thing: object) -> Draw | None:

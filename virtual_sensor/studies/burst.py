@@ -360,6 +360,9 @@ class Burst(Displayed):
         span_s = f"{self.time_s.min():g} to {self.time_s.max():g} s" if self.time_s.size else ""
         return listed(self.scene.path.name, f"{self.time_s.size} frames", span_s)
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self.sway_table.columns()
+
     @property
     def up(self) -> Array:
         """Unit vector (3,), world, against the laser's axis: in it heights are measured."""

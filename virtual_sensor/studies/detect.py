@@ -198,6 +198,9 @@ class Detected(Displayed):
     def _line(self) -> str:
         return f"{self.path.name}, {self.line._line()}"
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self.centres.columns()
+
     @property
     def centres(self) -> CentreTable:
         """The centres as a table."""

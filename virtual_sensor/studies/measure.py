@@ -103,6 +103,9 @@ class State(Displayed):
     def _line(self) -> str:
         return listed(self.line._line(), f"rendered in {self.render_time_s:.3g} s")
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return (dot_table(self) if self.dots else line_table(self)).columns()
+
     @property
     def dots(self) -> DotErrors | None:
         """The dots beside the search; None of a line."""
@@ -191,6 +194,12 @@ class Measurement(Displayed):
         found = (f"{name} {state.centres} centres" for name, state in self.states.items())
         notes = f"{len(self.notes)} notes" if self.notes else ""
         return listed(self.scene.path.name, *found, f"{self.time_s:.3g} s", notes)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns = [state._columns() for state in self.states.values()]
+        lengths = [len(next(iter(each.values()))) for each in columns]
+        named = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+        return {"state": np.repeat([*self.states], lengths), **named}
 
     @property
     def scene(self) -> Scene:

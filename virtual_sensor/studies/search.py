@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -65,6 +66,9 @@ class Search(Displayed):
 
     def _line(self) -> str:
         return f"{self.found} of {len(self.rays)} found"
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self.rays.columns()
 
     @property
     def found(self) -> int:

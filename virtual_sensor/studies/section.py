@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,10 @@ class Section(Displayed):
         across, away = self.point_mm.T
         spans = span("along", across, "mm"), span("away", away, "mm")
         return listed(f"{len(self.point_mm)} points", *spans)
+
+    def _columns(self) -> dict[str, Any]:
+        along, away = self.point_mm.T
+        return {"along_mm": along, "away_mm": away, "joined": self.joined}
 
     def along_mm(self, points_mm: Array) -> Array:
         """Position (M,) along the line of world points (M, 3), as of probe rays."""

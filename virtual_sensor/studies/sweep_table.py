@@ -176,6 +176,9 @@ class Sweep(Displayed):
         summary = self.summary
         return f"{summary.cases} cases of {Path(summary.scene).stem}, {summary.failed} failed"
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self.table.columns()
+
 
 def results(finished: Sequence[Finished], folder: Path) -> Sweep:
     """Table and summary of the finished cases of a sweep in a folder.

@@ -11,12 +11,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from virtual_sensor import engine
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
-from virtual_sensor.records import Record
+from virtual_sensor.records import Record, record_columns
 from virtual_sensor.studies.chart.benchmark import (
     Measured,
     Report,
@@ -93,6 +94,13 @@ class Chart(Record):
     machine: Machine
     notes: tuple[str, ...]
     time_s: float
+
+    def _line(self) -> str:
+        count = f"{len(self.measured)} configurations"
+        return f"{count} of {', '.join(self.panels)}, in {self.time_s:.3g} s"
+
+    def _columns(self) -> dict[str, Any]:
+        return record_columns(Measured, self.measured)
 
     @property
     def panels(self) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.detectors import NAMES, find_detector
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
+from virtual_sensor.records import record_columns
 from virtual_sensor.studies.machine import Machine, machine
 from virtual_sensor.studies.pareto import not_beaten
 from virtual_sensor.studies.trial.images import STATED, Condition, TrialImage, frame_line
@@ -81,6 +83,9 @@ class Trial(Displayed):
         words = f"recommended: {best.detector}" if best else ""
         count = f"{len(self.detectors)} detectors on {self.columns} columns each"
         return listed(count, words, f"{self.time_s:.3g} s")
+
+    def _columns(self) -> dict[str, Any]:
+        return record_columns(Score, self.scores)
 
     @property
     def detectors(self) -> list[str]:

@@ -1,0 +1,158 @@
+"""Objects drawn, shown in notebooks and saved, read back by other programs' readers."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import tifffile
+import trimesh
+from matplotlib.figure import Figure
+
+import virtual_sensor as vs
+from virtual_sensor.display import LONGEST_LINE
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.image_files import Image
+from virtual_sensor.imaging.parts import Part
+from virtual_sensor.metrology.calibration import calibration_of, read_calibration
+from virtual_sensor.metrology.cylinder_fit import fit_cylinder
+from virtual_sensor.metrology.dot_peaks import DotCentres
+from virtual_sensor.metrology.triangulation import triangulated_points
+from virtual_sensor.reporting.objects import drawing_of
+
+POINTS = np.array([[0.0, -1.0, 2.0], [np.nan] * 3, [3.0, 4.0, -5.0]])
+
+
+@pytest.fixture(scope="module")
+def made():
+    """What a user meets in a first hour, by name; a small film."""
+    scene = vs.load_scene("hot_cylinder", width=128, height=128, spp=1, line_radius=1)
+    frame = vs.render_frame(scene)
+    line = vs.line_centres(frame.radiance)
+    starts, down = [[0.0, y, 200.0] for y in (-5.0, 0.0, 5.0)], [[0.0, 0.0, -1.0]] * 3
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    points = triangulated_points(scene, line.pixel)
+    return {
+        "scene": scene,
+        "frame": frame,
+        "truth": frame.truth,
+        "line": line,
+        "points": points,
+        "found": vs.ray_search(scene, [0.0, 5.0, 300.0], "newton"),
+        "sensor": scene.sensor,
+        "camera": scene.camera,
+        "laser": scene.source,
+        "sheet": scene.source.family,
+        "pose": scene.camera.pose,
+        "field": scene.medium,
+        "rays": vs.trace(scene.medium, starts, down, 300.0),
+        "noise": vs.CameraNoise(),
+        "calibration": calibration_of(scene.sensor),
+        "fit": fit_cylinder(points.point_mm, direction=[1.0, 0.0, 0.0]),
+        "no fit": fit_cylinder(np.zeros((2, 3))),
+        "no dots": DotCentres(np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.uint8)),
+        "part": Part(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])),
+    }
+
+
+def test_all_are_shown_drawn_and_described(made):
+    for name, thing in made.items():
+        assert len(repr(thing)) <= LONGEST_LINE, name
+        assert "\n" not in repr(thing), name
+        html = thing._repr_html_()
+        assert "<table" in html, name
+        assert len(html) < 200_000, name
+        assert ("<img" in html) == (drawing_of(thing) is not None), name
+        axes = thing.plot(Figure().add_subplot())
+        assert axes.lines or axes.collections or axes.images or axes.patches, name
+        assert len(thing.to_dataframe()) == len(thing.to_dataframe().drop_duplicates()) or name, (
+            name
+        )
+
+
+def test_a_line_of_one_pixel_is_seen_in_the_picture_of_a_large_image():
+    image = np.zeros((3000, 6000), np.float32)
+    image[1234] = 1.0
+    drawn = Image(image, None).plot(Figure().add_subplot()).images[0]
+    assert max(drawn.get_array().shape) <= 600
+    left, _, bottom, top = drawn.get_extent()
+    row = np.argmax(drawn.get_array().max(axis=1))
+    assert (left, top) == (-0.5, -0.5)
+    high = (bottom - top) / drawn.get_array().shape[0]
+    assert top + row * high <= 1234 < top + (row + 1) * high
+    assert drawn.get_array()[row].min() == 1.0
+
+
+def test_points_and_parts_are_read_by_trimesh(made, tmp_path):
+    found = made["points"]
+    cloud = trimesh.load(found.save(tmp_path / "points.ply"))
+    known = np.isfinite(found.point_mm).all(axis=1)
+    np.testing.assert_allclose(cloud.vertices, found.point_mm[known], atol=1e-5)
+    for suffix in (".ply", ".stl", ".obj"):
+        part = trimesh.load(made["part"].save(tmp_path / f"part{suffix}"))
+        assert part.is_watertight, suffix
+        assert part.volume == pytest.approx(1.0 / 6.0), suffix
+
+
+def test_a_frame_is_an_image_or_all_its_layers(made, tmp_path):
+    import OpenEXR
+
+    frame = made["frame"]
+    np.testing.assert_array_equal(
+        tifffile.imread(frame.save(tmp_path / "frame.tif")), frame.radiance
+    )
+    grey = cv2.imread(str(frame.save(tmp_path / "frame.png")), cv2.IMREAD_UNCHANGED)
+    assert grey.dtype == np.uint16
+    assert np.corrcoef(grey.ravel(), frame.radiance.ravel())[0, 1] > 0.999999
+    layers = OpenEXR.File(str(frame.save(tmp_path / "frame.exr")), separate_channels=True)
+    np.testing.assert_array_equal(layers.channels()["depth.Z"].pixels, frame.depth_mm)
+    rows = frame.to_dataframe()
+    lit = rows[rows["laser_status"] == "lit"]
+    row, column = int(lit["row"].iloc[0]), int(lit["column"].iloc[0])
+    assert frame.radiance[row, column] == lit["radiance"].iloc[0]
+
+
+def test_fields_and_calibrations_are_read_back(made, tmp_path):
+    field = vs.IndexField.from_arrays(
+        1e-4 * np.random.default_rng(0).random((4, 5, 6)), [0, 0, 0], [1, 2, 3], mirror=(1, 0, 0)
+    )
+    again = vs.IndexField.read(field.save(tmp_path / "field.nc"))
+    np.testing.assert_allclose(again.nodes, field.nodes, rtol=1e-6)
+    rows = field.to_dataframe()
+    at = rows[(rows.point_mm_x == 1) & (rows.point_mm_y == 4) & (rows.point_mm_z == 9)]
+    assert at.refractivity.tolist() == [field.nodes[1, 2, 3]]
+    for suffix in (".yaml", ".xml", ".json"):
+        read = read_calibration(made["calibration"].save(tmp_path / f"sensor{suffix}"))
+        assert read.triangulation_angle_deg == pytest.approx(60.0), suffix
+
+
+def test_json_holds_a_scene_without_its_air_and_no_image(made, tmp_path):
+    said = json.loads(made["scene"].save(tmp_path / "scene.json").read_text())
+    assert said["parameters"]["width"] == "128"
+    assert said["cameras"]["camera"]["size"] == [128, 128]
+    assert "medium" not in said
+    big = vs.IndexField.from_arrays(np.zeros((200, 100, 60)), [0, 0, 0], [1, 1, 1])
+    with pytest.raises(InputError, match=r"air\.json: .*too large for JSON; write \.npz"):
+        big.save(tmp_path / "air.json")
+    assert not (tmp_path / "air.json").exists()
+
+
+def test_the_noise_that_is_drawn_is_the_noise_of_recorded_frames(made):
+    camera = vs.CameraNoise(prnu=0.0, dsnu_e=0.0)
+    axes = camera.plot(Figure().add_subplot())
+    signal, noise = axes.lines[0].get_data()
+    rng = np.random.default_rng(1)
+    for electrons in (10.0, 1000.0):
+        photons = np.full((300, 300), electrons / camera.quantum_efficiency)
+        grey = vs.record(photons, camera, rng)
+        measured = grey.std() / camera.gain
+        assert np.interp(electrons, signal, noise) == pytest.approx(measured, rel=0.02)
+
+
+def test_what_cannot_be_drawn_or_saved_is_told(made, tmp_path):
+    with pytest.raises(InputError, match=r"a March has no picture; to_dataframe\(\)"):
+        made["scene"].transport.march.plot()
+    with pytest.raises(InputError, match=r"a Frame is written as \.csv, \.exr, .*\.tif or \.tiff"):
+        made["frame"].save(tmp_path / "frame.xlsx")
+    with pytest.raises(InputError, match="written as"):
+        made["frame"].save(tmp_path / "frame")
