@@ -13,6 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from virtual_sensor.arrays import by_rows, to_vectors
+from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file
@@ -31,7 +32,7 @@ _SCALES = 0.02, 200.0  # of a part's size: a field round it is larger, and small
 
 
 @dataclass(frozen=True)
-class Solid:
+class Solid(Displayed):
     """The solid of a field's file, in the field's frame, known to half a cell.
 
     Attributes
@@ -84,7 +85,7 @@ class Solid:
 
 
 @dataclass(frozen=True)
-class SolidFit:
+class SolidFit(Displayed):
     """How a field's solid and the scene's part lie to each other.
 
     Attributes
