@@ -18,7 +18,7 @@ from virtual_sensor.metrology.truth import DotErrors, TrueLine, TruthStatus, com
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.reporting.measure import save
 from virtual_sensor.studies.measure import measure, probe_deviations, summary
-from virtual_sensor.studies.notes import centre_notes, coarse_grid
+from virtual_sensor.studies.notes import beside_solid, centre_notes, coarse_grid
 from virtual_sensor.studies.probes import PROBES, probe_rays
 from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM
 from virtual_sensor.studies.search import search
@@ -240,12 +240,32 @@ def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
         return load_scene("hot_cylinder", field=tmp_path / "air.nc")
 
     coarse, fine = scene(6.0), scene(0.75)
-    [note] = coarse_grid(coarse)
-    places = np.linspace(-9.9, 9.9, 9)
-    lost = ray_search(coarse, places, "newton").pixel - ray_search(fine, places, "newton").pixel
-    said = float(re.search(r"air.nc: .*loses about ([\d.]+) px", note)[1])
-    assert 0.2 < said / np.linalg.norm(lost, axis=1).max() < 5.0
+    [(note, caveat)] = coarse_grid(coarse).items()
+    rows = []
+    for each in (fine, coarse):  # of the line: along itself nobody sees it move
+        u, v = ray_search(each, np.linspace(-10.5, 10.5, 401), "newton").pixel.T
+        rows.append(np.interp(np.linspace(600.0, 1400.0, 81), u, v))
+    lost_px = np.abs(rows[1] - rows[0]).max()
+    said = re.search(r"air.nc: .*loses about ([\d.]+) px of the .* some ([\d.]+) um", note)
+    said_px, said_um = map(float, said.groups())
+    assert 0.2 < said_px / lost_px < 5.0
+    assert said_um == pytest.approx(said_px * 22.0 / np.sin(np.radians(60.0)), rel=0.1)
+    assert caveat == (said_px > 0.1)
     assert coarse_grid(fine) == {}
+
+
+def test_a_line_beside_the_solid_of_its_field_is_told():
+    """Rationale: a part that is 3 mm higher was measured in air that was simulated inside it."""
+    scene = load_scene("hot_cylinder")
+    y = np.linspace(-3.0, 3.0, 9)
+    points = np.column_stack([0.0 * y, y, np.sqrt(13.5**2 - y**2) - 13.5])
+    assert beside_solid(scene, points) == []
+    for by_mm, words in ((3.0, "mm above the solid"), (-3.0, "mm inside the solid")):
+        (note,) = beside_solid(scene, points + np.array([0.0, 0.0, by_mm]))
+        said = float(re.search(rf"the laser's line lies (\S+) {words} of its field hot_", note)[1])
+        assert said == pytest.approx(3.0, abs=0.7)
+    assert beside_solid(scene, np.full((3, 3), np.nan)) == []
+    assert beside_solid(scene.cold(), points) == []
 
 
 def test_a_line_that_stands_upright_is_noted(tmp_path):

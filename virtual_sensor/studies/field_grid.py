@@ -180,7 +180,7 @@ def pixel_loss(
     """What a field's grid loses along all axes together, in px of some rays.
 
     `solid` are the nodes that come from the air around, if any; `pixels` gives the pixels (N, 2) of
-    the rays through a field.
+    the rays through a field, or what of their shifts counts.
     """
     every = _thinner(field, solid)
     whole = every(1)

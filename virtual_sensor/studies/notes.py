@@ -87,24 +87,36 @@ def coarse_grid(scene: Scene) -> dict[str, bool]:
     def pixels(other: IndexField | None) -> Array:
         return ray_search(scene.with_medium(other), y, "newton").pixel
 
-    loss = pixel_loss(field, solid, pixels)
+    hot = pixels(field)
+    along = np.zeros(2) if scene.sensor.laser.dots_mm.size else _tangents(hot)
+
+    def places(other: IndexField | None) -> Array:  # a shift along the line is none of the line
+        shift = (hot if other is field else pixels(other)) - hot
+        return shift - np.sum(shift * along, axis=1, keepdims=True) * along
+
+    loss = pixel_loss(field, solid, places)
     name = file.name if file else "the field"
     if np.isnan(loss.every_2nd):
         return {f"{name}: its grid has too few nodes to estimate its error": False}
     if loss.present <= FINE_PX:
         return {}
-    cold = pixels(None)
-    moved_px = furthest(pixels(field) - cold)
-    beside = cold + np.array([0.0, loss.present])
-    error_um = 1e3 * furthest(triangulate(scene.sensor, beside) - triangulate(scene.sensor, cold))
+    beside = hot + np.array([0.0, loss.present])
+    error_um = 1e3 * furthest(triangulate(scene.sensor, beside) - triangulate(scene.sensor, hot))
     return {
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
         f" {loss.present:.2g} px of the line's place, some {error_um:.2g} um of the part, where the"
-        f" air moves the line by {moved_px:.2g} px; make it with closer nodes (field simulate"
-        " --grid, field import --spacing); virtual-sensor field info shows along which axis": (
-            loss.present > COARSE_PX
-        )
+        f" air moves the line by {furthest(places(None)):.2g} px; make it with closer nodes (field"
+        " simulate --grid, field import --spacing); virtual-sensor field info shows along which"
+        " axis": loss.present > COARSE_PX
     }
+
+
+def _tangents(pixel: Array) -> Array:
+    """Unit vectors (N, 2) along a line through pixels (N, 2) of an image, from one to the next."""
+    if len(pixel) < 2:
+        return np.zeros_like(pixel)
+    steps = np.gradient(pixel, axis=0)
+    return np.nan_to_num(steps / np.linalg.norm(steps, axis=1, keepdims=True))
 
 
 def upright_line(found: FoundPixels, camera: str) -> list[str]:
