@@ -13,8 +13,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
@@ -441,6 +439,9 @@ def _continued(bend: Array, twin: Indices) -> NDArray[np.bool_]:
 
 def _components(count: int, one: Indices, other: Indices) -> tuple[int, Indices]:
     """Connected components of a graph: how many, and the number of each node's."""
+    from scipy.sparse import coo_array  # most scenes have no such part
+    from scipy.sparse.csgraph import connected_components
+
     graph = coo_array((np.ones(len(one), np.int8), (one, other)), (count, count))
     found, label = connected_components(graph, directed=False)
     return int(found), label.astype(np.int64)
