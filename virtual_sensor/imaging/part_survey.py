@@ -371,8 +371,8 @@ class Mesh(Displayed):
     def facet_error_mm(self) -> Array:
         """Estimate of how far each triangle (M,) lies beside the curved surface it stands for.
 
-        Across an edge that looks smooth the surface bends by an angle `bend`, over the triangles'
-        heights `across`: with the curvature bend/across it leaves a facet of that width by
+        Across an edge that looks smooth the surface bends by an angle `bend`, spread over the
+        triangles' heights `across`: curved by bend/across it leaves a facet of that width by
         bend * across / 8.  A quadratic surface over a triangle leaves it at the middle of an edge
         by an eighth of the sum of bend * across at the other two, and at the centroid by a ninth of
         the sum at all three; the largest counts.
@@ -401,15 +401,17 @@ class Mesh(Displayed):
             from_apex = edge[one - one % 3 + (one + 2) % 3]
             sine = np.einsum("pi,pi->p", from_apex, behind) / height[one]
             cosine = np.einsum("pi,pi->p", normal[one // 3], behind)
+            # of the two heights the harmonic mean: a plate beside a narrow facet is not bent
+            across = 2.0 / (1.0 / height[one] + 1.0 / height[other])
             gentle = cosine > np.cos(np.radians(SHARP_DEG))  # and not NaN
         one, other = one[gentle], other[gentle]
-        bend, twin = np.zeros(len(edge)), np.full(len(edge), -1)
+        bend, twin, sagging = np.zeros(len(edge)), np.full(len(edge), -1), np.zeros(len(edge))
         bend[one] = bend[other] = np.arcsin(np.clip(sine[gentle], -1.0, 1.0))
         twin[one], twin[other] = other, one
         smooth = _continued(bend, twin)
         smooth &= smooth[twin] & (twin >= 0)
-        across = np.minimum(height, height[twin])
-        return np.where(smooth, bend * across, 0.0).reshape(-1, 3)
+        sagging[one] = sagging[other] = bend[one] * across[gentle]
+        return np.where(smooth, sagging, 0.0).reshape(-1, 3)
 
 
 def _continued(bend: Array, twin: Indices) -> NDArray[np.bool_]:
