@@ -14,6 +14,7 @@ import virtual_sensor as vs
 from virtual_sensor.engine import mi
 from virtual_sensor.imaging.parts import check_kind, read_part
 from virtual_sensor.imaging.scene_file import shipped_scenes
+from virtual_sensor.optics.ray_search import SearchStatus
 
 BALL = trimesh.creation.icosphere(2, 13.5).apply_translation([1.0, 2.0, -13.5])
 SQUARE = np.array([[-40, -40, 0], [40, -40, 0], [40, 40, 0], [-40, 40, 0]], float)
@@ -413,3 +414,12 @@ def test_what_programs_add_to_stl_and_obj_files_does_no_harm(read):
     part = read("obj", b"\xef\xbb\xbf" + coloured.encode())
     np.testing.assert_array_equal(triangles(part), [[[0, 0, 0], [1, 0, 0], [1, 1, 0]]])
     assert not part.by_mitsuba
+
+
+def test_no_ray_falls_through_an_edge_between_triangles(scene):
+    """Rationale: the line lay along the middle of a plate, and a third of its rays were hidden."""
+    plate = trimesh.creation.box((60, 40, 10)).subdivide().subdivide().subdivide()
+    plate.apply_translation([0, 0, -5])
+    loaded = scene("stl", plate.export(file_type="stl"), **{"width": 2048, "height": 2048})
+    found = vs.ray_search(loaded, np.linspace(-10, 10, 41))
+    np.testing.assert_array_equal(found.status, SearchStatus.FOUND)

@@ -121,13 +121,12 @@ def _check_pair(scene: Scene) -> list[str]:
 
 def _facet_note(scene: Scene, line: LitLine) -> list[str]:
     """Note how far the facets under the line are beside the curved surface that they stand for."""
-    meshes = [shape for shape in scene.mitsuba.shapes() if shape.is_mesh()]
     error_mm = 0.0
-    for mesh in meshes:
-        held = mi.traverse(mesh)
-        vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
-        faces = np.array(held["faces"], np.int64).reshape(-1, 3)
-        error_mm = max(error_mm, facet_error_mm(vertices, faces, line.points_mm))
+    for held in map(mi.traverse, scene.mitsuba.shapes()):
+        if "faces" in held:
+            vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
+            faces = np.array(held["faces"], np.int64).reshape(-1, 3)
+            error_mm = max(error_mm, facet_error_mm(vertices, faces, line.points_mm))
     pixel_mm = float(scene.sensor.camera.pixel_mm(line.points_mm).mean())
     if error_mm < FACETS_TOLD_PX * pixel_mm:
         return []

@@ -31,6 +31,7 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
     ("refractive", "tolerance"),
 }
+_WATERTIGHT = "embree_use_robust_intersections"
 _LARGEST = 1e30  # float32 ends at 3e38
 _PIXEL_BYTES = 64  # of a frame with its truth, at least
 
@@ -210,6 +211,7 @@ def load(
             for node in state.nodes:  # reading marks as used, and what nothing uses is a fault
                 for name in list(node.props.keys()):
                     node.props.mark_queried(name, False)
+            _let_no_ray_through(state)
             mi.parser.transform_all(config, state)
             scene = mi.parser.instantiate(config, state)
             notes += warnings_of(main, heard)
@@ -223,6 +225,14 @@ def load(
             text = str(error)
     interrupts.raised_again(text)
     raise _in_users_terms(text, main, [e for file in files for e in file.elements], values)
+
+
+def _let_no_ray_through(state: Any) -> None:
+    """Have rays that meet a mesh in an edge of its triangles meet it: Embree lets some through."""
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Scene:
+            node.props[_WATERTIGHT] = True
+            node.props.mark_queried(_WATERTIGHT)  # other engines than Embree don't ask
 
 
 def _name(state: Any) -> None:
