@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+SHIPPED = Path(__file__).parents[1] / "scenes" / "meshes"
 
 
 def test_the_parts_are_closed_and_as_large_as_their_drawings_say():
@@ -14,7 +14,7 @@ def test_the_parts_are_closed_and_as_large_as_their_drawings_say():
         ("bracket", (40.0, 60.0, 30.0), 19779.4),
         ("gear_blank", (60.0, 60.0, 25.0), 45620.8),
     ]:
-        file = EXAMPLES / "parts" / f"{name}.stl"
+        file = SHIPPED / f"{name}.stl"
         part = trimesh.load(file)
         assert part.is_watertight, name
         assert part.is_winding_consistent, name

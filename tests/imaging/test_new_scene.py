@@ -11,6 +11,7 @@ import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.new_scene.options import NewScene
 from virtual_sensor.imaging.new_scene.write import write_scene
+from virtual_sensor.imaging.parts import find_part
 from virtual_sensor.imaging.scene_file import parameter_words
 from virtual_sensor.optics.surfaces import Cylinder
 
@@ -196,3 +197,14 @@ def test_nothing_is_overwritten_and_nothing_is_left_of_what_is_refused(tmp_path)
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
     vs.new_scene(folder / "there", part=part, overwrite=True)
     assert (folder / "part.stl").read_bytes() == part.read_bytes()
+
+
+def test_a_part_that_is_installed_is_found_by_its_name_and_ones_own_comes_first(
+    tmp_path, monkeypatch
+):
+    """Rationale: what the help shows can be typed in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    assert find_part("bracket.stl").parent.name == "meshes"
+    (tmp_path / "bracket.stl").write_bytes(find_part("gear_blank.stl").read_bytes())
+    assert find_part("bracket.stl") == Path("bracket.stl")
+    assert find_part("no such.stl") == Path("no such.stl")

@@ -93,7 +93,9 @@ def _answer(words: str, otherwise: str, reader: Callable[[str], Any]) -> Any:
 
 
 def _file(text: str) -> str:
-    return f"{readable(Path(text).expanduser())}"
+    from virtual_sensor.imaging.parts import find_part
+
+    return f"{readable(find_part(text))}"
 
 
 def _unit(text: str) -> str:
@@ -107,5 +109,6 @@ def _unit(text: str) -> str:
 
 def _size(path: Path) -> tuple[float, float, float]:
     from virtual_sensor.imaging.part_survey import survey
+    from virtual_sensor.imaging.parts import find_part
 
-    return survey(path.expanduser()).size_mm
+    return survey(find_part(path)).size_mm

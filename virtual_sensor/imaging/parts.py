@@ -45,6 +45,7 @@ Lengths are in mm as in all scenes.
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ import numpy as np
 
 from virtual_sensor.display import Displayed, place
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import readable
+from virtual_sensor.files import exists, readable
 from virtual_sensor.imaging.part_files import read_obj, read_stl
 from virtual_sensor.imaging.ply_files import read_ply
 from virtual_sensor.imaging.polygons import Array, Indices, Polygons, triangulated
@@ -114,6 +115,13 @@ class Part(Displayed):
 
     def _columns(self) -> dict[str, Any]:
         return vectors("vertex_mm", self.vertices, "xyz")
+
+
+def find_part(name: str | Path) -> Path:
+    """A part's file, by its path or by the name of one that comes with the program."""
+    file = Path(name).expanduser()
+    installed = Path(str(resources.files("virtual_sensor_scenes"))) / "meshes" / file
+    return installed if not exists(file) and exists(installed) else file
 
 
 def read_part(path: Path, kind: str) -> Part:

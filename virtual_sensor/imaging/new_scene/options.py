@@ -29,8 +29,8 @@ class NewScene:
     Attributes
     ----------
     part : str, optional
-        File of the part, STL, OBJ, PLY or 3MF, which is copied beside the scene; by default a
-        cylinder.
+        File of the part, STL, OBJ, PLY or 3MF, which is copied beside the scene; or one that is
+        installed, bracket.stl or gear_blank.stl; by default a cylinder.
     unit : str, optional
         Of the lengths in the part's file: um, mm, cm, m, in, ft; by default mm.
     up : str

@@ -13,7 +13,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey, survey_part
-from virtual_sensor.imaging.parts import check_kind, read_part
+from virtual_sensor.imaging.parts import check_kind, find_part, read_part
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
@@ -93,7 +93,7 @@ def part_of(said: NewScene) -> NewPart:
     InputError
         If its file can't be read.
     """
-    return _from_file(Path(said.part).expanduser(), said) if said.part else _cylinder(said)
+    return _from_file(find_part(said.part), said) if said.part else _cylinder(said)
 
 
 def _cylinder(said: NewScene) -> NewPart:

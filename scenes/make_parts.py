@@ -1,6 +1,6 @@
-r"""Makes bracket.stl and gear_blank.stl, in mm, as a CAD program would export them.
+r"""Writes meshes/bracket.stl and meshes/gear_blank.stl, in mm, as a CAD program would export them.
 
-They need `pip install manifold3d`; the files are here already.
+To run it again takes `pip install manifold3d`.
 
     bracket, z over y, x from -20 to 20      gear blank, z over r
     z 30           __                         25   __               hub; bore 16 with a keyway
@@ -69,6 +69,6 @@ def export(part: Manifold, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    folder = Path(__file__).parent
+    folder = Path(__file__).parent / "meshes"
     export(bracket(), folder / "bracket.stl")
     export(gear_blank(), folder / "gear_blank.stl")
