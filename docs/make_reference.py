@@ -15,6 +15,7 @@ from typing import Any
 
 import typer
 from make_data_dictionary import dictionary, files
+from virtual_sensor_plugins import glow, laser_line, refractive
 
 import virtual_sensor as vs
 from virtual_sensor import cli
@@ -35,6 +36,13 @@ ROOMS = {
     "": "Poses, files and errors",
 }
 """Headings of the API, by where in the program a name is at home."""
+
+ELEMENTS = (
+    ("integrator", "refractive", refractive.Refractive),
+    ("emitter", "laser_line", laser_line.LaserLineEmitter),
+    ("emitter", "glow", glow.Glow),
+)
+"""The plugins that a scene names."""
 
 VALUES = {bool: "", float: "NUMBER", int: "N", str: "TEXT", Path: "PATH"}
 
@@ -261,6 +269,41 @@ def scene_parameters() -> str:
     )
 
 
+# --- the scenes' elements ------------------------------------------------------------------------
+
+
+def scene_elements() -> str:
+    """The elements that this program adds to Mitsuba's, with their properties."""
+    parts = [
+        "# Scene elements\n",
+        "A scene is ordinary Mitsuba XML. These elements are this program's own; all others are"
+        " [Mitsuba's](https://mitsuba.readthedocs.io/en/stable/src/plugin_reference.html).\n",
+    ]
+    for kind, name, plugin in ELEMENTS:
+        said = (inspect.getdoc(plugin) or "").replace("``", "`")
+        before, lines, after = re.split(
+            r"(?:^|\n)=+(?: +=+)+\nProperty.*\n=+(?: +=+)+\n|\n=+(?: +=+)+(?:\n|$)", said
+        )
+        parts += [f"## {name}\n", f'`<{kind} type="{name}">`\n', f"{before.strip()}\n"]
+        parts.append(table(("property", "default", "meaning"), _properties(lines)))
+        parts += [f"{after.strip()}\n"] if after.strip() else []
+    return "\n".join(parts)
+
+
+def _properties(lines: str) -> list[list[str]]:
+    """The rows of a table of properties; one that begins with spaces goes on with the last."""
+    rows: list[list[str]] = []
+    for line in lines.splitlines():
+        if line.startswith(" "):
+            rows[-1][2] += f" {line.strip()}"
+        else:
+            name, default, meaning = re.split(r" {2,}|(?<=\"|\)) ", line, maxsplit=2)
+            rows.append(
+                [f"`{name}`", default.strip("()") if "(" in default else f"`{default}`", meaning]
+            )
+    return rows
+
+
 # --- statuses ------------------------------------------------------------------------------------
 
 
@@ -296,6 +339,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "api.md": api,
     "commands.md": commands,
     "data_dictionary.md": lambda: dictionary(files()),
+    "scene_elements.md": scene_elements,
     "scene_parameters.md": scene_parameters,
     "statuses.md": statuses,
 }
