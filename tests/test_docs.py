@@ -63,8 +63,10 @@ def two_by_two():
     """A copy of the hot cylinder with the page's camera and laser, as the page says."""
     page = (DOCS / "how_to" / "several_cameras.md").read_text(encoding="utf-8")
     more = re.search(r"```xml\n(.*?)```", page, re.DOTALL)[1]
-    text = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
-    Path("two_by_two.xml").write_text(text.replace("</scene>", f"{more}</scene>"), "utf-8")
+    assert command("new", "two_by_two", "--from", "hot_cylinder")[0] == 0
+    scene = Path("two_by_two.xml")
+    text = scene.read_text(encoding="utf-8").replace("</scene>", f"{more}</scene>")
+    scene.write_text(text, encoding="utf-8")
     return {}
 
 
