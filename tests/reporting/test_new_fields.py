@@ -17,14 +17,15 @@ def test_a_simulation_says_when_it_ended_and_how_sound_it_is(known):
     """Rationale: heat that is given off must be carried out; what was not searched is not said."""
     figures = (6.87, 9, 0.031) if known else (np.nan, 5, np.nan)
     balance = HeatBalance(50.0, 49.5, 0.001)
-    result = Simulation(RunEnd(3.25, None, known), balance, *figures)
+    result = Simulation(RunEnd(3.25, None, known), balance, *figures, 0.8, quick=not known)
     said = simulated(result)
     assert said[0] == "ended at 3.25 s of flow" + (
         ", when the probe rays moved by 0.031 px per s of flow" if known else ""
     )
     assert said[1] == "heat: 50 W given off, 49.5 W carried out (-1.0%)"
     assert ("mean Nusselt number 6.87, by air of film temperature" in said) == known
-    assert said[-1].endswith(f"wall layer: {figures[1]}")
+    assert f"cells of 0.8 mm, {figures[1]} in the wall layer" in said
+    assert ("a first look" in said[-1]) != known
 
 
 def test_the_command_that_examines_a_field_can_be_copied(tmp_path):
@@ -35,6 +36,8 @@ def test_the_command_that_examines_a_field_can_be_copied(tmp_path):
     assert said.startswith("1.5 MB in ")
     shown = said.partition("`")[2].partition("`")[0]
     assert shlex.split(shown) == ["virtual-sensor", "field", "info", str(path), "-o", "picture.png"]
+    shown = written(path, "my part.xml").partition("`")[2].partition("`")[0]
+    assert shlex.split(shown) == ["virtual-sensor", "measure", "my part.xml"]
 
 
 @pytest.mark.parametrize("words", ["simulate --section", "import air.vtu"])

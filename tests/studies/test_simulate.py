@@ -14,11 +14,12 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
-from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.heat_flow.setup import HeatFlow, Until
 from virtual_sensor.medium.imports.meshes import read_openfoam
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, field_times
-from virtual_sensor.studies.simulate import Steadiness, Until, duration, simulate
+from virtual_sensor.studies.scene_air import SceneAir, scene_air
+from virtual_sensor.studies.simulate import Steadiness, duration, simulate
 
 SECTION = HeatFlow(section=True, cell_mm=1.2)
 COMMAND = (
@@ -26,6 +27,11 @@ COMMAND = (
     *("--grid", "3,1.5,3", "-o", "air.nc"),
 )
 POINTS = np.random.default_rng(1).uniform([-50, -20, 5], [50, 20, 150], (2000, 3))
+
+
+def alone(flow) -> SceneAir:
+    """A flow without a scene."""
+    return scene_air(None, {}, flow)
 
 
 @pytest.fixture(scope="session")
@@ -120,7 +126,7 @@ def test_recorded_instants_become_a_time_axis(simulator, uninterrupted, tmp_path
     folder = uninterrupted[0]
     path = tmp_path / "sway.nc"
     until = Until(0.4, 0.4, 0.0)
-    simulate(SECTION, folder / "air.case", path, until, record_s=0.2, every_s=0.1)
+    simulate(alone(SECTION), folder / "air.case", path, until, record_s=0.2, every_s=0.1)
     np.testing.assert_allclose(field_times(path), [0.2, 0.3, 0.4])
 
 
@@ -187,7 +193,7 @@ def test_zero_steadiness_runs_to_the_end():
         (lambda: HeatFlow(stl=Path("a.stl"), section=True), "leave the STL file or the section"),
         (
             lambda: simulate(
-                HeatFlow(section=True, cell_mm=3.0), Path("case"), Path("a.nc"), Until()
+                alone(HeatFlow(section=True, cell_mm=3.0)), Path("case"), Path("a.nc"), Until()
             ),
             "resolves the wall layer with 2 cells; at least 6 are needed: take 1.2 mm or less",
         ),
@@ -206,7 +212,7 @@ def test_a_missing_reader_is_told_before_hours_of_computing(tmp_path, monkeypatc
     monkeypatch.setattr("virtual_sensor.studies.simulate.find_openfoam", lambda parallel: None)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(InputError, match=r"pip install 'virtual-sensor\[fields\]'"):
-        simulate(SECTION, tmp_path / "case", tmp_path / "air.nc", Until())
+        simulate(alone(SECTION), tmp_path / "case", tmp_path / "air.nc", Until())
     assert not list(tmp_path.iterdir())
 
 

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from virtual_sensor.studies.simulate import Simulation
 
 
+FIRST_LOOK = "the shift has the right size, but may be some tenths of it off"
+
+
 def simulated(result: Simulation) -> list[str]:
     """When it ended, and how sound it is: heat balance, Nusselt number, wall layer."""
     end = f"ended at {result.end.time_s:g} s of flow"
@@ -29,7 +32,10 @@ def simulated(result: Simulation) -> list[str]:
     ]
     if np.isfinite(result.nusselt):
         lines.append(f"mean Nusselt number {result.nusselt:.3g}, by air of film temperature")
-    return [*lines, f"cells in the wall layer: {result.wall_layer_cells}"]
+    lines.append(f"cells of {result.cell_mm:g} mm, {result.wall_layer_cells} in the wall layer")
+    if result.quick:
+        lines.append(f"a first look: {FIRST_LOOK}; leave --quick out for figures to rely on")
+    return lines
 
 
 def imported(result: Imported) -> list[str]:
@@ -65,10 +71,10 @@ def imported(result: Imported) -> list[str]:
     return lines
 
 
-def written(path: Path) -> str:
-    """Where a field is, and how it is examined."""
+def written(path: Path, scene: str | None = None) -> str:
+    """Where a field is, and what to do with it: to measure `scene`, if that looks for it there."""
     name = shlex.quote(f"{path}")
-    return (
-        f"{path.stat().st_size / 1e6:.3g} MB in {path}; examine it with `virtual-sensor field info"
-        f" {name} -o picture.png`"
-    )
+    next_command = f"examine it with `virtual-sensor field info {name} -o picture.png`"
+    if scene:
+        next_command = f"measure in it with `virtual-sensor measure {shlex.quote(scene)}`"
+    return f"{path.stat().st_size / 1e6:.3g} MB in {path}; {next_command}"

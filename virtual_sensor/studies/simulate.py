@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
-from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.heat_flow import saved
 from virtual_sensor.medium.heat_flow.balance import (
     HeatBalance,
@@ -24,16 +26,22 @@ from virtual_sensor.medium.heat_flow.balance import (
     nusselt_number,
     wall_cells,
 )
-from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
+from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam
 from virtual_sensor.medium.heat_flow.prepare import prepare_case, setup_of
+from virtual_sensor.medium.heat_flow.quick import QUICK_HEIGHT_MM, quick_cell_mm, quick_time_s
 from virtual_sensor.medium.heat_flow.run import Progress, RunEnd, run_case
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
-from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.heat_flow.setup import HeatFlow, Until
+from virtual_sensor.medium.heat_flow.snapped_mesh import ROOM_MM, read_part
 from virtual_sensor.medium.imports.meshes import pyvista
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.studies.field_info import searched_pixels
 from virtual_sensor.studies.probes import probe_rays
+from virtual_sensor.studies.scene_air import SceneAir
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -41,30 +49,8 @@ Report = Callable[[str, float], None]
 CHECK_S = 0.25
 """Flow time between two checks of whether the effect on light is steady."""
 
-
-@dataclass(frozen=True)
-class Until(Displayed):
-    """When a simulation ends.
-
-    Attributes
-    ----------
-    at_most_s, at_least_s : float
-        Flow time at which it ends in any case, and before which it does not, s.
-    steady_px_per_s : float
-        In between it ends once the pixels of the scene's probe rays move by less than this per
-        second of flow; 0: it does not.
-    """
-
-    at_most_s: float = 15.0
-    at_least_s: float = 2.0
-    steady_px_per_s: float = 0.05
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.at_least_s <= self.at_most_s or self.at_most_s == 0.0:
-            raise InputError(
-                f"--at-least {self.at_least_s:g} s, --time {self.at_most_s:g} s: the first must not"
-                " be longer than the second"
-            )
+BALANCE_S = {False: 0.25, True: 0.5}
+"""Flow time over which heat is balanced; a first look's long steps make few records."""
 
 
 @dataclass(frozen=True)
@@ -75,13 +61,17 @@ class Simulation(Displayed):
     ----------
     end : RunEnd
     balance : HeatBalance
-        Of the last quarter of a second.
+        Of the last quarter of a second, of a first look half a second.
     nusselt : float
         Mean Nusselt number of a cylinder, by air of film temperature; NaN of another part.
     wall_layer_cells : int
         Cells of the mesh in the wall layer.
     drift_px_per_s : float
         How fast the probe rays' pixels still moved in the end; NaN where it was not searched.
+    cell_mm : float
+        Width of a mesh cell across the plume, mm.
+    quick : bool
+        Whether it was a first look.
     notes : tuple of str
         What the user should know of the scene whose rays were followed.
     """
@@ -91,6 +81,8 @@ class Simulation(Displayed):
     nusselt: float
     wall_layer_cells: int
     drift_px_per_s: float
+    cell_mm: float
+    quick: bool = False
     notes: tuple[str, ...] = ()
 
 
@@ -139,19 +131,17 @@ class Steadiness:
 
 
 def simulate(
-    flow: HeatFlow,
+    air: SceneAir,
     case: Path,
     output: Path,
-    until: Until,
+    until: Until | None = None,
     *,
+    cell_mm: float | None = None,
     spacing_mm: tuple[float, float, float] | None = None,
     coarse: bool = False,
     record_s: float = 0.0,
     every_s: float = CHECK_S,
     processes: int = 1,
-    scene_name: str = "hot_cylinder",
-    camera: str | None = None,
-    source: str | None = None,
     history: str = "",
     report: Report = lambda stage, fraction: None,
 ) -> Simulation:
@@ -159,12 +149,16 @@ def simulate(
 
     Parameters
     ----------
-    flow : HeatFlow
-        The part and how finely it is simulated.
+    air : SceneAir
+        The part, its air, and the scene whose probe rays show whether the flow is steady.
     case, output : Path
         Folder of the OpenFOAM case; NetCDF file of the field.
-    until : Until
-        When it ends. A flow that is `unsteady`, and one that is recorded, ends at `at_most_s`.
+    until : Until, optional
+        When it ends. A flow that is `unsteady`, and one that is recorded, ends at `at_most_s`. By
+        default a first look ends when a plume like it has come to stand.
+    cell_mm : float, optional
+        Width of a mesh cell across the plume, mm; by default the flow's own, of a first look as
+        suits the part.
     spacing_mm : tuple of three float, optional
         Distance of the field's nodes, mm.
     coarse : bool
@@ -175,10 +169,6 @@ def simulate(
         Flow time between saved instants, s.
     processes : int
         Of the solver, by MPI.
-    scene_name : str
-        Scene whose probe rays show whether the flow is steady.
-    camera, source : str, optional
-        Names of the scene's, where it has several.
     history : str
         The command, for the file's attributes.
 
@@ -190,15 +180,22 @@ def simulate(
     Interrupted
         If it was stopped; the same command goes on.
     """
-    grid = SampleGrid.of(flow, spacing_mm)
-    if not coarse:
-        check_wall_layer(flow)
-    foam = find_openfoam(processes > 1)
-    pyvista()  # not missed only after hours of computing
+    with ExitStack() as stack:
+        flow = air.flow
+        if air.part is not None:
+            folder = stack.enter_context(scratch_folder())
+            flow = replace(flow, stl=_written(air.part, folder, air.scene.path))
+        flow, until = _first_look(flow, until, cell_mm)
+        grid = SampleGrid.of(flow, spacing_mm)
+        if not (coarse or flow.quick):
+            check_wall_layer(flow)
+        foam = _openfoam(processes > 1)
+        pyvista()  # not missed only after hours of computing
+        scene = air.scene
+        steadiness = Steadiness(scene, until, lambda time_s: sample(flow, case, (time_s,), grid))
+        prepare_case(flow, case, until.at_most_s, every_s, processes)
+        part_cells = wall_cells(flow) if flow.stl else None
     moving = flow.unsteady or record_s > 0.0
-    scene = load_scene(scene_name).only(camera, source)
-    steadiness = Steadiness(scene, until, lambda time_s: sample(flow, case, (time_s,), grid))
-    prepare_case(flow, case, until.at_most_s, every_s, processes)
 
     def solving(progress: Progress) -> None:
         left = progress.seconds_left
@@ -220,10 +217,13 @@ def simulate(
     # A run that was stopped in between has saved that time as well, off the others' interval.
     even = [t for t in times if abs(t / every_s - round(t / every_s)) < 1e-4]
     written = tuple(t for t in even if t >= end.time_s - record_s - 1e-6) or (end.time_s,)
-    balance = heat_balance(case, CHECK_S)
+    balance = heat_balance(case, BALANCE_S[flow.quick])
     nusselt = np.nan if flow.stl else nusselt_number(flow, balance.wall_w)
-    cells = wall_cells(flow, None if flow.stl else nusselt)
-    made = Simulation(end, balance, nusselt, cells, steadiness.drift_px_per_s, scene.notes)
+    cells = wall_cells(flow, nusselt) if part_cells is None else part_cells
+    made = Simulation(
+        *(end, balance, nusselt, cells, steadiness.drift_px_per_s, flow.cell_mm, flow.quick),
+        notes=(*scene.notes, *air.notes),
+    )
     attributes = _provenance(flow, made, foam.version) | {
         "parameters": json.dumps(setup_of(case)),
         "history": f"{datetime.now(UTC).isoformat(timespec='seconds')} {history}".strip(),
@@ -231,6 +231,43 @@ def simulate(
     write_quantity(output, sample(flow, case, written, grid, attributes))
     report("done", 1.0)
     return made
+
+
+def _written(part: Trimesh, folder: Path, scene: Path) -> Path:
+    """Write a scene's part as an STL file, and check it."""
+    stl = folder / f"{scene.stem}.stl"
+    part.export(stl)
+    try:
+        read_part(stl)
+    except InputError as error:
+        raise InputError(f"{scene}: its part: " + f"{error}".removeprefix(f"{stl}: ")) from None
+    return stl
+
+
+def _first_look(
+    flow: HeatFlow, until: Until | None, cell_mm: float | None
+) -> tuple[HeatFlow, Until]:
+    """How finely and how long, where that is not asked for."""
+    if not flow.quick:
+        return replace(flow, cell_mm=cell_mm or flow.cell_mm), until or Until()
+    part = read_part(flow.stl) if flow.stl else None
+    flow = replace(flow, cell_mm=cell_mm or quick_cell_mm(flow, part))
+    if until is None:
+        height_mm = flow.light_mm[2] - part.low_mm[2] + ROOM_MM if part else QUICK_HEIGHT_MM
+        time_s = quick_time_s(flow, height_mm)
+        until = Until(time_s, time_s, 0.0)
+    return flow, until
+
+
+def _openfoam(parallel: bool) -> OpenFoam:
+    try:
+        return find_openfoam(parallel)
+    except InputError as error:
+        raise InputError(
+            f"{error}. Without it: simulate the air in another program and import it"
+            " (virtual-sensor field import --help), or take a field that is shipped, of a cylinder"
+            " (-D field=hot_cylinder_900C_quarter)"
+        ) from None
 
 
 def as_field(quantity: GriddedQuantity) -> IndexField:

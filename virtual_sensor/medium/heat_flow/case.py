@@ -55,7 +55,7 @@ def write_case(
             shutil.copytree(path, new, dirs_exist_ok=True, ignore=unused)
         write_parameters(flow, new, end_s, write_interval_s, processes)
         if flow.stl:
-            mesh = _write_part(flow.stl, flow.cell_mm, new)
+            mesh = _write_part(flow.stl, flow, new)
         else:
             mesh = block_mesh_dict(cylinder_mesh(flow))
         text = _HEADER.format(name="blockMeshDict") + mesh
@@ -65,7 +65,7 @@ def write_case(
 
 def setup_record(flow: HeatFlow) -> dict[str, Any]:
     """What `setup.json` holds."""
-    record = dataclasses.asdict(flow)
+    record = dataclasses.asdict(flow) | {"light_mm": list(flow.light_mm)}
     if flow.stl:
         content = readable(flow.stl).read_bytes()
         record |= {"stl": flow.stl.name, "stl_sha256": hashlib.sha256(content).hexdigest()}
@@ -80,10 +80,11 @@ def mesh_commands(record: Mapping[str, Any]) -> list[tuple[str, ...]]:
     return [("blockMesh",), *mirror]
 
 
-def _write_part(stl: Path, cell_mm: float, folder: Path) -> str:
+def _write_part(stl: Path, flow: HeatFlow, folder: Path) -> str:
     """Write the part and what `snappyHexMesh` needs; give the body of `blockMeshDict`."""
     part = snapped_mesh.read_part(stl)
-    mesh = snapped_mesh.snapped_mesh(part, cell_mm)
+    snapped_mesh.check_place(stl, part, flow.light_mm)
+    mesh = snapped_mesh.snapped_mesh(part, flow.cell_mm, flow.light_mm[2])
     surface = folder / snapped_mesh.SURFACE
     surface.parent.mkdir()
     part.surface.save(surface)  # one patch, also where the file has several solids
@@ -113,7 +114,11 @@ def write_parameters(
     flow: HeatFlow, folder: Path, end_s: float, write_interval_s: float, processes: int
 ) -> None:
     """Write the file that the case's dictionaries include."""
-    courant, longest_s = (0.7, 2e-3) if flow.unsteady else (14.0, 8e-3)
+    courant, longest_s, first_s, iterations = 14.0, 8e-3, 1e-5, 8
+    if flow.unsteady:
+        courant, longest_s = 0.7, 2e-3
+    if flow.quick:
+        longest_s, first_s, iterations = 16e-3, 5e-4, 4
     values = {
         "wallTemperature": (f"{flow.wall_k:g}", "K"),
         "ambientTemperature": (f"{flow.ambient_k:g}", "K"),
@@ -131,6 +136,8 @@ def write_parameters(
         "timesKept": ("0", "0: all"),
         "maxCourant": (f"{courant:g}", ""),
         "maxTimeStep": (whole_step(write_interval_s, flow.time_step_s or longest_s), "s"),
+        "firstTimeStep": (f"{first_s:g}", "s"),
+        "outerIterations": (f"{iterations}", "of a time step"),
         "processes": (f"{processes}", ""),
         "divisions": (divisions(processes, flow.section), "along x, y, z"),
     }

@@ -35,6 +35,7 @@ from virtual_sensor.medium.heat_flow.solver import LOG, Solver, Step, Watch
 SAME_TIME = 1e-6  # of the interval of writing; the names of times have eight digits
 PERIOD_S = 0.1  # at which the solver is polled
 PACE_WINDOW_S = 30.0  # over which its pace is taken
+FIRST_STEPS = 8.0  # lengths of a step; while it grows by a fifth each time, all before are six
 FULL_DISK_MB = 10.0
 PATIENCE_S = 120.0  # with the solver of a killed run, which writes its last step
 
@@ -196,7 +197,9 @@ class _Run:
         while len(pace) > 2 and pace[0][0] < now - PACE_WINDOW_S:
             pace.popleft()
         gone = step.time_s - pace[0][1]
-        left = (self.end_s - step.time_s) * (now - pace[0][0]) / gone if gone > 0.0 else None
+        # The first steps are short, and each is longer than the one before: they show no pace.
+        begun = gone > FIRST_STEPS * step.length_s
+        left = (self.end_s - step.time_s) * (now - pace[0][0]) / gone if begun else None
         return Progress("solving", step.time_s, self.end_s, left, step)
 
     def _failed(self, watch: Watch, when: float, trouble: str, cause: str) -> str:

@@ -23,7 +23,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.setup import RAMP_S, HeatFlow
 from virtual_sensor.medium.heat_flow.snapped_mesh import SURFACE, Part, read_part
 from virtual_sensor.medium.imports import mesh_values
-from virtual_sensor.medium.imports.meshes import moved, pyvista, read_openfoam
+from virtual_sensor.medium.imports.meshes import moved, read_openfoam
 from virtual_sensor.medium.imports.sources import Mesh
 from virtual_sensor.medium.netcdf import GriddedQuantity
 
@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 SPACING_MM = (3.0, 0.5, 1.25)
 TOP_MM = 300.0
 PART_NODES = 9e5  # of a part's field by default, for a file of 2 MB
+BELOW_TOP_MM = 5.0  # a part's field ends, below the end of the simulated air
 PART_MARGIN_MM, PART_UNDER_MM = 25.0, 9.0  # of air beside and below it
 SECTION_LENGTH_MM = 180.0  # half of it, far enough for slanting light
 SECTION_NODES = 4  # along x, the fewest that a field may have
@@ -59,7 +60,7 @@ class SampleGrid:
             If an STL file is not fit; see `read_part`.
         """
         if flow.stl:
-            return cls._of_part(read_part(flow.stl), spacing_mm)
+            return cls._of_part(flow, read_part(flow.stl), spacing_mm)
         R = flow.radius_mm
         length = SECTION_LENGTH_MM if flow.section else flow.length_mm / 2.0 + 35.0
         width, low = max(36.0, 2.7 * R), -2.0 * R - 9.0
@@ -73,11 +74,13 @@ class SampleGrid:
         return cls(x, y, np.arange(low, TOP_MM + 1e-9, dz))
 
     @classmethod
-    def _of_part(cls, part: Part, spacing_mm: tuple[float, float, float] | None) -> SampleGrid:
+    def _of_part(
+        cls, flow: HeatFlow, part: Part, spacing_mm: tuple[float, float, float] | None
+    ) -> SampleGrid:
         """By default coarser along a long part, in whose middle the air is the same everywhere."""
         margin = np.array([PART_MARGIN_MM, PART_MARGIN_MM, 0.0])
         low, high = part.low_mm - margin, part.high_mm + margin
-        low[2], high[2] = part.low_mm[2] - PART_UNDER_MM, TOP_MM
+        low[2], high[2] = part.low_mm[2] - PART_UNDER_MM, flow.light_mm[2] - BELOW_TOP_MM
         if spacing_mm is None:
             size = part.high_mm[:2] - part.low_mm[:2]
             shape = np.array([*np.clip(size / size.min(), 1.0, 4.0), 2.0])
@@ -148,15 +151,11 @@ def _round_part(
         if any(a[0] < b or a[-1] > c for a, b, c in zip(axes, low, high, strict=True)):
             raise InputError(f"{case}: the grid reaches beyond the simulated air; make it smaller")
         frames.append(mesh_values.sample(mesh, temperature, axes))
-    missing = np.isnan(frames).any(axis=0)
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    every = pyvista().PolyData(nodes.reshape(-1, 3))
-    solid = every.select_interior_points(part.surface)["selected_points"].astype(bool)
-    solid = solid.reshape(missing.shape)
-    gap = missing & ~solid  # between the surface and the mesh, where they are concave
-    if gap.any():
-        points = pyvista().PolyData(nodes[gap]).compute_implicit_distance(part.surface)
-        solid[gap] = abs(points["implicit_distance"]) < flow.cell_mm
+    # Where the part is concave the mesh leaves a gap to it, which has no values either.
+    solid: NDArray[np.bool_] = np.isnan(np.stack(frames)).any(axis=0)
+    near = np.all((nodes >= part.low_mm) & (nodes <= part.high_mm), axis=-1) & ~solid
+    solid[near] = part.holds(nodes[near])
     # Where the mesh is coarse, interpolation overshoots; no air is colder or hotter than these.
     return np.clip(np.stack(frames), flow.ambient_k, flow.wall_k), solid
 

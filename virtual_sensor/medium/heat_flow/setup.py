@@ -39,6 +39,9 @@ class HeatFlow(Displayed):
         Of the cylinder, mm.
     stl : Path or None
         Surface of another part, mm, z up, in place of a cylinder.
+    light_mm : tuple of three float
+        Of another part: where light comes down to it, x and y, and the height z up to which the
+        air is simulated, mm.
     section : bool
         Only the plane across an endless cylinder: some minutes.
     whole : bool
@@ -53,21 +56,28 @@ class HeatFlow(Displayed):
         Of the surrounding air, Pa.
     cell_mm : float
         Width of a mesh cell across the plume, mm; all others scale with it.
+    quick : bool
+        A first look at the air in a minute or two: wide cells, little flow time. The image's shift
+        has the right size, but is some tenths of it off.
     time_step_s : float or None
         Longest time step, s; None is one that suits parts hotter than the air by hundreds of K.
         Slower flows take longer ones.
     """
 
-    temperature_c: float = 1250.0
+    temperature_c: float = field(default=1250.0, metadata={"internal": True})
     radius_mm: float = 13.5
     length_mm: float = 170.0
     stl: Path | None = None
+    light_mm: tuple[float, float, float] = field(
+        default=(0.0, 0.0, 305.0), metadata={"internal": True}
+    )
     section: bool = False
     whole: bool = False
     unsteady: bool = False
     ambient_c: float = 20.0
     pressure_pa: float = ATMOSPHERE_PA
-    cell_mm: float = 0.8
+    cell_mm: float = field(default=0.8, metadata={"internal": True})
+    quick: bool = False
     time_step_s: float | None = field(default=None, metadata={"internal": True})
 
     def __post_init__(self) -> None:
@@ -85,6 +95,8 @@ class HeatFlow(Displayed):
             raise InputError(
                 "a section is one of a cylinder; leave the STL file or the section out"
             )
+        if self.quick and self.unsteady:
+            raise InputError("a first look damps the flow; leave --quick or --unsteady out")
         if self.whole and not self.section:
             raise InputError("the whole plume, free to sway, is simulated in a section only")
 
@@ -106,3 +118,28 @@ class HeatFlow(Displayed):
     def density(self, temperature_k: float) -> float:
         """Density of the air as an ideal gas, kg/m^3."""
         return self.pressure_pa * MOLAR_MASS / (GAS_CONSTANT * temperature_k)
+
+
+@dataclass(frozen=True)
+class Until(Displayed):
+    """When a simulation ends.
+
+    Attributes
+    ----------
+    at_most_s, at_least_s : float
+        Flow time at which it ends in any case, and before which it does not, s.
+    steady_px_per_s : float
+        In between it ends once the pixels of the scene's probe rays move by less than this per
+        second of flow; 0: it does not.
+    """
+
+    at_most_s: float = 15.0
+    at_least_s: float = 2.0
+    steady_px_per_s: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.at_least_s <= self.at_most_s or self.at_most_s == 0.0:
+            raise InputError(
+                f"--at-least {self.at_least_s:g} s, --time {self.at_most_s:g} s: the first must not"
+                " be longer than the second"
+            )

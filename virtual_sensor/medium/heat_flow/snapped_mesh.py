@@ -25,7 +25,8 @@ SURFACE = "constant/triSurface/part.stl"
 """Where a case keeps its part."""
 
 SMALLEST_MM, LARGEST_MM = 2.0, 2000.0
-ROOM_MM = 45.0  # of air beside and below the part
+ROOM_MM = 45.0  # of air beside and below the part, at least
+ROOM_SHARE = 0.3  # of the part's longer side
 HEADROOM_MM = 100.0  # for the plume
 PLUME_MM = 8.0  # the plume's cells begin so far beside the part
 PLUME_LEVEL, WALL_LEVEL = 3, 4  # how often cells are halved
@@ -41,12 +42,15 @@ class Part:
     Attributes
     ----------
     surface : pyvista.PolyData
-        Triangles, closed; mm.
+        Triangles, closed; mm. Of each body they face outwards.
+    bodies : tuple of pyvista.PolyData
+        The same, body by body.
     low_mm, high_mm : ndarray of shape (3,)
         Corners of its bounding box.
     """
 
     surface: Any
+    bodies: tuple[Any, ...]
     low_mm: Array
     high_mm: Array
 
@@ -55,15 +59,32 @@ class Part:
         """Along z."""
         return float(self.high_mm[2] - self.low_mm[2])
 
+    @property
+    def volume_mm3(self) -> float:
+        """What it fills; bodies that overlap count twice."""
+        return float(sum(body.volume for body in self.bodies))
+
+    @property
+    def thickness_mm(self) -> float:
+        """Of a sheet with as much volume and surface."""
+        return 2.0 * self.volume_mm3 / float(self.surface.area)
+
+    def holds(self, points_mm: Array) -> NDArray[np.bool_]:
+        """Which points (N, 3) lie inside."""
+        points = pyvista().PolyData(points_mm)
+        inside = np.zeros(len(points_mm), dtype=bool)
+        for body in self.bodies:
+            inside |= points.compute_implicit_distance(body)["implicit_distance"] <= 0.0
+        return inside
+
 
 def read_part(path: Path) -> Part:
-    """Read an STL file, ASCII or binary, in mm, z up, the sensor's working point at the origin.
+    """Read an STL file, ASCII or binary, in mm, z up.
 
     Raises
     ------
     InputError
-        If it is missing, damaged, not closed, of an unlikely size or not where the light is, or
-        PyVista is not installed.
+        If it is missing, damaged, not closed or of an unlikely size, or PyVista is not installed.
     """
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
@@ -72,21 +93,31 @@ def read_part(path: Path) -> Part:
     if not surface.n_cells:
         raise InputError(f"{path}: holds no triangles; is it an STL file?")
     low, high = np.reshape(np.asarray(surface.bounds, dtype=np.float64), (3, 2)).T
-    part = Part(surface, low, high)
-    _check_size(path, part)
-    _check_place(path, part)
-    if surface.n_open_edges:
+    _check_size(path, high - low)
+    open_edges = surface.extract_feature_edges(
+        boundary_edges=True, non_manifold_edges=False, feature_edges=False, manifold_edges=False
+    )
+    if open_edges.n_cells:
+        x, y, z = open_edges.points[0]
         raise InputError(
-            f"{path}: the surface is not closed: {surface.n_open_edges} edges belong to one"
-            " triangle only or to more than two; export a solid, or repair it in the CAD program"
+            f"{path}: the surface is not closed: {open_edges.n_cells} edges belong to one triangle"
+            f" only, the first at ({x:.4g}, {y:.4g}, {z:.4g}) mm, and air would fill the part;"
+            " export a solid, or close it in the program that made it"
         )
     if (high - low).min() <= 0.0:
         raise InputError(f"{path}: the part is flat; export a solid")
-    return part
+    bodies = tuple(_outwards(body) for body in surface.split_bodies())
+    return Part(surface, bodies, low, high)
 
 
-def _check_size(path: Path, part: Part) -> None:
-    size = part.high_mm - part.low_mm
+def _outwards(body: Any) -> Any:
+    """A closed surface with its faces outwards, whatever the file says."""
+    return body.extract_surface(algorithm="dataset_surface").compute_normals(
+        auto_orient_normals=True, consistent_normals=True, split_vertices=False
+    )
+
+
+def _check_size(path: Path, size: Array) -> None:
     if SMALLEST_MM <= size.max() <= LARGEST_MM:
         return
     long = " x ".join(f"{s:.3g}" for s in size)
@@ -97,20 +128,28 @@ def _check_size(path: Path, part: Part) -> None:
     )
 
 
-def _check_place(path: Path, part: Part) -> None:
-    """The sensor looks at the origin, from above."""
+def check_place(path: Path, part: Part, light_mm: tuple[float, float, float]) -> None:
+    """Refuse a part that is not where the light is.
+
+    Raises
+    ------
+    InputError
+        Which says where the part is, and where it should be.
+    """
     low, high = part.low_mm, part.high_mm
-    for i, axis in enumerate("xy"):
-        if low[i] > ROOM_MM or high[i] < -ROOM_MM:
+    *across, top = light_mm
+    for axis, light, a, b in zip("xy", across, low, high, strict=False):
+        if a > light + ROOM_MM or b < light - ROOM_MM:
             raise InputError(
-                f"{path}: the part lies at {axis} = {low[i]:.4g} to {high[i]:.4g} mm, outside the"
-                " domain: the light is at x = y = 0; move the part there"
+                f"{path}: the part lies at {axis} = {a:.4g} to {b:.4g} mm, outside the domain: the"
+                f" light is at x = {across[0]:g}, y = {across[1]:g}; move the part there, or give"
+                " its scene by --scene"
             )
-    if high[2] > TOP_MM - HEADROOM_MM:
+    if high[2] > top - HEADROOM_MM:
         raise InputError(
-            f"{path}: the part reaches up to z = {high[2]:.4g} mm; the domain ends at {TOP_MM:g}"
+            f"{path}: the part reaches up to z = {high[2]:.4g} mm; the domain ends at {top:g}"
             f" mm, and the plume needs {HEADROOM_MM:g} mm. The sensor's working point is at z = 0:"
-            " move the part down to it"
+            " move the part down to it, or give its scene by --scene"
         )
 
 
@@ -143,8 +182,12 @@ class SnappedMesh:
     plume_mm: tuple[Array, Array]
 
 
-def snapped_mesh(part: Part, cell_mm: float) -> SnappedMesh:
+def snapped_mesh(
+    part: Part, cell_mm: float, top_mm: float = TOP_MM, most: float = MOST_CELLS
+) -> SnappedMesh:
     """Lay out the mesh: cells `cell_mm` wide across the plume, the others in proportion.
+
+    The air reaches up to `top_mm`; there are `most` cells, or fewer.
 
     Raises
     ------
@@ -153,27 +196,27 @@ def snapped_mesh(part: Part, cell_mm: float) -> SnappedMesh:
     """
     width = cell_mm * 2**PLUME_LEVEL
     middle = float(part.high_mm[2]) + min(width, HEADROOM_MM / 4.0)
-    room = np.array([ROOM_MM, ROOM_MM, 0.0])
+    room = max(ROOM_MM, ROOM_SHARE * float((part.high_mm - part.low_mm)[:2].max()))
     low, high = part.low_mm - room, part.high_mm + room
-    low[2], high[2] = part.low_mm[2] - ROOM_MM, middle
+    high[2] = middle
     counts = np.ceil((high - low) / width)
     excess = counts * width - (high - low)
     low -= excess * (0.5, 0.5, 1.0)
     high += excess * (0.5, 0.5, 0.0)
-    high[2] = TOP_MM
-    length = TOP_MM - middle
+    high[2] = top_mm
+    length = top_mm - middle
     first = min(width, length / 4.0)
     above = Division.between(length, first, min(STRETCH * first, length / 3.0))
 
     beside = np.array([PLUME_MM, PLUME_MM, 0.0])
     plume = (part.low_mm - beside, part.high_mm + beside)
-    plume[1][2] = TOP_MM
+    plume[1][2] = top_mm
     nx, ny, nz = (int(n) for n in counts)
     mesh = SnappedMesh(low, high, middle, (nx, ny, nz), above, width, plume)
-    if (expected := expected_cells(part, mesh)) > MOST_CELLS:
+    if (expected := expected_cells(part, mesh)) > most:
         raise InputError(
             f"cells of {cell_mm:g} mm would be about {expected / 1e6:.0f} million for this part;"
-            f" {MOST_CELLS / 1e6:.0f} million is the limit: take coarser ones"
+            f" {most / 1e6:.0f} million is the limit: take coarser ones"
         )
     return mesh
 
