@@ -42,9 +42,9 @@ def find_field(name: str | Path, folders: Iterable[Path] = (Path(),)) -> Path:
     )
 
 
-def is_installed(folder: Path) -> bool:
-    """Whether a folder is that of the scenes that come with the program."""
-    return folder.resolve() == _installed().resolve()
+def is_installed(path: Path) -> bool:
+    """Whether a file or a folder is among those of the scenes that come with the program."""
+    return path.resolve().is_relative_to(_installed().resolve())
 
 
 def _installed() -> Path:

@@ -73,7 +73,8 @@ def coarse_grid(scene: Scene) -> dict[str, bool]:
     Returns
     -------
     dict from str to bool
-        With the note, if there is one, whether it is a caveat: that a measurement would show it.
+        With the note, if there is one, whether it is a caveat: that a tenth of what the air does to
+        the line is lost, and a measurement would show it.
     """
     field = scene.field
     if field is None:
@@ -102,12 +103,13 @@ def coarse_grid(scene: Scene) -> dict[str, bool]:
         return {}
     beside = hot + np.array([0.0, loss.present])
     error_um = 1e3 * furthest(triangulate(scene.sensor, beside) - triangulate(scene.sensor, hot))
+    moved_px = furthest(places(None))
     return {
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
         f" {loss.present:.2g} px of the line's place, some {error_um:.2g} um of the part, where the"
-        f" air moves the line by {furthest(places(None)):.2g} px; make it with closer nodes (field"
+        f" air moves the line by {moved_px:.2g} px; make it with closer nodes (field"
         " simulate --grid, field import --spacing); virtual-sensor field info shows along which"
-        " axis": loss.present > COARSE_PX
+        " axis": loss.present > max(COARSE_PX, _MANY * moved_px)
     }
 
 

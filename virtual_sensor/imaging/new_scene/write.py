@@ -24,6 +24,7 @@ from virtual_sensor.imaging.new_scene.text import scene_text, value_text
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey
 from virtual_sensor.imaging.scene import Scene, load_scene, scene_parameters
 from virtual_sensor.imaging.scene_file import filled, find_scene, read_scene_file, shipped_scenes
+from virtual_sensor.medium.find_field import find_field, is_installed
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 
 _SAMPLES = 201  # rays of a line
@@ -217,7 +218,7 @@ def _drawn(path: Path, said: NewScene) -> _Draft:
     if part.file:
         part_place = _place(path.parent, part.file)
         files[part_place] = part.file
-    if field and exists(air := Path(field).expanduser()):
+    if field and not is_installed(air := find_field(field)):
         field = _place(path.parent, readable(air))
         files[field] = air
     text = scene_text(path.stem, part, part_place, sensor, said, field)
