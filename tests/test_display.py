@@ -97,14 +97,23 @@ def test_a_notebook_shows_line_table_and_picture_and_is_told_no_error(line, monk
     assert "LineCentres" in broken._repr_html_()
 
 
-def test_a_plot_leaves_the_users_matplotlib_as_it_was(line):
+def test_a_plot_leaves_the_users_matplotlib_as_it_was(line, monkeypatch):
     matplotlib.get_backend()  # it is chosen when first asked for
     before = matplotlib.rcParams.copy()
     axes = Figure().add_subplot()
     assert line.plot(axes) is axes
     assert axes.lines
+    first_figure = pyplot.figure
+
+    def starting(**options):
+        matplotlib.rcParams["interactive"] = True  # as a notebook's backend when it starts
+        return first_figure(**options)
+
+    monkeypatch.setattr(pyplot, "figure", starting)
     own = line.plot()
     pyplot.close(own.figure)
+    assert matplotlib.is_interactive()
+    matplotlib.rcParams["interactive"] = before["interactive"]
     line._repr_html_()
     assert matplotlib.rcParams == before
     with pytest.raises(InputError, match="give an Axes"):

@@ -226,8 +226,7 @@ def test_scenes_are_equal_if_they_are_loaded_and_changed_alike(hot):
 
 def test_a_scene_says_what_it_is_in_a_line(hot):
     assert repr(hot) == (
-        "Scene: hot_cylinder.xml, camera camera, source laser, air"
-        " hot_cylinder_1250C_quarter.nc, tabulated"
+        "Scene: hot_cylinder.xml, camera, laser, air hot_cylinder_1250C_quarter.nc, tabulated"
     )
 
 

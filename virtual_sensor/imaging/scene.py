@@ -219,9 +219,8 @@ class Scene(Displayed):
     def _line(self) -> str:
         air = self.air.path.name if self.air.path else "homogeneous"
         air = "given" if self.medium and not self.air.path else air
-        sources = f"source {_listed(self.sources) or 'none'}"
-        devices = f"camera {_listed(self.cameras)}", sources
-        return listed(self.path.name, *devices, f"air {air}", self.transport.name)
+        cameras, sources = _counted("camera", self.cameras), _counted("source", self.sources)
+        return listed(self.path.name, cameras, sources, f"air {air}", self.transport.name)
 
     @property
     def loaded(self) -> Loaded:
@@ -541,6 +540,12 @@ def _unpickled(
     cameras = {name: stage.cameras[name] for name in chosen[0]}
     sources = {name: stage.sources[name] for name in chosen[1]}
     return Scene(path, parameters, medium, described, cameras, sources, transport, hot, stage)
+
+
+def _counted(kind: str, named: Mapping[str, Any]) -> str:
+    """The devices of a kind by their names; one that has the usual name says it all."""
+    names = _listed(named) or "none"
+    return names if names in ("camera", "laser") else f"{kind}{'s' * (len(named) > 1)} {names}"
 
 
 def _listed(named: Mapping[str, Any]) -> str:

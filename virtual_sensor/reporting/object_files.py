@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, names_of
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import written_whole
+from virtual_sensor.files import path_of, written_whole
 from virtual_sensor.records import Table, plain, status_names, write_csv, write_json, write_ply
 
 Writer = Callable[[Path, Any], None]
@@ -41,7 +41,7 @@ def data_frame(thing: Displayed) -> Any:
 
 def save(thing: Displayed, path: str | Path) -> Path:
     """Write an object to a file, by its suffix; see `Displayed.save`."""
-    path = Path(path)
+    path = path_of("save: path", path)
     writers = formats_of(thing)
     write = writers.get(path.suffix.lower())
     if write is None:

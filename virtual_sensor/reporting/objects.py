@@ -90,8 +90,10 @@ def plot(thing: object, axes: Axes | None = None) -> Axes:
     if axes is None:
         from matplotlib import pyplot
 
+        # The first figure starts the user's backend, which sets what our style would take back.
+        figure = pyplot.figure(layout="constrained")
         with style():
-            _, axes = pyplot.subplots(layout="constrained")
+            axes = figure.add_subplot()
             draw(axes, thing)
         return axes
     if not isinstance(axes, Axes):
@@ -225,6 +227,9 @@ def _detected(axes: Axes, found: Any) -> None:
 
 def _image(axes: Axes, image: NDArray[Any], window: tuple[slice, slice] | None = None) -> None:
     """An image, or the rows and columns of a window, in brightness as the eye sees it."""
+    axes.set(xlabel=_U, ylabel=_V)
+    if not image.size:
+        return
     rows, columns = window or (slice(0, None), slice(0, None))
     shown, (high, wide) = coarser(image[rows, columns], _MOST_PX)
     left, top = columns.start - 0.5, rows.start - 0.5
@@ -234,7 +239,6 @@ def _image(axes: Axes, image: NDArray[Any], window: tuple[slice, slice] | None =
     norm = PowerNorm(0.5, low, most if most > low else low + 1.0)
     axes.imshow(shown, "gray", norm, extent=extent, aspect="auto", interpolation="nearest")
     axes.grid(visible=False)
-    axes.set(xlabel=_U, ylabel=_V)
 
 
 # ------------------------------------------------------------------------------------ in space
@@ -268,7 +272,8 @@ def _rays(axes: Axes, rays: Rays) -> None:
     known = np.isfinite(rays.position).all(axis=1)
     step = max(1, int(known.sum()) // 500)
     end, direction = rays.position[known][::step], rays.direction[known][::step]
-    size = float(np.ptp(end, axis=0).max(initial=0.0)) or 1.0
+    size = float(np.ptp(end, axis=0).max()) if len(end) else 0.0
+    size = size or 1.0  # of a single ray
     start = end - 0.5 * size * direction
     across, up = _side(np.concatenate([start, end]))
     both = np.stack([start, end])[..., [across, up]]
@@ -500,7 +505,8 @@ def _field(axes: Axes, field: IndexField) -> None:
     bar.set_label("10⁵ (n − 1)")
     place = field.origin[0] + node * field.spacing[0]
     own = "the field's " if field.pose else ""
-    axes.locator_params(axis="x", nbins=2)
+    if 2.0 * (ends[1] - ends[0]) < ends[3] - ends[2]:
+        axes.set_xticks(ends[:2])  # there is room for no more
     axes.set(xlabel=f"{own}y in mm, at x = {place:.4g} mm", ylabel=f"{own}z in mm")
 
 
