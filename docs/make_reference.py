@@ -61,35 +61,51 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def api() -> str:
-    """What `import virtual_sensor as vs` gives, and the classes that this leads to."""
-    public = {name: getattr(vs, name) for name in vs.__all__}
-    reached = {each for each in reached_classes(public.values()) if each not in public.values()}
-    parts = [
-        "# Python API\n",
-        "`import virtual_sensor as vs` gives the names of the first table; the second one lists"
-        " the classes of which these take and give objects. Their descriptions follow"
-        " ([on the site](../index.md), or by `help(vs.render)` in Python). Lengths are in mm,"
-        " temperatures in °C, angles in degrees, pixels (u, v) with integers at pixel centres.\n",
+    """What `import virtual_sensor as vs` gives."""
+    names = {f"vs.{name}": getattr(vs, name) for name in vs.__all__}
+    return _api_page(
+        "Python API",
+        "`import virtual_sensor as vs` gives these names. The objects that they take and give are"
+        " of [further classes](api_classes.md). Lengths are in mm, temperatures in °C, angles in"
+        " degrees, pixels (u, v) with integers at pixel centres. Names are described below the"
+        " table, on the site; in Python `help(vs.render)` prints the same.",
+        names,
+    )
+
+
+def api_classes() -> str:
+    """The classes to which the names of `vs` lead."""
+    public = [getattr(vs, name) for name in vs.__all__]
+    reached = reached_classes(public) - {each for each in public if isinstance(each, type)}
+    return _api_page(
+        "Classes",
+        "Objects of these classes are what the names of [`vs`](api.md) take and give, or consist"
+        " of. They are described below the table, on the site; in Python `help(type(scene))` prints"
+        " the same.",
+        {each.__name__: each for each in sorted(reached, key=lambda each: each.__name__)},
+    )
+
+
+def _api_page(title: str, words: str, names: dict[str, Any]) -> str:
+    """An index of names, then their descriptions, in the order of the rooms."""
+    rooms = {
+        heading: [n for n in names if _room(names[n]) == room] for room, heading in ROOMS.items()
+    }
+    rows = [
+        (heading if name == chosen[0] else "", f"[`{name}`](#{_slug(name)})", _summary(names[name]))
+        for heading, chosen in rooms.items()
+        for name in chosen
     ]
-    names = {f"vs.{name}": target for name, target in public.items()}
-    names |= {each.__name__: each for each in sorted(reached, key=lambda each: each.__name__)}
-    slugs = _slugs(names)
-    for title, chosen in (
-        ("Names of `vs`", public.values()),
-        ("Classes that they lead to", reached),
-    ):
-        parts.append(f"## {title}\n")
-        for room, heading in ROOMS.items():
-            rows = [
-                (f"[`{name}`](#{slugs[name]})", _summary(target))
-                for name, target in names.items()
-                if target in chosen and _room(target) == room
-            ]
-            if rows:
-                parts += [f"**{heading}**\n", table(("name", "what it is"), rows)]
-    parts.append("## Descriptions\n")
-    parts += [f"### {name}\n\n::: {_path(target)}\n" for name, target in names.items()]
+    parts = [f"# {title}\n", f"{words}\n", table(("", "name", "what it is"), rows)]
+    for heading, chosen in rooms.items():
+        parts += [f"## {heading}\n"] if chosen else []
+        parts += [f"### {name}\n\n::: {_path(names[name])}\n" for name in chosen]
     return "\n".join(parts)
+
+
+def _slug(name: str) -> str:
+    """The anchor of a heading, as GitHub and the site make it."""
+    return re.sub(r"[^\w-]", "", name.lower())
 
 
 def reached_classes(targets: Iterable[Any]) -> set[type]:
@@ -141,13 +157,6 @@ def _room(target: Any) -> str:
 
 def _path(target: Any) -> str:
     return f"{target.__module__}.{target.__qualname__}"
-
-
-def _slugs(names: dict[str, Any]) -> dict[str, str]:
-    """Anchors of headings, as GitHub and the site make them."""
-    found = {name: re.sub(r"[^\w-]", "", name.lower()) for name in names}
-    assert len(set(found.values())) == len(found)
-    return found
 
 
 def _summary(target: Any) -> str:
@@ -337,6 +346,7 @@ def status_kinds() -> list[type[StatusEnum]]:
 
 PAGES: dict[str, Callable[[], str]] = {
     "api.md": api,
+    "api_classes.md": api_classes,
     "commands.md": commands,
     "data_dictionary.md": lambda: dictionary(files()),
     "scene_elements.md": scene_elements,

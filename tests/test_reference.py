@@ -34,7 +34,8 @@ def test_the_generated_pages_are_as_the_program_makes_them(maker):
 
 def test_every_public_name_is_listed_and_described(maker):
     """Those of `vs`, and the classes that these lead to: their fields and parameters too."""
-    text = (maker.FOLDER / "api.md").read_text(encoding="utf-8")
+    pages = (maker.FOLDER / name for name in ("api.md", "api_classes.md"))
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     public = [getattr(vs, name) for name in vs.__all__]
     kinds = maker.reached_classes(public)
     assert {"Scene", "Frame", "FoundPixels", "Pinhole"} <= {kind.__name__ for kind in kinds}
