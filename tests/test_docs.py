@@ -9,6 +9,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import trimesh
@@ -118,7 +119,19 @@ def the_source_lights_a_part(names):
     assert np.sum(vs.render(scene) > 0.0) > 100
 
 
+def objects_say_what_the_page_shows(names):
+    """The lines that the page prints are those that objects print."""
+    page = (DOCS / "how_to" / "objects.md").read_text(encoding="utf-8")
+    for name in ("scene", "frame", "line", "points"):
+        assert repr(names[name]) in page
+    assert repr(names["scene"].camera) in page
+    for status, count in names["table"].status.value_counts().items():
+        assert status == "ok" or re.search(rf"^{status} +{count}$", page, re.MULTILINE)
+    plt.close(names["figure"])
+
+
 AFTER = {
+    "how_to/objects.md": objects_say_what_the_page_shows,
     "explanation/detectors.md": lines_are_where_they_are,
     "how_to/several_cameras.md": points_lie_on_the_part,
     "how_to/own_source.md": the_source_lights_a_part,

@@ -28,7 +28,7 @@ _MIDDLE_GREY = "#808080"  # letters and axes that are read on white as well as o
 _LETTERS = dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), _MIDDLE_GREY
 )
-_SMALL_IN, _SMALL_DPI, _SHOWN_PX = (4.4, 2.8), 160, 440
+_SMALL_IN, _SMALL_DPI, _SHOWN_PX = (4.4, 2.8), 160, 420
 _MARGINS = {"left": 0.17, "right": 0.97, "bottom": 0.18, "top": 0.93}
 _MOST_NUMBERS = 1 << 20  # whose range is looked for
 _MOST_ROWS, _MOST_KEYS, _WHOLE = 24, 6, 4
@@ -62,8 +62,9 @@ def _table(thing: Displayed) -> str:
         f'<td style="{cell}">{escape(words)}</td></tr>'
         for name, words in islice(_rows(thing), _MOST_ROWS)
     )
-    look = "margin:4px 0; border:0; font-size:inherit; color:inherit; max-width:32em"
-    return f'<table style="{look}">{body}</table>'
+    look = "margin:4px 0; border:0; font-size:inherit; color:inherit"
+    # As wide as is left beside the picture.
+    return f'<div style="flex:1 1 18em; max-width:32em"><table style="{look}">{body}</table></div>'
 
 
 def _rows(thing: Displayed) -> Iterator[tuple[str, str]]:

@@ -110,7 +110,7 @@ def write_picture(path: Path, thing: object) -> None:
     with style(), written_whole(path) as temporary:
         figure = Figure(figsize=(6.4, 4.4), dpi=150, layout="constrained")
         draw(figure.add_subplot(), thing)
-        figure.savefig(temporary, format=path.suffix.lower().lstrip("."))
+        figure.savefig(temporary, format=path.suffix.lower().lstrip("."), bbox_inches="tight")
 
 
 # ------------------------------------------------------------------------------ lines and dots
@@ -409,8 +409,7 @@ def _reach(pose: Pose, target: Array | None) -> float:
 
 def _name(axes: Axes, name: str, at: Array, paint: str, marker: str) -> None:
     axes.plot(*at, marker, color=paint, ms=7.0)
-    left = at[0] > np.mean(axes.get_xlim())
-    write_beside(axes, drawable(name), tuple(at), (-9.0 if left else 9.0, 4.0))
+    write_beside(axes, drawable(name), tuple(at), (0.0, 10.0))
 
 
 def _outline(shape: Any) -> list[Array]:
