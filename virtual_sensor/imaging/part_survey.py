@@ -34,6 +34,7 @@ _CLOSED = 0.05  # of a body's area, summed as vectors: a closed one's is 0
 _SMALLEST, _LARGEST = 0.05, 200.0  # size of a part in fields of view that is not doubted...
 _FITTING = 0.2, 20.0  # ...and that speaks for a unit
 _ON_MM, _BESIDE, _TINY = 1e-3, 1e-2, 1e-30  # of a facet: above it, beside it, its area
+_RINGS = 3  # of neighbours that a facet's estimate looks at
 _NO_WIDTH = 1e-6  # of the part's size: float32 leaves a crack of so much at a T-junction
 _HASH = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 
@@ -158,11 +159,16 @@ def facet_error_mm(vertices_mm: Array, faces: Indices, points_mm: Array) -> floa
 
     An estimate, see `Mesh.facet_error_mm`; 0 where no point lies on a facet.
     """
-    corner = vertices_mm[faces]
+    corner, met = vertices_mm[faces], np.zeros(len(faces), bool)
     low, high = corner.min(axis=1) - _ON_MM, corner.max(axis=1) + _ON_MM
-    met = np.zeros(len(faces), bool)
+
+    def within(places: Array, of: Indices) -> Indices:
+        reached = (low[of] <= places.max(axis=0)) & (high[of] >= places.min(axis=0))
+        return of[np.all(reached, axis=1)]
+
+    along_line = within(points_mm, np.arange(len(faces)))
     for point in points_mm:
-        near = np.flatnonzero(np.all((low <= point) & (point <= high), axis=1))
+        near = within(point[None], along_line)
         to = corner[near] - point
         parts = np.cross(to, np.roll(to, -1, axis=1))  # twice the areas that the point cuts
         whole = parts.sum(axis=1)
@@ -172,7 +178,12 @@ def facet_error_mm(vertices_mm: Array, faces: Indices, points_mm: Array) -> floa
         met[near[(height < _ON_MM) & np.all(weights > -_BESIDE, axis=1)]] = True
     if not met.any():
         return 0.0
-    return float(Mesh.of(vertices_mm, faces).facet_error_mm[met].max())
+    mesh, near = Mesh.of(vertices_mm, faces), met
+    for _ in range(_RINGS):
+        touched = np.zeros(len(mesh.places_mm), bool)
+        touched[mesh.faces[near]] = True
+        near = touched[mesh.faces].any(axis=1)
+    return float(replace(mesh, faces=mesh.faces[near]).facet_error_mm[met[near]].max())
 
 
 def _vector(place: Array) -> Vector:
