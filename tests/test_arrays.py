@@ -62,6 +62,7 @@ OTHERS = {
     "compare_line",
     "load_scene",
     "new_scene",
+    "survey",
     "render",
     "render_frame",
     "record",

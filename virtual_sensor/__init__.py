@@ -19,6 +19,7 @@ Scenes, and what a camera sees of them
                          with the program.
     new_scene            Write a scene of one's own beside a copy of its part, ready to be
                          measured.
+    survey               Survey a part's file: its size, its faults, and what its facets cost.
     Scene                A loaded scene: a part in its air, the cameras that see it, the sources
                          that light it.
     render               Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
@@ -94,6 +95,7 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.image_files import save_png as save_png
     from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
+    from virtual_sensor.imaging.part_survey import survey as survey
     from virtual_sensor.imaging.render import Frame as Frame
     from virtual_sensor.imaging.render import render as render
     from virtual_sensor.imaging.render import render_frame as render_frame
@@ -159,6 +161,7 @@ _HOME = {
     "render_frame": "imaging.render",
     "save_png": "imaging.image_files",
     "speckled": "imaging.speckle",
+    "survey": "imaging.part_survey",
     "trace": "optics.trace",
     "triangulate": "metrology.triangulation",
     "triangulated_points": "metrology.triangulation",

@@ -81,7 +81,7 @@ class PartSurvey(Record):
 
 
 def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
-    """Survey a part's file.
+    """Survey a part's file: its size, its faults, and what its facets cost.
 
     Parameters
     ----------
