@@ -178,12 +178,13 @@ def facet_error_mm(vertices_mm: Array, faces: Indices, points_mm: Array) -> floa
         met[near[(height < _ON_MM) & np.all(weights > -_BESIDE, axis=1)]] = True
     if not met.any():
         return 0.0
-    mesh, near = Mesh.of(vertices_mm, faces), met
+    mesh, around = Mesh.of(vertices_mm, faces), met
     for _ in range(_RINGS):
         touched = np.zeros(len(mesh.places_mm), bool)
-        touched[mesh.faces[near]] = True
-        near = touched[mesh.faces].any(axis=1)
-    return float(replace(mesh, faces=mesh.faces[near]).facet_error_mm[met[near]].max())
+        touched[mesh.faces[around]] = True
+        around = np.any(touched[mesh.faces], axis=1)
+    estimated = replace(mesh, faces=mesh.faces[around]).facet_error_mm
+    return float(estimated[met[around]].max())
 
 
 def _vector(place: Array) -> Vector:
