@@ -182,6 +182,7 @@ def test_even_and_tiny_air_can_be_drawn(tmp_path, nodes, difference):
     ("arguments", "said"),
     [
         ("air.nc -o a.png", "air.nc: .*there is no such field file"),
+        ("-o a.png", "name a FIELD, or a --scene that has one"),
         ("broken.nc -o a.png", "broken.nc: is not a NetCDF.* file"),
         ("air.nc -o a.jpg", r"-o a.jpg: the picture is written as \.png"),
     ],

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+import trimesh
 from fields_of_air import AMBIENT, HIGH, LOW, air, swaying_quantity, warm_sheet
 
+import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.netcdf import write_quantity
@@ -265,3 +267,23 @@ def test_a_scene_that_is_asked_for_must_fit(stored):
         field_info(path, "hot_cylinder")
     assert str(refused.value).startswith(f"{path}: does not suit the scene: ")
     assert "the laser meets the part at" in str(refused.value)
+
+
+def test_a_scene_of_a_mesh_has_its_own_field_examined(stored, tmp_path, monkeypatch):
+    """Rationale: only the cylinder's were; what is solid there is found in the mesh."""
+    monkeypatch.chdir(tmp_path)
+    bar = trimesh.creation.box((64.0, 30.0, 22.0))
+    bar.apply_translation((0.0, 0.0, -11.0))
+    bar.export("bar.stl")
+    stored(air((25, 25, 43), warm_sheet))
+    scene = vs.new_scene("bar", part="bar.stl", field="air.nc", temperature_c=600.0)
+    info = field_info(None, f"{scene}")
+    assert info.file == tmp_path / "air.nc"
+    assert info.light.largest_shift_px > 0.5
+    low, high = info.field.origin, info.field.origin + info.solid.shape * info.field.spacing
+    x, y, z = (np.arange(*ends) for ends in zip(low, high, info.field.spacing, strict=True))
+    inside = [np.abs(x) < 32.0, np.abs(y) < 15.0, (z > -22.0) & (z < 0.0)]
+    np.testing.assert_array_equal(info.solid, inside[0][:, None, None] & np.outer(*inside[1:]))
+    assert "air.nc marks no solid" in info.notes[0]
+    with pytest.raises(InputError, match="the scene has no field; name one"):
+        field_info(None, "cold_cylinder")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli import shared
+from virtual_sensor.errors import InputError
 from virtual_sensor.files import check_output
 from virtual_sensor.medium.imports.import_field import Choices, import_field
 
@@ -30,17 +31,19 @@ def field() -> None:
     "    virtual-sensor field info air.nc\n\n"
     "    virtual-sensor field info hot_cylinder_1250C_quarter\n\n"
     "    virtual-sensor field info air.nc --scene hot_cylinder -D beta=30 -o air.png\n\n"
+    "    virtual-sensor field info --scene mine.xml\n\n"
     "    virtual-sensor field info swaying.nc --time 2.5 --json air.json"
 )
 def info(
     field: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             metavar="FIELD",
             help="A field file, NetCDF, or one that is installed: hot_cylinder_900C_quarter,"
-            " hot_cylinder_1100C_quarter, hot_cylinder_1250C_quarter.",
+            " hot_cylinder_1100C_quarter, hot_cylinder_1250C_quarter. By default the scene's.",
+            show_default=False,
         ),
-    ],
+    ] = None,
     scene: Annotated[
         str | None,
         typer.Option(
@@ -72,6 +75,9 @@ def info(
     """Show what a field holds, what it does to light, and whether border and grid are sound."""
     from virtual_sensor.reporting import field as words
     from virtual_sensor.studies.field_info import field_info
+
+    if not (field or scene):
+        raise InputError("name a FIELD, or a --scene that has one")
 
     if output:
         shared.check_suffix(output, words.PICTURES, "the picture")

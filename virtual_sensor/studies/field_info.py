@@ -236,7 +236,7 @@ class FieldInfo(Record):
 
 
 def field_info(
-    path: Path,
+    path: str | Path | None,
     scene: str | None = None,
     parameters: Mapping[str, str] | None = None,
     time_s: float | None = None,
@@ -249,8 +249,8 @@ def field_info(
 
     Parameters
     ----------
-    path : Path
-        A field file, or the name of one that comes with the program.
+    path : str, Path or None
+        A field file, or the name of one that comes with the program; None: that of the scene.
     scene : str, optional
         Name or file of the scene; by default hot_cylinder, which is left out if it does not suit.
     parameters : mapping, optional
@@ -270,8 +270,12 @@ def field_info(
         If the file is no field, or the scene that is asked for can't be loaded or does not suit.
     """
     report("reading the field", 0.0)
-    path = find_field(path)
+    path = None if path is None else find_field(path)
     loaded = load_scene(scene or USUAL_SCENE, **dict(parameters or {})).only(camera, source)
+    if path is None:
+        if loaded.air.path is None:
+            raise InputError(f"{loaded.path}: the scene has no field; name one (FIELD)")
+        path, time_s = loaded.air.path, loaded.air.time_s if time_s is None else time_s
     wavelength_nm = loaded.air.wavelength_nm
     air = IndexField.read(path, wavelength_nm=wavelength_nm, time_s=time_s)
     if loaded.air.pose:
