@@ -19,6 +19,7 @@ from virtual_sensor.metrology.cylinder_fit import fit_cylinder
 from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.reporting.objects import drawing_of
+from virtual_sensor.studies.measure import SearchedRays
 
 POINTS = np.array([[0.0, -1.0, 2.0], [np.nan] * 3, [3.0, 4.0, -5.0]])
 
@@ -154,3 +155,13 @@ def test_what_cannot_be_drawn_or_saved_is_told(made, tmp_path):
         made["frame"].save(tmp_path / "frame.xlsx")
     with pytest.raises(InputError, match="written as"):
         made["frame"].save(tmp_path / "frame")
+
+
+def test_a_table_is_drawn_as_its_first_measured_column_over_its_first(made):
+    table = SearchedRays(
+        y_mm=np.arange(3.0), incidence_mm={"hot": POINTS}, pixel={"hot": POINTS[:, :2]}, status={}
+    )
+    axes = table.plot(Figure().add_subplot())
+    assert [line.get_label()[-1] for line in axes.lines] == ["x", "y", "z"]
+    np.testing.assert_array_equal(axes.lines[2].get_ydata(), POINTS[:, 2])
+    assert axes.get_xlabel() == "y_mm"

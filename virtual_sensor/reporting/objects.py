@@ -580,17 +580,20 @@ def _sensitivity(axes: Axes, found: Sensitivity) -> None:
 
 @draws("records.Table")
 def _table(axes: Axes, table: Table) -> None:
-    """The second column of numbers over the first, and the next ones in the same unit."""
+    """The first column of measured numbers over the first of numbers; of a vector, all of it."""
     columns = {n: c for n, c in table.columns().items() if np.asarray(c).dtype.kind in "uif"}
     (first, x), *others = columns.items()
-    if not others:
-        raise InputError(f"plot: a {type(table).__name__} has one column of numbers, {first}")
-    unit = unit_of(others[0][0])
-    same = [(name, y) for name, y in others if unit_of(name) == unit][:6]
-    for number, (name, y) in enumerate(same):
-        axes.plot(x, y, ".-", ms=3.0, color=CYCLE[number], label=name)
-    axes.set(xlabel=first, ylabel=same[0][0] if len(same) == 1 else f"in {unit}" if unit else "")
-    if len(same) > 1:
+    measured = [name for name, y in others if np.asarray(y).dtype.kind == "f"]
+    if not measured:
+        raise InputError(f"plot: a {type(table).__name__} has no column of measured numbers")
+    stem, _, axis = measured[0].rpartition("_")
+    vector = [f"{stem}_{each}" for each in ("xyz" if axis in "xyz" else "uv")]
+    names = [name for name in vector if name in columns] if axis in [*"xyzuv"] else measured[:1]
+    marks = ".-" if np.all(np.diff(x) > 0) else "."
+    for number, name in enumerate(names):
+        axes.plot(x, columns[name], marks, ms=3.0, color=CYCLE[number], label=name)
+    axes.set(xlabel=first, ylabel=stem if len(names) > 1 else names[0])
+    if len(names) > 1:
         axes.legend(fontsize="small")
 
 

@@ -174,7 +174,7 @@ class Sweep(Displayed):
 
     def _line(self) -> str:
         summary = self.summary
-        return f"{summary.cases} cases of {Path(summary.scene).stem}, {summary.failed} failed"
+        return f"{summary.cases} cases of {Path(summary.scene).stem}, {len(summary.failed)} failed"
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         return self.table.columns()
