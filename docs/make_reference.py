@@ -91,12 +91,11 @@ def _api_page(title: str, words: str, names: dict[str, Any]) -> str:
     rooms = {
         heading: [n for n in names if _room(names[n]) == room] for room, heading in ROOMS.items()
     }
-    rows = [
-        (heading if name == chosen[0] else "", f"[`{name}`](#{_slug(name)})", _summary(names[name]))
-        for heading, chosen in rooms.items()
-        for name in chosen
-    ]
-    parts = [f"# {title}\n", f"{words}\n", table(("", "name", "what it is"), rows)]
+    rows: list[tuple[str, str]] = []
+    for heading, chosen in rooms.items():
+        rows += [(f"**{heading}**", "")] if chosen else []
+        rows += [(f"[`{name}`](#{_slug(name)})", _summary(names[name])) for name in chosen]
+    parts = [f"# {title}\n", f"{words}\n", table(("name", "what it is"), rows)]
     for heading, chosen in rooms.items():
         parts += [f"## {heading}\n"] if chosen else []
         parts += [f"### {name}\n\n::: {_path(names[name])}\n" for name in chosen]
