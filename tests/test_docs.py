@@ -71,20 +71,9 @@ def two_by_two():
     return {}
 
 
-def images_and_a_measurement():
-    """A folder of images, and a measurement with its calibration."""
-    Path("shots").mkdir()
-    image = line_image(np.full(60, 30.3), 2.0, 900.0, background=64.0).astype(np.uint16)
-    vs.save_png(image, "shots/one.png", bits=12)
-    small = ("-D", "width=512", "-D", "height=512", "-D", "line_radius=0.4")
-    assert command("measure", "hot_cylinder", *small)[0] == 0
-    return {}
-
-
 BEFORE = {
     "explanation/detectors.md": an_image,
     "how_to/several_cameras.md": two_by_two,
-    "how_to/own_images.md": images_and_a_measurement,
 }
 """What a page's reader has: a function that makes it in the working folder and gives names."""
 
@@ -130,9 +119,20 @@ def objects_say_what_the_page_shows(names):
     plt.close(names["figure"])
 
 
+def points_are_of_the_line(names):
+    """Each centre is a point near the part, and the files are there."""
+    ok = names["line"].status == Status.OK
+    assert np.sum(ok) > 900
+    assert np.array_equal(np.isfinite(names["points_mm"][:, 0]), ok)
+    assert {"found/1.csv", "points/0.ply", "line.csv"} <= {
+        file.as_posix() for file in Path().rglob("*.*")
+    }
+
+
 AFTER = {
     "how_to/objects.md": objects_say_what_the_page_shows,
     "explanation/detectors.md": lines_are_where_they_are,
+    "how_to/own_images.md": points_are_of_the_line,
     "how_to/several_cameras.md": points_lie_on_the_part,
     "how_to/own_source.md": the_source_lights_a_part,
 }
