@@ -209,6 +209,7 @@ REFUSED = [
     ("obj", bytes(range(256)), "it has no vertices"),
     ("stl", stl(SQUARE[HALVES])[:-1], "as a binary one it counts 2 facets and holds 1"),
     ("stl", stl(SQUARE[HALVES], count=7), "it counts 7 facets and holds 2"),
+    ("stl", stl(SQUARE[HALVES])[:96] + b"\1\0\x80\x7f" + stl(SQUARE[HALVES])[100:], "give finite"),
     ("stl", stl([]), "it has no facets"),
     ("stl", b"", "it counts 0 facets and holds 0"),
     ("stl", TEXT[: len(TEXT) // 2], "facets, 5 of them ended"),
@@ -309,7 +310,13 @@ MODEL = "3D/3dmodel.model"
 
 
 def threemf(
-    build='<item objectid="1"/>', unit="millimeter", objects="", mesh=BALL, model=MODEL, **more
+    build='<item objectid="1"/>',
+    unit="millimeter",
+    objects="",
+    mesh=BALL,
+    model=MODEL,
+    encoding="UTF-8",
+    **more,
 ):
     """A 3MF file's bytes, by its specification."""
     rows = [
@@ -318,7 +325,7 @@ def threemf(
         *(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in mesh.faces),
     ]
     text = (
-        f'<?xml version="1.0"?><model unit="{unit}" xmlns="http://schemas.microsoft.com/'
+        f'<?xml version="1.0" encoding="{encoding}"?><model unit="{unit}" xmlns="http://schemas.microsoft.com/'
         f'3dmanufacturing/core/2015/02"><resources><object id="1"><mesh><vertices>{"".join(rows)}'
         f"</triangles></mesh></object>{objects}</resources><build>{build}</build></model>"
     )
@@ -361,6 +368,8 @@ def test_a_damaged_3mf_file_is_refused(read):
     for data, words in (
         (threemf()[:-40], "no sound ZIP archive"),
         (b"", "no sound ZIP archive"),
+        (threemf().replace(b"PK\1\2", b"PK\0\0"), "no sound ZIP archive"),
+        (threemf(encoding="UTF-9"), "no sound XML (unknown encoding: UTF-9)"),
         (threemf(unit="yard"), 'its unit is "yard"; 3MF has micron, millimeter'),
         (threemf(build=""), "builds no object"),
         (threemf('<item objectid="7"/>'), "an object 7 that is not there"),

@@ -20,7 +20,7 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
 from virtual_sensor.imaging.part_survey import faults
-from virtual_sensor.imaging.parts import KINDS, Part, read_part
+from virtual_sensor.imaging.parts import AS_MESH, EXACT_KINDS, KINDS, Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
 from virtual_sensor.medium.find_field import find_field, is_installed
 
@@ -421,6 +421,8 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
     folder: Path | None = None
     for number, node in enumerate(state.nodes):
         props, kind = node.props, node.props.plugin_name()
+        if node.type == mi.ObjectType.Shape and kind in EXACT_KINDS:
+            raise InputError(f"{_where(main, state, node)} is of exact surfaces; {AS_MESH}")
         if node.type != mi.ObjectType.Shape or kind not in KINDS:
             continue
         where = _where(main, state, node)

@@ -61,10 +61,14 @@ from virtual_sensor.imaging.threemf_files import read_3mf
 from virtual_sensor.records import vectors
 
 AS_MESH = "export it as STL or 3MF from the CAD program, with a chord tolerance of 0.001 mm"
-_EXACT = (
+"""What to do with a file of exact surfaces."""
+
+EXACT_KINDS = (
     *("step", "stp", "iges", "igs", "dxf", "dwg", "sldprt", "sldasm", "ipt", "fcstd", "brep"),
     *("x_t", "x_b", "sat", "3dm", "catpart", "prt", "par", "jt", "f3d"),
 )
+"""Suffixes of files that hold no mesh, and so make no part."""
+
 _MAGIC = {  # by its first bytes: what a file is, and the remedy
     "ply": (rb"ply\r?\n", 'a PLY file; say <shape type="ply">, and name it .ply'),
     "3mf": (rb"PK\x03\x04", 'a ZIP archive, such as 3MF; say <shape type="3mf">, and name it .3mf'),
@@ -142,7 +146,8 @@ def read_part(path: Path, kind: str) -> Part:
     with naming(path):
         if (other := _other_kind(data)) and other[0] != kind:
             raise InputError(f"it is no {kind.upper()} file but {other[1]}")
-        read = _READERS[kind](data)
+        with np.errstate(invalid="ignore"):  # a NaN that is cast; it is refused below
+            read = _READERS[kind](data)
         vertices = read.vertices
         _check_vertices(vertices)
         triangles, notes = triangulated(read)
@@ -182,7 +187,7 @@ def check_kind(path: Path) -> str:
     kind = path.suffix.lower().removeprefix(".")
     if kind in KINDS:
         return kind
-    if kind in _EXACT:
+    if kind in EXACT_KINDS:
         raise InputError(f"{path}: it is a file of exact surfaces; {AS_MESH}")
     kinds = ", ".join(KINDS)
     raise InputError(f"{path}: parts are read from {kinds}; export it as one of these")

@@ -26,7 +26,10 @@ _UNUSED = {  # elements, and what they are called
     **dict.fromkeys(("texture2d", "texture2dgroup", "multiproperties"), "materials"),
     **{"beamlattice": "lattices of beams", "slicestack": "slices", "displacement2d": "reliefs"},
 }
-_BROKEN = zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError
+_BROKEN = (  # what zipfile raises
+    *(zipfile.BadZipFile, zlib.error, EOFError, OSError),
+    *(NotImplementedError, RuntimeError, ValueError),
+)
 _AS_IT_IS = np.eye(4, 3)
 _MOST_COPIES, _MOST_NESTED = 10_000, 16
 _BYTES_FOLD = 8  # what a byte of XML needs of the memory, about
@@ -83,6 +86,8 @@ def read_3mf(data: bytes) -> Polygons:
 
         main = model(_main_of(archive, names))
         pieces = list(_pieces(model, main.built))
+    except InputError:
+        raise
     except _BROKEN as error:
         raise InputError(f"it is no sound ZIP archive ({error}); give the whole file") from None
     if not pieces:
@@ -185,7 +190,9 @@ def _parsed(text: IO[bytes], file: str) -> _Model:
     parser.StartElementHandler, parser.EntityDeclHandler = start, refuse
     try:
         parser.ParseFile(text)
-    except expat.ExpatError as error:
+    except InputError:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:  # those: of its encoding
         raise InputError(f"its {shortened(file)} is no sound XML ({error}); mend it") from None
     return model
 
