@@ -20,6 +20,7 @@ from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.reporting.objects import drawing_of
 from virtual_sensor.studies.measure import SearchedRays
+from virtual_sensor.studies.search import SearchTable
 
 POINTS = np.array([[0.0, -1.0, 2.0], [np.nan] * 3, [3.0, 4.0, -5.0]])
 
@@ -165,3 +166,5 @@ def test_a_table_is_drawn_as_its_first_measured_column_over_its_first(made):
     assert [line.get_label()[-1] for line in axes.lines] == ["x", "y", "z"]
     np.testing.assert_array_equal(axes.lines[2].get_ydata(), POINTS[:, 2])
     assert axes.get_xlabel() == "y_mm"
+    found = SearchTable(*[np.zeros(3)] * 6, status=np.array(["found", "unlit", "found"]))
+    assert "2 found, 1 unlit" in found._repr_html_()

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.display import Displayed
+from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.parts import Part, check_kind, read_part
 from virtual_sensor.records import Record
@@ -72,6 +72,20 @@ class PartSurvey(Record):
     double_faces: int
     facet_error_um: float
     notes: tuple[str, ...]
+
+    def _line(self) -> str:
+        size = " x ".join(f"{length:.4g}" for length in self.size_mm)
+        faults = {
+            "holes": self.holes,
+            "flipped faces": self.flipped_faces,
+            "double faces": self.double_faces,
+        }
+        counts = ", ".join(f"{number} {name}" for name, number in faults.items() if number)
+        facets = f"facets cost {self.facet_error_um:.3g} µm"
+        faces = f"{self.triangles} triangles"
+        return listed(
+            f"{size} mm", f"top {place(self.top_mm)}", faces, facets, counts or "no faults"
+        )
 
     @property
     def size_mm(self) -> Vector:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import dataclasses
 import io
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from html import escape
 from itertools import islice
@@ -108,6 +109,8 @@ def _shown(value: Any, unit: str = "") -> str:
             f"({', '.join(f'{number:.5g}' for number in value.ravel().tolist())}) {unit}".rstrip()
         )
     words = brief(value)
+    if value.dtype.kind == "U" and len(counts := Counter(value.ravel().tolist())) <= _MOST_KEYS:
+        return ", ".join(f"{number} {word}" for word, number in counts.most_common())
     if value.dtype.kind not in "uif":
         return words
     sample = value.ravel()[:: max(1, value.size // _MOST_NUMBERS)]
