@@ -49,6 +49,11 @@ def field_notes(
         notes.append(
             f"{name} is not of this part: {fit.words}; {move}make this part's own: {simulate}"
         )
+    elif fit.holds_more:
+        notes.append(
+            f"{name} is not of all that is in the scene: surfaces lie up to {fit.largest_mm:.2g} mm"
+            f" beside its solid; make the field of them all: {simulate}"
+        )
     if temperature:
         notes += _temperature_notes(name, air, float(temperature), simulate)
     return notes

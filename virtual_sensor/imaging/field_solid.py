@@ -96,9 +96,12 @@ class SolidFit(Displayed):
     outside : float
         Share of the solid that lies outside the part.
     beside : float
-        Share of the part's surface that lies beside that of the solid.
+        Share of the part's surface, where the solid is, that lies beside that of the solid.
+    more : float
+        Share of all surface in the field that does.
     largest_mm : float
-        Largest distance between the two, but for the last hundredth.
+        Largest distance between the two, but for the last hundredth; there may be more where only
+        one of them is.
     shift_mm : ndarray of shape (3,) or None
         What the part would have to be moved by; None if that would not do.
     """
@@ -107,6 +110,7 @@ class SolidFit(Displayed):
     solid: Solid
     outside: float
     beside: float
+    more: float
     largest_mm: float
     shift_mm: Array | None
 
@@ -116,9 +120,14 @@ class SolidFit(Displayed):
         return self.outside <= NOTED and self.beside <= _OFF and self.shift_mm is None
 
     @property
+    def holds_more(self) -> bool:
+        """Whether there is more than this part in the scene."""
+        return self.alike and self.more > _OFF
+
+    @property
     def words(self) -> str:
         """How far they are off."""
-        text = f"its solid and the part differ by up to {self.largest_mm:.2g} mm"
+        text = f"its solid and the part differ by {self.largest_mm:.2g} mm or more"
         if self.outside > NOTED:
             text += f", {self.outside:.0%} of it lies outside the part"
         if self.shift_mm is not None:
@@ -160,31 +169,44 @@ def fit_of(part: Any, field: IndexField, file: Path, up: Array) -> SolidFit | No
     solid = _solid_of(file, file.stat().st_mtime_ns)
     if solid is None:
         return None
+    box = np.array([part.bbox().min, part.bbox().max], float)
     nodes = field.to_world(solid.nodes_mm)
+    if field.pose is None:  # it may be endless, as a section is
+        beyond = np.isnan(solid.known_mm).all(axis=0) & ((nodes < box[0]) | (nodes > box[1]))
+        nodes = nodes[~beyond.any(axis=1)]
     front = _in_front(part, nodes, up, solid.cell_mm)
-    seen = _seen(part, up)
-    local = field.to_local(seen)
-    inside = np.all((local >= field.box[0]) & (local <= field.box[1]), axis=1)
-    height = np.abs(solid.height_mm(local[inside]))
+    where, everywhere = (
+        np.abs(solid.height_mm(_within(field, _met(part, start, -up))))
+        for start in (nodes + 2.0 * _size(box) * up, _all_over(box, up))
+    )
     away = np.zeros(len(nodes))
     if front.any():
         views = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
-        skin = np.concatenate([seen, *(_seen(part, view) for view in views)])
+        skin = np.concatenate([_met(part, _all_over(box, view), -view) for view in views])
         away[front] = cKDTree(skin).query(nodes[front])[0]
-    size = [float(np.percentile(each, 99.0)) for each in (height, away) if len(each)]
-    return SolidFit(
-        file,
-        solid,
-        float(np.mean(front)),
-        float(np.mean(height > 0.0)) if len(height) else 1.0,
-        max(size, default=np.nan),
-        _shift(part, solid) if field.pose is None else None,
-    )
+    beside, more, outside = (_share(each > 0.0) for each in (where, everywhere, front))
+    far = [where, away] if beside > _OFF or outside > NOTED else [everywhere]
+    largest_mm = max((float(np.percentile(each, 99.0)) for each in far if len(each)), default=0.0)
+    shift_mm = _shift(box, solid) if field.pose is None else None
+    return SolidFit(file, solid, outside, beside, more, largest_mm, shift_mm)
 
 
-def _shift(part: Any, solid: Solid) -> Array | None:
+def _share(mask: NDArray[np.bool_]) -> float:
+    return float(np.mean(mask)) if len(mask) else 1.0
+
+
+def _size(box: Array) -> float:
+    return float(np.linalg.norm(box[1] - box[0]))
+
+
+def _within(field: IndexField, points_mm: Array) -> Array:
+    """Those of some world points (N, 3) that lie in a field, in its frame."""
+    local = field.to_local(points_mm)
+    return local[np.all((local >= field.box[0]) & (local <= field.box[1]), axis=1)]
+
+
+def _shift(box: Array, solid: Solid) -> Array | None:
     """By what a solid lies beside a part of the same size."""
-    box = np.array([part.bbox().min, part.bbox().max], float)
     off = solid.known_mm - box
     known = np.isfinite(off)
     if not known.any(axis=0).all() or np.any(np.abs(off[1] - off[0]) > solid.spacing_mm):
@@ -194,27 +216,29 @@ def _shift(part: Any, solid: Solid) -> Array | None:
     return shift if shift.any() else None
 
 
-def _seen(part: Any, up: Array) -> Array:
-    """Points (N, 3) all over what is seen of a part from above."""
-    low, high = (np.array(corner, float) for corner in (part.bbox().min, part.bbox().max))
-    middle, radius = (low + high) / 2.0, float(np.linalg.norm(high - low)) / 2.0
+def _all_over(box: Array, up: Array) -> Array:
+    """Points (N, 3) of a grid above a box, from which all of it is seen."""
+    middle, radius = box.mean(axis=0), _size(box) / 2.0
     side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-    side /= np.linalg.norm(side)
-    corners = np.array(np.meshgrid(*np.transpose([low, high]))).reshape(3, -1).T - middle
-    axes = side, np.cross(up, side)
-    reach = [np.abs(corners @ axis).max() for axis in axes]
+    axes = side / np.linalg.norm(side), np.cross(up, side / np.linalg.norm(side))
+    corners = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - middle
     steps = (np.arange(_RAYS) + 0.5) / _RAYS * 2.0 - 1.0
-    a, b = (grid.ravel() for grid in np.meshgrid(*(steps * each for each in reach)))
-    start = middle + (radius + _CLEAR_MM) * up + a[:, None] * axes[0] + b[:, None] * axes[1]
+    reach = (steps * np.abs(corners @ axis).max() for axis in axes)
+    a, b = (grid.ravel() for grid in np.meshgrid(*reach))
+    return middle + (radius + _CLEAR_MM) * up + a[:, None] * axes[0] + b[:, None] * axes[1]
+
+
+def _met(part: Any, start_mm: Array, heading: Array) -> Array:
+    """Points (M, 3) of a part that rays from N points meet; M <= N."""
 
     def distance(start: Array, heading: Array) -> Array:
         ray = mi.Ray3f(mi.Point3f(to_vectors(start)), mi.Vector3f(to_vectors(heading)))
         met = part.ray_intersect_preliminary(ray, coherent=False)
         return np.array(dr.select(met.is_valid(), met.t, dr.inf), float)
 
-    found = by_rows(distance, start, np.broadcast_to(-up, start.shape))
+    found = by_rows(distance, start_mm, np.broadcast_to(heading, start_mm.shape))
     met = np.isfinite(found)
-    return start[met] - found[met, None] * up
+    return start_mm[met] + found[met, None] * heading
 
 
 def _in_front(part: Any, nodes_mm: Array, up: Array, cell_mm: float) -> NDArray[np.bool_]:
