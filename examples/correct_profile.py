@@ -1,9 +1,10 @@
 # %% [markdown]
 # # Correct a profile
 #
-# Hot air bends the laser and the camera's lines of sight. `triangulate` follows them back through
-# the air, if it is given that: how much of the error does it take away, and how well must the air
-# be known?
+# How much of the error of hot air does a correction take away, and how well must the air be known?
+#
+# Hot air bends the laser and the camera's lines of sight. `triangulate` follows both through the
+# air that it is given.
 
 # %%
 import matplotlib.pyplot as plt

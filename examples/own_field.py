@@ -1,9 +1,10 @@
 # %% [markdown]
 # # A field of my own
 #
-# A field of air is an array: n - 1 at the nodes of a grid. Here it comes from a formula, a ball of
-# hot air, for which the angle by which it bends a ray has a closed form: so it can be checked
-# before it is put under the sensor.
+# Air from a formula: checked against a closed form, then put under the sensor.
+#
+# A field of air is an array: n - 1 at the nodes of a grid. Here it is a ball of hot air, for which
+# the angle by which it bends a ray can be worked out.
 
 # %%
 import matplotlib.pyplot as plt

@@ -58,6 +58,8 @@ def contents(folder):
 def test_all_combinations_are_planned_the_last_parameter_changing_fastest():
     """Rationale: the order of a table's rows is part of what it says."""
     planned = plan("hot_cylinder", {"beta": ["0", "15"], "temperature": ["900", "1250"]})
+    assert plan("hot_cylinder", {"beta": (0, 15), "temperature": [900, 1250]}) == planned
+    assert plan("hot_cylinder", {"beta": 15}) == plan("hot_cylinder", {"beta": ["15"]})
     assert [case.name for case in planned] == [
         "beta=0_temperature=900",
         "beta=0_temperature=1250",

@@ -135,16 +135,17 @@ class Finished(Displayed):
 
 def plan(
     scene: str | Path,
-    choices: Mapping[str, Sequence[str]],
+    choices: Mapping[str, Any],
     y_mm: Sequence[float] | None = None,
     camera: str | None = None,
     source: str | None = None,
 ) -> list[Case]:
     """All combinations of parameters' values, the last parameter's changing fastest.
 
-    A value that is given twice is taken once.  `y_mm` are the positions of the probe rays; by
-    default each case has its scene's own.  `camera` and `source` are names of the scene's, where it
-    has several.
+    `choices` has texts or numbers by the parameters' names; a single one is that of all cases, and
+    one that is given twice is taken once.  `y_mm` are the positions of the probe rays; by default
+    each case has its scene's own.  `camera` and `source` are names of the scene's, where it has
+    several.
 
     Raises
     ------
@@ -152,7 +153,11 @@ def plan(
         If the scene can't be read, has no such parameter, one has no value to take, or there are
         over `MOST_CASES` combinations.
     """
-    different = {name: _different(values) for name, values in choices.items()}
+    listed = {
+        name: [values] if isinstance(values, str | int | float) else list(values)
+        for name, values in choices.items()
+    }
+    different = {name: _different([f"{v}" for v in listed[name]]) for name in listed}
     if empty := [name for name, values in different.items() if not values]:
         raise InputError(f"{empty[0]}: no value to take; give one or more")
     count = math.prod(map(len, different.values()))
