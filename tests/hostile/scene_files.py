@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import io
 import struct
+import zipfile
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -189,9 +191,25 @@ def part(form: str, quads: bool) -> tuple[str, bytes]:
         text += "".join("f " + " ".join(str(i + 1) for i in f) + "\n" for f in faces)
         return "obj", text.encode()
     mesh = trimesh.Trimesh(vertices, _triangles(_plate()[1]), process=False)
+    if form == "3mf":
+        return "3mf", _threemf(mesh)
     if form == "stl ascii":
         return "stl", mesh.export(file_type="stl_ascii").encode()
     return form.split()[0], mesh.export(file_type=form.split()[0])
 
 
-PARTS = (*PLY_FORMS, "obj", "stl ascii", "stl binary", "ply trimesh")
+def _threemf(mesh: trimesh.Trimesh) -> bytes:
+    """A 3MF file, stored as it is: so that what is changed in it is XML."""
+    rows = ['<vertex x="{:.9g}" y="{:.9g}" z="{:.9g}"/>'.format(*v) for v in mesh.vertices]
+    rows += ["</vertices><triangles>"]
+    rows += ['<triangle v1="{}" v2="{}" v3="{}"/>'.format(*face) for face in mesh.faces]
+    text = f"""<?xml version="1.0"?><model unit="millimeter" xmlns="http://schemas.microsoft.com/\
+3dmanufacturing/core/2015/02"><resources><object id="1"><mesh><vertices>{"".join(rows)}</triangles>\
+</mesh></object></resources><build><item objectid="1"/></build></model>"""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("3D/3dmodel.model", text)
+    return file.getvalue()
+
+
+PARTS = (*PLY_FORMS, "obj", "stl ascii", "stl binary", "ply trimesh", "3mf")
