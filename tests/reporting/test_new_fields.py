@@ -36,7 +36,11 @@ def test_the_command_that_examines_a_field_can_be_copied(tmp_path):
     assert said.startswith("1.5 MB in ")
     shown = said.partition("`")[2].partition("`")[0]
     assert shlex.split(shown) == ["virtual-sensor", "field", "info", str(path), "-o", "picture.png"]
-    shown = written(path, "my part.xml").partition("`")[2].partition("`")[0]
+    shown = (
+        written(path, ["virtual-sensor", "measure", "my part.xml"])
+        .partition("`")[2]
+        .partition("`")[0]
+    )
     assert shlex.split(shown) == ["virtual-sensor", "measure", "my part.xml"]
 
 

@@ -68,7 +68,7 @@ def simulate(
             "-o",
             "--output",
             help="NetCDF file for the field; by default the one in which the scene looks for its"
-            " air.",
+            " air, or else NAME_air.nc beside it.",
         ),
     ] = None,
     case: Annotated[
@@ -126,7 +126,7 @@ def simulate(
         )
     with shared.reporting("preparing the case", GOES_ON) as report:
         air = scene_air(scene, shared.definitions(define), flow, temperature, camera, source)
-        field = output or air.field
+        field = output or (air.output if scene else None)
         if not field:
             raise InputError("name the field's file with -o, such as -o air.nc")
         check_output(field, overwrite)
@@ -145,7 +145,17 @@ def simulate(
             report=report,
         )
     shared.print_results([f"  {line}" for line in simulated(result)], result.notes)
-    shared.print_time(written(field, None if output else scene))
+    measured = None
+    if scene:
+        there = {} if field == air.field else {"field": f"{field}"}
+        set_to = [f"{name}={value}" for name, value in (air.parameters | there).items()]
+        measured = [
+            "virtual-sensor",
+            "measure",
+            scene,
+            *(w for each in set_to for w in ("-D", each)),
+        ]
+    shared.print_time(written(field, measured))
 
 
 def _is_given(context: typer.Context, name: str) -> bool:

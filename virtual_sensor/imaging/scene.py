@@ -265,7 +265,7 @@ class Scene(Displayed):
     def simulate_command(self) -> str:
         """The command that makes the air of this scene's part."""
         name = self.path.stem if self.path.parent == shipped_scenes() else f"{self.path}"
-        return f"virtual-sensor field simulate --scene {shlex.quote(name)} -o air.nc"
+        return f"virtual-sensor field simulate --scene {shlex.quote(name)} --quick -o air.nc"
 
     @property
     def towards_sensors(self) -> Array:

@@ -71,10 +71,10 @@ def imported(result: Imported) -> list[str]:
     return lines
 
 
-def written(path: Path, scene: str | None = None) -> str:
-    """Where a field is, and what to do with it: to measure `scene`, if that looks for it there."""
+def written(path: Path, measured: list[str] | None = None) -> str:
+    """Where a field is, and what to do with it: if given, the command that measures in it."""
     name = shlex.quote(f"{path}")
     next_command = f"examine it with `virtual-sensor field info {name} -o picture.png`"
-    if scene:
-        next_command = f"measure in it with `virtual-sensor measure {shlex.quote(scene)}`"
+    if measured:
+        next_command = f"measure in it with `{shlex.join(measured)}`"
     return f"{path.stat().st_size / 1e6:.3g} MB in {path}; {next_command}"

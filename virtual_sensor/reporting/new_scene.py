@@ -85,7 +85,7 @@ def next_steps(written: WrittenScene, said: NewScene) -> list[str]:
     air = _quoted(written.path.with_name(f"{written.path.stem}_air.nc"))
     return [
         f"virtual-sensor measure {scene}    # cold, as long as there is no air",
-        f"virtual-sensor field simulate --scene {scene} -o {air}",
+        f"virtual-sensor field simulate --scene {scene} --quick",
         f"virtual-sensor measure {scene} -D field={air}",
     ]
 

@@ -46,6 +46,8 @@ class SceneAir(Displayed):
         Surface of a part that is no cylinder, in the world, mm.
     field : Path or None
         The file in which the scene looks for its air; None where it names none of its own.
+    parameters : dict of str
+        Values of the scene's parameters that are not its own defaults, `field` left out.
     notes : tuple of str
     """
 
@@ -53,7 +55,15 @@ class SceneAir(Displayed):
     flow: HeatFlow
     part: Trimesh | None
     field: Path | None
+    parameters: dict[str, str]
     notes: tuple[str, ...]
+
+    @property
+    def output(self) -> Path | None:
+        """A place for the field: where the scene looks for it, or else beside its file."""
+        if self.field or _is_shipped(self.scene.path):
+            return self.field
+        return self.scene.path.with_name(f"{self.scene.path.stem}_air.nc")
 
 
 def scene_air(
@@ -92,10 +102,9 @@ def scene_air(
     if temperature_c is not None and "temperature" in known:
         given["temperature"] = f"{temperature_c:g}"
         known = scene_parameters(path, given)
-    field = _own_field(path, known.get("field", ""))
-    if "field" in known:
-        given["field"] = ""
-    scene = load_scene(path, **given).cold()
+    field = None if name is None else _own_field(path, known.get("field", ""))
+    given.pop("field", None)
+    scene = load_scene(path, **given, **({"field": ""} if "field" in known else {})).cold()
     one = scene.only(camera, source)
     if temperature_c is None and name is not None:
         if "temperature" not in known:
@@ -106,13 +115,13 @@ def scene_air(
     if temperature_c is not None:
         flow = replace(flow, temperature_c=temperature_c)
     if name is None or flow.stl:
-        return SceneAir(one, flow, None, field if name else None, ())
+        return SceneAir(one, flow, None, field, given, ())
     surface = scene.surface
     if isinstance(surface, Cylinder) and surface == Cylinder(
         surface.radius_mm, surface.half_length_mm, 0.0, -surface.radius_mm
     ):
         flow = replace(flow, radius_mm=surface.radius_mm, length_mm=2.0 * surface.half_length_mm)
-        return SceneAir(one, flow, None, field, ())
+        return SceneAir(one, flow, None, field, given, ())
     if flow.section:
         raise InputError(
             f"{path}: --section is of a cylinder along x whose top line goes through the origin,"
@@ -124,14 +133,18 @@ def scene_air(
     x, y = line[:, :2].mean(axis=0)
     over = np.clip(highest - part.bounds[1, 2], _LEAST_MM, _MOST_MM)
     flow = replace(flow, light_mm=(float(x), float(y), float(part.bounds[1, 2] + over)))
-    return SceneAir(one, flow, part, field, tuple(f"{path}: {note}" for note in notes))
+    return SceneAir(one, flow, part, field, given, tuple(f"{path}: {note}" for note in notes))
 
 
 def _own_field(scene: Path, name: str) -> Path | None:
     """The file that a scene's parameter `field` names, if it is not one that is shipped."""
-    if not name or scene.resolve().is_relative_to(shipped_scenes().resolve()):
+    if not name or _is_shipped(scene):
         return None
     path = scene.parent / name
     path = path if path.suffix else path.with_suffix(".nc")
     shipped = (shipped_scenes() / "fields" / path.name).exists()
     return path if path.exists() or not shipped else None
+
+
+def _is_shipped(scene: Path) -> bool:
+    return scene.resolve().is_relative_to(shipped_scenes().resolve())

@@ -11,7 +11,15 @@ import pytest
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow import openfoam
-from virtual_sensor.medium.heat_flow.openfoam import TOOLS, fatal_error, find_openfoam, tied
+from virtual_sensor.medium.heat_flow.openfoam import (
+    TOOLS,
+    OpenFoam,
+    fatal_error,
+    find_openfoam,
+    plain_path,
+    run_tool,
+    tied,
+)
 
 UPSTREAM = "Using: OpenFOAM-v{0} ({0}) - visit www.openfoam.com"
 
@@ -184,3 +192,24 @@ def test_a_program_whose_parent_is_gone_already_does_not_start(tmp_path):
     words[words.index(str(os.getpid()))] = "1"
     assert subprocess.run(words).returncode == 1
     assert not (tmp_path / "made").exists()
+
+
+def test_a_case_may_lie_in_a_folder_of_any_name(machine):
+    """Rationale: OpenFOAM ends on a blank or an umlaut in its working folder's name."""
+    install(machine, "")
+    tool = machine / "bin/blockMesh"
+    tool.write_text(
+        '#!/bin/sh\ncase "$PWD" in *[!-A-Za-z0-9_/.]*) exit 1;; esac\n/bin/echo "$PWD"\n'
+    )
+    folder = machine / "größe 1"
+    folder.mkdir()
+    foam = OpenFoam("1912", dict(os.environ))
+    with plain_path(folder) as place:
+        said = run_tool(foam, place, "blockMesh")
+        assert Path(said.strip()) == place
+    assert (folder / "log.blockMesh").exists()
+    assert not place.exists()
+    with pytest.raises(InputError, match="größe 1: blockMesh failed"), plain_path(folder) as place:
+        run_tool(foam, place.resolve(), "blockMesh")
+    with plain_path(machine / "bin") as place:
+        assert place == machine / "bin"

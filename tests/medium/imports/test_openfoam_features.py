@@ -1,6 +1,7 @@
 """OpenFOAM's cases: what the reader's table says of each feature is done."""
 
 import gzip
+import json
 import re
 import shutil
 
@@ -10,6 +11,9 @@ import pytest
 from import_checks import X, Y, Z, imported, refused, same, table_of
 from plume_files import lattice
 
+from virtual_sensor.medium.heat_flow.case import setup_record
+from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.imports.import_field import Choices, of_own_case
 from virtual_sensor.medium.imports.meshes import read_openfoam
 
 
@@ -98,3 +102,21 @@ def test_openfoam_is_read_as_its_table_says(check, tmp_path):
     pytest.importorskip("pyvista", reason="the extra virtual-sensor[fields] is absent")
     assert set(FOAM) == set(table_of(read_openfoam))
     check(tmp_path)
+
+
+def test_a_case_of_ours_says_itself_what_it_is(tmp_path):
+    """Rationale: its import needs no option; what the user says, holds."""
+    folder = tmp_path / "air.case"
+    folder.mkdir()
+    flow = HeatFlow(900.0, section=True, ambient_c=15.0)
+    (folder / "setup.json").write_text(json.dumps(setup_record(flow)))
+    known = of_own_case(folder, Choices())
+    assert (known.variable, known.mirror, known.extrude_mm) == ("T", ("x", "y"), (0.0, 180.0))
+    assert (known.ambient, known.pressure_pa) == (288.15, 101325.0)
+    said = of_own_case(folder, Choices(mirror=("y",), ambient=300.0))
+    assert (said.mirror, said.extrude_mm, said.ambient) == (("y",), (-180.0, 180.0), 300.0)
+    (folder / "setup.json").write_text(json.dumps(setup_record(HeatFlow())))
+    known = of_own_case(folder, Choices())
+    assert (known.mirror, known.extrude_mm) == (("x", "y"), None)
+    (folder / "setup.json").write_text("{")
+    assert of_own_case(folder, Choices()) == Choices()

@@ -20,8 +20,9 @@ from virtual_sensor.files import folder_written_whole, readable
 from virtual_sensor.medium.heat_flow import setup, snapped_mesh
 from virtual_sensor.medium.heat_flow.mesh import block_mesh_dict, cylinder_mesh
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.imports.import_field import CASE_SETUP
 
-SETUP = "setup.json"
+SETUP = CASE_SETUP
 """What the case was made from; a case whose setup is another is not gone on with."""
 
 _OF_CYLINDERS = ("mirrorMeshDict",)

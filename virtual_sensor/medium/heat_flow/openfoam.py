@@ -7,11 +7,13 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import scratch_folder
 from virtual_sensor.medium.heat_flow import attendant
 
 SOLVER = "rhoPimpleFoam"
@@ -55,11 +57,16 @@ class OpenFoam:
     environment: Mapping[str, str]
     launcher: tuple[str, ...] = ()
 
-    def command(self, tool: str, *arguments: str, processes: int = 1) -> list[str]:
-        """Words of the command line."""
+    def environment_in(self, folder: Path) -> dict[str, str]:
+        """For a tool at work in a folder, which goes by the folder's name as given here."""
+        return {**self.environment, "PWD": f"{folder.absolute()}"}
+
+    def command(self, folder: Path, tool: str, *arguments: str, processes: int = 1) -> list[str]:
+        """Words of the command line for a tool at work in a folder."""
         if processes == 1:
             return [tool, *arguments]
-        return [*self.launcher, str(processes), tool, *arguments, "-parallel"]
+        named = ("env", f"PWD={folder.absolute()}")  # mpirun would name another path of it
+        return [*self.launcher, str(processes), *named, tool, *arguments, "-parallel"]
 
 
 def find_openfoam(parallel: bool = False) -> OpenFoam:
@@ -150,6 +157,21 @@ def tied(command: list[str], signal_number: int) -> list[str]:
     return [sys.executable, "-IS", *map(str, words), *command]
 
 
+@contextmanager
+def plain_path(folder: Path) -> Iterator[Path]:
+    """Give a path of a folder that OpenFOAM takes: it refuses blanks, umlauts and the like."""
+    if re.fullmatch(r"[\w./+~-]*", f"{folder.absolute()}", re.ASCII):
+        yield folder
+        return
+    with scratch_folder() as place:
+        link = place / "case"
+        link.symlink_to(folder.absolute(), target_is_directory=True)
+        try:
+            yield link
+        except InputError as error:
+            raise type(error)(f"{error}".replace(f"{link}", f"{folder}")) from error
+
+
 def run_tool(foam: OpenFoam, folder: Path, tool: str, *arguments: str) -> str:
     """Run a tool in a case, its output in `log.<tool>`, and give that output.
 
@@ -161,9 +183,9 @@ def run_tool(foam: OpenFoam, folder: Path, tool: str, *arguments: str) -> str:
     log = folder / f"log.{tool}"
     with log.open("wb") as stream:
         ended = subprocess.run(
-            tied(foam.command(tool, *arguments), 9),
+            tied(foam.command(folder, tool, *arguments), 9),
             cwd=folder,
-            env=foam.environment,
+            env=foam.environment_in(folder),
             stdin=subprocess.DEVNULL,
             stdout=stream,
             stderr=subprocess.STDOUT,

@@ -22,7 +22,7 @@ from virtual_sensor import interrupts
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, Interrupted
 from virtual_sensor.medium.heat_flow import saved
-from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam
+from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, find_openfoam, plain_path
 from virtual_sensor.medium.heat_flow.prepare import (
     distribute,
     make_mesh,
@@ -106,14 +106,14 @@ def run_case(
     made = setup_of(folder)
     foam = find_openfoam(processes > 1)
     try:
-        with interrupts.raising(), _alone(folder) as lock:
+        with interrupts.raising(), plain_path(folder) as place, _alone(folder) as lock:
             saved.remove_unfinished(folder)
             report(Progress("meshing", _reached(folder), end_s))
-            make_mesh(foam, folder)
+            make_mesh(foam, place)
             report(Progress("distributing", _reached(folder), end_s))
-            distribute(foam, folder, processes, bool(made.get("section")))
+            distribute(foam, place, processes, bool(made.get("section")))
             set_parameters(folder, endTime=f"{end_s:g}")
-            return _Run(foam, folder, end_s, processes, report, stop, lock).to_the_end()
+            return _Run(foam, place, end_s, processes, report, stop, lock).to_the_end()
     except BaseException as error:
         code = error.code if isinstance(error, SystemExit) else interrupts.exit_status(error)
         if code is None:

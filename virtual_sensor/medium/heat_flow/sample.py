@@ -23,6 +23,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.setup import RAMP_S, HeatFlow
 from virtual_sensor.medium.heat_flow.snapped_mesh import SURFACE, Part, read_part
 from virtual_sensor.medium.imports import mesh_values
+from virtual_sensor.medium.imports.import_field import SECTION_LENGTH_MM
 from virtual_sensor.medium.imports.meshes import moved, read_openfoam
 from virtual_sensor.medium.imports.sources import Mesh
 from virtual_sensor.medium.netcdf import GriddedQuantity
@@ -34,7 +35,6 @@ TOP_MM = 300.0
 PART_NODES = 9e5  # of a part's field by default, for a file of 2 MB
 BELOW_TOP_MM = 5.0  # a part's field ends, below the end of the simulated air
 PART_MARGIN_MM, PART_UNDER_MM = 25.0, 9.0  # of air beside and below it
-SECTION_LENGTH_MM = 180.0  # half of it, far enough for slanting light
 SECTION_NODES = 4  # along x, the fewest that a field may have
 WALL_POINTS = 240  # on half the circle: finer than the mesh
 _LAYER_MM = 1e-3  # centres nearer than this in x are in one layer

@@ -91,12 +91,12 @@ class Solver:
         self.log = SolverLog(path, path.stat().st_size if path.exists() else 0)
         self._steps = 0
         self._begun = time.monotonic()
-        command = foam.command(SOLVER, processes=processes)
+        command = foam.command(folder, SOLVER, processes=processes)
         with path.open("ab") as stream:
             self._process = subprocess.Popen(
                 tied(command, signal.SIGUSR2),
                 cwd=folder,
-                env=foam.environment,
+                env=foam.environment_in(folder),
                 stdin=subprocess.DEVNULL,
                 stdout=stream,
                 stderr=subprocess.STDOUT,

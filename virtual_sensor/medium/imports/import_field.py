@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from virtual_sensor.child import run_in_child
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.units import ZERO_CELSIUS_K
 
 if TYPE_CHECKING:
     from virtual_sensor.medium.netcdf import GriddedQuantity
+
+CASE_SETUP = "setup.json"
+"""What a case of `field simulate` was made from."""
+
+SECTION_LENGTH_MM = 180.0
+"""Half of what the air of a section reaches along x: far enough for slanting light."""
 
 NEEDS_PYVISTA = "needs PyVista, which is not installed; pip install 'virtual-sensor[fields]'"
 
@@ -139,13 +147,36 @@ def import_field(
     made: Imported = run_in_child(
         "virtual_sensor.medium.imports.convert:import_here",
         path,
-        choices,
+        of_own_case(Path(path), choices),
         history,
         subject=f"{path}",
         memory_bytes=_memory(Path(path)),
         report=report,
     )
     return made
+
+
+def of_own_case(path: Path, choices: Choices) -> Choices:
+    """What a case of `field simulate` says of itself, where the user says nothing else."""
+    try:
+        made = json.loads((path / CASE_SETUP).read_text(encoding="utf-8"))
+        section, whole, part = (bool(made[name]) for name in ("section", "whole", "stl"))
+        ambient_k = float(made["ambient_c"]) + ZERO_CELSIUS_K
+        pressure_pa = float(made["pressure_pa"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return choices
+    mirror = choices.mirror or (() if part else ("x",) if whole else ("x", "y"))
+    extrude = choices.extrude_mm
+    if section and extrude is None:
+        extrude = (0.0 if "x" in mirror else -SECTION_LENGTH_MM, SECTION_LENGTH_MM)
+    return replace(
+        choices,
+        variable=choices.variable or "T",
+        mirror=mirror,
+        extrude_mm=extrude,
+        ambient=ambient_k if choices.ambient is None else choices.ambient,
+        pressure_pa=pressure_pa if choices.pressure_pa is None else choices.pressure_pa,
+    )
 
 
 def _memory(path: Path) -> int | None:
