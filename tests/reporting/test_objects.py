@@ -1,6 +1,7 @@
 """Objects drawn, shown in notebooks and saved, read back by other programs' readers."""
 
 import json
+import re
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from virtual_sensor.display import LONGEST_LINE
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import Image
 from virtual_sensor.imaging.parts import Part
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.calibration import calibration_of, read_calibration
 from virtual_sensor.metrology.cylinder_fit import fit_cylinder
 from virtual_sensor.metrology.dot_peaks import DotCentres
@@ -168,3 +170,18 @@ def test_a_table_is_drawn_as_its_first_measured_column_over_its_first(made):
     assert axes.get_xlabel() == "y_mm"
     found = SearchTable(*[np.zeros(3)] * 6, status=np.array(["found", "unlit", "found"]))
     assert "2 found, 1 unlit" in found._repr_html_()
+
+
+def test_a_ball_is_drawn_round(tmp_path):
+    cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+    ball = (
+        '<shape type="sphere"><point name="center" x="5" y="0" z="-20"/>'
+        '<float name="radius" value="20"/><bsdf type="diffuse"/></shape>'
+    )
+    path = tmp_path / "ball.xml"
+    path.write_text(re.sub("<shape.*</shape>", ball, cold, flags=re.DOTALL), encoding="utf-8")
+    axes = vs.load_scene(path, width=64, height=64).plot(Figure().add_subplot())
+    (outline,) = next(c for c in axes.collections if c.get_paths()).get_paths()
+    distance = np.linalg.norm(outline.vertices - [5.0, -20.0], axis=1)
+    assert len(distance) > 20
+    np.testing.assert_allclose(distance, 20.0, atol=0.01)

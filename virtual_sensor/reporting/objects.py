@@ -56,9 +56,15 @@ _DRAWINGS: dict[str, Draw] = {}
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
 _MOST_TRIANGLES = 15_000
+_EDGE_ON = 0.95  # of a plane's normal that lies in the picture
 _MARGIN_PX = 20  # about what is lit
-_ROUND = np.linspace(0.0, 2.0 * np.pi, 60)
-_UM_PER_MM = 1e3
+_TURN = np.linspace(0.0, 2.0 * np.pi, 60)
+_RING = np.stack([np.cos(_TURN), np.sin(_TURN), np.zeros(60)], axis=1)
+_ROUND_SHAPES = {  # of Mitsuba, in their own frame
+    "Cylinder": np.concatenate([_RING, _RING + np.array([0.0, 0.0, 1.0])]),
+    "Disk": _RING,
+    "Sphere": np.concatenate([np.roll(_RING, axis, axis=1) for axis in range(3)]),
+}
 
 
 def draws(*classes: str) -> Callable[[Draw], Draw]:
@@ -127,18 +133,12 @@ def _line_centres(axes: Axes, line: LineCentres) -> None:
         if status:
             height += 0.035
             at = np.asarray(places)[line.status == status]
-            edge = np.full(at.size, 1.0 - height if by_row else height)
-            xy = (edge, at) if by_row else (at, edge)
-            axis = axes.get_yaxis_transform() if by_row else axes.get_xaxis_transform()
-            name = f"{status.name.lower()}: {count}"
-            axes.plot(
-                *xy,
-                "|" if not by_row else "_",
-                ms=3.0,
-                transform=axis,
-                color=colour(status.name.lower()),
-                label=name,
-            )
+            name, edge = status.name.lower(), np.full(at.size, height)
+            where, xy = axes.get_xaxis_transform(), (at, edge)
+            if by_row:
+                where, xy = axes.get_yaxis_transform(), (edge, at)
+            look = {"marker": "_" if by_row else "|", "ls": "", "ms": 3.0, "color": colour(name)}
+            axes.plot(*xy, transform=where, label=f"{name}: {count}", **look)
     _as_image(axes)
     if height:
         axes.legend(markerscale=2.0, fontsize="small")
@@ -328,7 +328,7 @@ def _calibration(axes: Axes, calibration: Any) -> None:
     target = normal * offset
     across, up = _devices(axes, {"camera": camera}, towards=target)
     along = np.array([-normal[up], normal[across]])
-    if (length := np.linalg.norm(along)) > 1e-6:
+    if (length := np.linalg.norm(along)) > _EDGE_ON:
         reach = 0.5 * np.linalg.norm(camera.pose.origin_mm - target)
         ends = target[[across, up]] + np.array([[-1.0], [1.0]]) * along / length * reach
         axes.plot(*ends.T, color=colour("laser"), label="laser plane")
@@ -421,16 +421,14 @@ def _outline(shape: Any) -> list[Array]:
         vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
         faces = np.array(held["faces"]).reshape(-1, 3)
         return list(vertices[faces[:: -(-len(faces) // _MOST_TRIANGLES)]])
-    kind = type(shape).__name__
-    ring = np.stack([np.cos(_ROUND), np.sin(_ROUND), 0.0 * _ROUND], axis=1)
-    if kind in ("Cylinder", "Disk") and "to_world" in held:
-        local = (
-            np.concatenate([ring, ring + np.array([0.0, 0.0, 1.0])]) if kind == "Cylinder" else ring
-        )
-        matrix = np.array(held["to_world"].matrix, float).reshape(-1)[:16].reshape(4, 4)
-        return [local @ matrix[:3, :3].T + matrix[:3, 3]]
     box = shape.bbox()
-    return [np.array(list(product(*zip(np.array(box.min), np.array(box.max), strict=True))), float)]
+    low, high = np.array(box.min, float), np.array(box.max, float)
+    if (local := _ROUND_SHAPES.get(shape.class_name())) is None:
+        return [np.array(list(product(*zip(low, high, strict=True))))]
+    if "to_world" not in held:
+        return [0.5 * (low + high + (high - low) * local)]
+    matrix = np.array(held["to_world"].matrix, float).reshape(-1)[:16].reshape(4, 4)
+    return [local @ matrix[:3, :3].T + matrix[:3, 3]]
 
 
 def _shaded(axes: Axes, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
