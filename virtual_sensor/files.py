@@ -122,7 +122,7 @@ def named_file(
         if not path.is_dir():
             return path
     if taken:
-        return readable(taken[0])  # which says that it is a folder
+        raise InputError(f"{taken[0]}: is a folder; give a file{'; ' * bool(remedy)}{remedy}")
     looked_in = list(dict.fromkeys((place / asked).parent.absolute() for place in places))
     raise _not_found(f"{name}", kind, suffix, looked_in, installed, remedy)
 

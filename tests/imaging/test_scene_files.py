@@ -291,7 +291,7 @@ def test_a_scene_that_is_no_file_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe.xml")
     (tmp_path / "loop.xml").symlink_to(tmp_path / "loop.xml")
     assert "is a pipe; give a regular file" in refusal(tmp_path / "pipe.xml")
-    assert "is a folder; give a regular file" in refusal(tmp_path)
+    assert "is a folder; give a file" in refusal(tmp_path)
     for name in (tmp_path / "loop.xml", MANY, "", "a\0b"):
         with pytest.raises(vs.InputError, match=r"there is no such scene file; .*installed"):
             vs.load_scene(name)

@@ -70,16 +70,16 @@ def _temperature_notes(
     if simulated_c is not None:
         if abs(simulated_c - part_c) <= _SAME_C:
             return []
-        said, other_c = "is of a part of", simulated_c
+        said, other = "is of a part of", f"{simulated_c:g}"
     elif hottest_c > part_c + _HOTTER * abs(rise) + _SAME_C:
-        said, other_c = "is hotter than the part, up to", hottest_c
+        said, other = "is hotter than the part, up to", f"{hottest_c:.0f}"
     elif hottest_c < part_c - _COLDER * rise:
-        said, other_c = "is much colder than the part, up to", hottest_c
+        said, other = "is much colder than the part, up to", f"{hottest_c:.0f}"
     else:
         return []
     return [
-        f"{name} {said} {other_c:.5g} degC, and the scene's temperature is {part_c:g} degC; give"
-        f" the field of that temperature, or temperature={other_c:.5g}, or make its own: {simulate}"
+        f"{name} {said} {other} degC, and the scene's temperature is {part_c:g} degC; give a field"
+        f" of {part_c:g} degC, or temperature={other}, or make its own: {simulate}"
     ]
 
 

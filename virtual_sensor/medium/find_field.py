@@ -38,7 +38,8 @@ def find_field(name: str | Path, folders: Iterable[Path] = (Path(),)) -> Path:
         ".nc",
         places,
         [installed, installed / FIELDS],
-        "virtual-sensor field simulate makes one of another part or temperature",
+        "virtual-sensor field simulate makes one of another part or temperature, and field import"
+        " one of another solver's results",
     )
 
 

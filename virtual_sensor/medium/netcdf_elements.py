@@ -80,7 +80,10 @@ def open_netcdf(path: Path) -> Contents:
     if content.startswith((b"\x89HDF", b"CDF\x05")):
         return _open_netcdf4(path)
     if not content.startswith((b"CDF\x01", b"CDF\x02")):
-        raise InputError("is not a NetCDF file (it begins with neither 'CDF' nor 'HDF')")
+        raise InputError(
+            "is not a NetCDF file (it begins with neither 'CDF' nor 'HDF'); virtual-sensor field"
+            " import makes one of another solver's file"
+        )
     try:
         nc = _File(io.BytesIO(content), "r", mmap=False)
     except Exception as error:  # of struct, NumPy and others, as the damage will have it
