@@ -46,9 +46,11 @@ print(f"{images} images with a line, {len(truth)} true rows in {folder}/truth.cs
 # %%
 figure, panels = plt.subplots(2, 4, figsize=(8, 4.2), layout="constrained")
 table = np.array(truth)
-for number, axes in enumerate(panels.flat):
+for number, (above, below) in enumerate(panels.T):
     image = vs.read_image(folder / f"{number:03}.png").pixels
-    axes.imshow(image, "gray", vmax=np.percentile(image, 99.8))
-    axes.plot(*table[table[:, 0] == number, 1:].T, "r.", ms=0.5)
-    axes.set_axis_off()
+    above.imshow(image, "gray", vmax=np.percentile(image, 99.8))
+    below.imshow(vs.read_image(folder / f"{number:03}_mask.png"), "gray")
+    below.plot(*table[table[:, 0] == number, 1:].T, "r.", ms=1)
+    above.set_axis_off()
+    below.set_axis_off()
 figure.savefig("training_images.png")
