@@ -76,11 +76,15 @@ def test_faults_of_a_mesh_are_counted_and_a_sound_one_is_silent():
 
 
 def test_the_inner_wall_of_a_hollow_part_is_not_turned_inside_out():
-    """A cavity's faces look into it."""
+    """A cavity's faces look into it; those of a ball in a ring's middle should not."""
     hollow = make.icosphere(2, 13.5) + trimesh.Trimesh(
         make.icosphere(2, 9.0).vertices, make.icosphere(2, 9.0).faces[:, ::-1], process=False
     )
     assert surveyed(hollow).flipped_faces == 0
+    ball = make.icosphere(2, 5.0)
+    ball.invert()
+    assert surveyed(make.torus(30, 8) + ball).flipped_faces == len(ball.faces)
+    assert surveyed(ball.apply_translation([30, 0, 0]) + make.torus(30, 8)).flipped_faces == 0
 
 
 def test_a_file_is_surveyed_in_its_unit(tmp_path):

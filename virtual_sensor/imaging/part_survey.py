@@ -4,7 +4,7 @@ A mesh is only looked at: nothing of it is mended, and what is found is said wit
 
 Vertices at the same place are one.  Two faces at an edge *agree* if they run along it in opposite
 directions; faces that agree are a body, and a body's outside is where its volume is positive, or in
-a sheet where more of its area faces.
+a sheet where more of its area faces.  A body within another is a hollow, and its faces look in.
 """
 
 from dataclasses import dataclass, replace
@@ -335,26 +335,45 @@ class Mesh(Displayed):
         def total(weights: Array) -> Array:
             return np.bincount(body, weights, bodies).astype(float)
 
-        corner = self.places_mm[self.faces] - self.places_mm.mean(axis=0)
-        volume = total(sign * np.einsum("fi,fi->f", self.area_vectors, corner[:, 0]) / 3.0)
+        start = self.places_mm[self.faces[:, 0]]
+        middle = (
+            np.stack([total(column) for column in start.T], 1) / total(np.ones(len(body)))[:, None]
+        )
+        third = np.einsum("fi,fi->f", self.area_vectors, start - middle[body]) / 3.0
+        volume = total(sign * third)
         net = np.stack([total(sign * column) for column in self.area_vectors.T], axis=1)
         area, kept = total(self.areas), total(sign * self.areas)
         closed = np.linalg.norm(net, axis=1) <= _CLOSED * area
         outward = np.where(closed, np.sign(volume), np.sign(kept))
-        for inner in np.flatnonzero(closed & (volume * np.sign(kept) < 0.0)):
-            if self._is_cavity(int(inner)):
-                outward[inner] = np.sign(kept[inner])
+        inwards = np.flatnonzero(closed & (volume * np.sign(kept) < 0.0))
+        turned = np.where(closed, outward, 0.0)[body] * sign.astype(float)
+        cavities = inwards[self._enclosed(inwards, turned)]
+        outward[cavities] = np.sign(kept[cavities])
         return (sign * outward[body] < 0.0) & (self.areas > 0.0)
 
-    def _is_cavity(self, inner: int) -> bool:
-        """Whether a body lies in the box of another: its faces then look into the hollow."""
+    def _enclosed(self, inner: Indices, sign: Array) -> NDArray[np.bool_]:
+        """Which bodies lie within an odd number of others, whose triangles have a sign (M,).
+
+        By the solid angle (van Oosterom, Strackee 1983) of those in whose box they lie.
+        """
         bodies, body, _ = self._bodies
         low, high = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
-        for corner in self.faces.T:
+        for corner in self.faces.T if len(inner) else ():
             np.minimum.at(low, body, self.places_mm[corner])
             np.maximum.at(high, body, self.places_mm[corner])
-        within = np.all((low < low[inner]) & (high > high[inner]), axis=1)
-        return bool(within.any())
+        found = np.zeros(len(inner), bool)
+        for number, each in enumerate(inner):
+            around = np.all((low < low[each]) & (high > high[each]), axis=1)[body]
+            if around.any():
+                place = self.places_mm[self.faces[np.argmax(body == each), 0]]
+                a, b, c = np.moveaxis(self.places_mm[self.faces[around]] - place, 1, 0)
+                la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
+                over = np.einsum("fi,fi->f", a, np.cross(b, c))
+                under = la * lb * lc + lc * np.einsum("fi,fi->f", a, b)
+                under += la * np.einsum("fi,fi->f", b, c) + lb * np.einsum("fi,fi->f", c, a)
+                turns = np.sum(sign[around] * np.arctan2(over, under)) / (2.0 * np.pi)
+                found[number] = round(float(turns)) % 2 == 1
+        return found
 
     @cached_property
     def gaps(self) -> list[tuple[float, Array]]:
