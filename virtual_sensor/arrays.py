@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import operator
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.errors import InputError, nearest, short
 
 if TYPE_CHECKING:
     from virtual_sensor.engine import mi
@@ -33,7 +33,7 @@ _ALIGNMENT = 64  # bytes: the most that Dr.Jit asks for
 def whole_number(name: str, value: Any, least: int, most: int) -> int:
     """The value as int; raises InputError, naming it, if it is none within the bounds."""
     try:
-        whole = operator.index(value)
+        whole = least - 1 if isinstance(value, bool | np.bool_) else operator.index(value)
     except TypeError:
         whole = least - 1
     if not least <= whole <= most:
@@ -49,7 +49,8 @@ def number_within(name: str, value: Any, least: float, most: float, advice: str)
         # Texts, and arrays of one number, would pass for it.
         number = (
             float(value)
-            if hasattr(value, "__float__") and not getattr(value, "shape", ())
+            if hasattr(value, "__float__")
+            and not (getattr(value, "shape", ()) or isinstance(value, bool | np.bool_))
             else None
         )
     except (TypeError, ValueError, OverflowError):
@@ -59,11 +60,29 @@ def number_within(name: str, value: Any, least: float, most: float, advice: str)
     return number
 
 
+def one_of(name: str, value: Any, known: Iterable[str]) -> str:
+    """The value, a word; raises InputError, naming it, if it is none of the known ones."""
+    known = tuple(known)
+    if not isinstance(value, str) or value not in known:
+        raise InputError(
+            f"{name} is {short(value)}; take one of {', '.join(known)}{nearest(value, known)}"
+        )
+    return value
+
+
+def truth_of(name: str, value: Any) -> bool:
+    """The value as bool; raises InputError, naming it, unless it is True or False."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {short(value)}; give True or False")
+    return bool(value)
+
+
 def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
     """The values as an array of float; raises InputError, naming them, if they are no numbers."""
-    array = np.asarray(values)
+    array = unmasked(values)
     if array.dtype.kind not in "bufi":
-        raise InputError(f"{name} is of type {array.dtype}; give an array of real numbers")
+        what = short(values) if array.dtype.kind in "OUS" else f"of type {array.dtype}"
+        raise InputError(f"{name} is {what}; give an array of real numbers")
     return array.astype(float)
 
 
@@ -72,7 +91,7 @@ def image_of(name: str, values: ArrayLike, least: float = -LARGEST) -> NDArray[n
 
     A mask hides numbers, and what is not finite, or is below `least`, is none.
     """
-    image = numbers_of(name, unmasked(values))
+    image = numbers_of(name, values)
     if image.ndim != 2 or not np.all((image >= least) & (image <= LARGEST)):
         wanted = f"finite numbers{f' from {least:g} on' if least > -LARGEST else ''}"
         raise InputError(
@@ -81,29 +100,48 @@ def image_of(name: str, values: ArrayLike, least: float = -LARGEST) -> NDArray[n
     return image
 
 
-def points_of(values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
+def points_of(name: str, values: ArrayLike, length: int = 3) -> NDArray[np.float64]:
     """The values as an array of float, whose shape is the caller's to check; [] as (0, length).
 
     Raises
     ------
     InputError
-        If they are no real numbers.
+        Naming them, if they are no real numbers.
     """
     try:
         array = unmasked(values)
-        if array.dtype.kind not in "bufiO":
+        if array.dtype.kind not in "bufiO" or (array.dtype.kind == "O" and not array.shape):
             raise TypeError
-        array = array.astype(float)
+        array = array.astype(float, copy=False)
     except (TypeError, ValueError):
         wanted = f"real numbers, an array of shape (N, {length})"
-        raise InputError(f"{short(values)}: give {wanted}") from None
+        raise InputError(f"{name} is {short(values)}; give {wanted}") from None
     return array.reshape(0, length) if array.shape == (0,) else array
 
 
+def generator_of(name: str, seed: Any) -> np.random.Generator:
+    """A generator of random numbers by its seed, or itself; None: another each time.
+
+    Raises
+    ------
+    InputError
+        Naming it, if it is neither.
+    """
+    if seed is None or isinstance(seed, np.random.Generator):
+        return np.random.default_rng(seed)
+    return np.random.default_rng(whole_number(name, seed, 0, 2**63 - 1))
+
+
 def unmasked(values: ArrayLike) -> NDArray:
-    """An array without a mask: NaN where a NumPy mask hides values."""
+    """An array without a mask: NaN where a NumPy mask hides values.
+
+    What is none, such as rows of different lengths, is an object.
+    """
     if not np.ma.is_masked(values):
-        return np.asarray(values)
+        try:
+            return np.asarray(values)
+        except ValueError:
+            return np.array(None)
     masked: Any = np.ma.asarray(values)
     kind = np.float32 if masked.dtype in (np.uint8, np.uint16, np.float32) else np.float64
     return masked.astype(kind).filled(np.nan)

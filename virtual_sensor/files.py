@@ -53,7 +53,7 @@ def exists(path: Path) -> bool:
 
 def path_of(name: str, path: object) -> Path:
     """A path that a caller gives, as Path; raises InputError, naming it, if it is none."""
-    if not isinstance(path, str | os.PathLike) or isinstance(path, bytes):
+    if not isinstance(path, str | os.PathLike) or not str(path):
         raise InputError(f"{name} is {short(path)}; give a file's name, a text or a Path")
     return Path(path)
 
@@ -111,7 +111,11 @@ def named_file(
         If it is no name, or there is none: it names the places that were looked in, the files that
         there are, and the one of the nearest name.
     """
-    asked = path_of(f"the {kind}", name)
+    asked = (
+        Path()
+        if isinstance(name, str) and not name
+        else path_of(f"name or path of the {kind}", name)
+    )
     with suppress(RuntimeError):  # a home that nobody knows
         asked = asked.expanduser()
     places = [place for place in dict.fromkeys([*folders, *installed]) if exists(place)]
@@ -139,7 +143,7 @@ def _not_found(
     known = {Path(each).stem: each for each in there} | {each: each for each in shipped}
     near = get_close_matches(Path(name).name.removesuffix(suffix), known, n=1)
     shown = name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}..."
-    said = [f"{shown}: there is no such {kind} file"]
+    said = [f"{shown or repr(name)}: there is no such {kind} file"]
     if name and own:
         places = [f"{folder}{'' if exists(folder) else ' (no folder)'}" for folder in own]
         said.append(f"looked in {', '.join(places)}")

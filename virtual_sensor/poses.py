@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import number_within, numbers_of, points_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError, short
@@ -40,13 +41,9 @@ class Pose(Displayed):
 
     def __post_init__(self) -> None:
         for name, shape in (("rotation", (3, 3)), ("origin_mm", (3,))):
-            given = getattr(self, name)
-            try:
-                numbers = np.asarray(given, float)
-            except (TypeError, ValueError):
-                numbers = np.empty(0)
+            numbers = points_of(f"Pose: {name}", getattr(self, name))
             if numbers.shape != shape:
-                raise InputError(f"Pose: {name} is {short(given)}; give numbers of shape {shape}")
+                raise InputError(f"Pose: {name} has the shape {numbers.shape}; give it {shape}")
             object.__setattr__(self, name, numbers)
 
     def _line(self) -> str:
@@ -64,10 +61,7 @@ class Pose(Displayed):
     @staticmethod
     def from_matrix(to_world: ArrayLike) -> Pose:
         """Pose of a matrix (4, 4) in float32: with the nearest rotation, whose inverse is exact."""
-        try:
-            matrix = np.asarray(to_world, float)
-        except (TypeError, ValueError):
-            matrix = np.empty(0)
+        matrix = numbers_of("Pose.from_matrix: to_world", to_world)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise InputError(
                 f"Pose.from_matrix: to_world is {short(to_world)}; give finite numbers (4, 4)"
@@ -103,13 +97,11 @@ class Pose(Displayed):
         InputError
             If a number is not finite, or the axis has no length.
         """
+        angle_deg = number_within("Pose.turn: angle_deg", angle_deg, -1e9, 1e9, "a finite angle")
         direction, point = _vector("axis", axis), _vector("about_mm", about_mm)
         length, angle = np.linalg.norm(direction), np.radians(angle_deg)
-        if not (length > 0.0 and np.isfinite(angle)):
-            raise InputError(
-                f"Pose.turn: angle_deg {angle_deg} about the axis {short(axis)}; give finite"
-                " numbers, and an axis that is not zero"
-            )
+        if not length > 0.0:
+            raise InputError("Pose.turn: axis has no length; give one that is not zero")
         x, y, z = direction / length  # Rodrigues' formula
         cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
         rotation = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
@@ -117,22 +109,27 @@ class Pose(Displayed):
 
     def to_world(self, points_mm: ArrayLike) -> Array:
         """Local points (N, 3) in world coordinates (inverse of equation 4)."""
-        return np.asarray(points_mm, float) @ self.rotation.T + self.origin_mm
+        return _rows(points_mm) @ self.rotation.T + self.origin_mm
 
     def to_local(self, points_mm: ArrayLike) -> Array:
         """World points (N, 3) in this frame (equation 4)."""
-        return (np.asarray(points_mm, float) - self.origin_mm) @ self.rotation
+        return (_rows(points_mm) - self.origin_mm) @ self.rotation
 
     def moved(self, motion: Pose) -> Pose:
         """The frame after a rigid motion of the world's points."""
         return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))
 
 
+def _rows(points_mm: ArrayLike) -> Array:
+    """Points (..., 3) as an array."""
+    points = points_of("points_mm", points_mm)
+    if points.shape[-1:] != (3,):
+        raise InputError(f"points_mm has the shape {points.shape}; give it (N, 3), or (3,)")
+    return points
+
+
 def _vector(name: str, values: ArrayLike) -> Array:
-    try:
-        vector = np.array(values, float)
-    except (TypeError, ValueError):
-        vector = np.empty(0)
+    vector = numbers_of(f"a motion's {name}", values)
     if vector.shape != (3,) or not np.isfinite(vector).all():
         raise InputError(f"a motion's {name} is {short(values)}; give three finite numbers")
     return vector

@@ -94,7 +94,7 @@ def test_a_file_is_surveyed_in_its_unit(tmp_path):
     found = survey(path, "inch")
     np.testing.assert_allclose(found.size_mm, [50.8, 25.4, 12.7], rtol=1e-6)
     np.testing.assert_allclose(found.top_mm, [0, 0, 6.35], atol=1e-5)
-    with pytest.raises(InputError, match=r"unit yard: there is no such unit; give one of um, mm"):
+    with pytest.raises(InputError, match=r"unit is 'yard'; take one of um, mm"):
         survey(path, "yard")
     assert survey(shipped_scenes() / "meshes" / "stepped_shaft.ply").notes == ()
 

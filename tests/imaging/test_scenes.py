@@ -372,8 +372,8 @@ def test_faulty_scene_is_refused_with_file_element_and_remedy(fault, tmp_path):
         ("line_length", "long", '"long" is no floating point value'),
         ("dots", "0; 1", "'dots' must list positions in mm"),
         ("step", 0, "step_mm is 0.0; give it positive"),
-        ("method", "heun", "none of euler, rk4, sharma, leapfrog, dopri5"),
-        ("precision", "half", "single or double"),
+        ("method", "heun", "one of euler, rk4, sharma, leapfrog, dopri5"),
+        ("precision", "half", "single, double"),
         ("width", -3, "width"),
     ],
 )

@@ -79,9 +79,9 @@ def test_a_moved_field_takes_no_more_memory(field):
         (np.diag([1.0, 1.0, -1.0]), np.zeros(3), "determinant 1"),
         (1.01 * np.eye(3), np.zeros(3), "determinant 1"),
         (np.full((3, 3), np.nan), np.zeros(3), "determinant 1"),
-        (np.eye(4), np.zeros(3), r"rotation \(3, 3\)"),
+        (np.eye(4), np.zeros(3), r"rotation has the shape \(4, 4\); give it \(3, 3\)"),
         (np.eye(3), [0.0, np.inf, 0.0], "finite"),
-        (np.eye(3), [0.0, 1.0], r"not \(3, 3\) and \(2,\)"),
+        (np.eye(3), [0.0, 1.0], r"origin_mm has the shape \(2,\)"),
     ],
 )
 @pytest.mark.parametrize("kind", [made, lambda: hot_spot(0.02, 8.0)])

@@ -133,8 +133,8 @@ def test_the_simplest_comes_back_as_it_was():
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"interpolation": "quintic"}, "interpolation 'quintic' is none of cubic, linear"),
-        ({"dimensions": 1}, "dimensions must be 2 or 3, not 1"),
+        ({"interpolation": "quintic"}, "interpolation is 'quintic'; take one of cubic, linear"),
+        ({"dimensions": 1}, "dimensions must be a whole number from 2 to 3, not 1"),
     ],
 )
 def test_other_choices_are_refused(choice, message):

@@ -249,7 +249,7 @@ def test_no_fit_has_no_interval():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"points_mm": np.zeros((3, 20))}, r"points of shape \(3, 20\); give \(N, 3\)"),
+        ({"points_mm": np.zeros((3, 20))}, r"points_mm has the shape \(3, 20\); give \(N, 3\)"),
         ({"direction": [0.0, 0.0, 0.0]}, "give three finite numbers, not all zero"),
         ({"direction": [1.0, np.nan, 0.0]}, "give three finite numbers, not all zero"),
         ({"direction": [1.0, 0.0]}, "give three finite numbers, not all zero"),

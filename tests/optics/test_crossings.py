@@ -301,9 +301,9 @@ def test_beyond_a_caustic_of_the_sources_light_no_point_is_made_up():
         (lambda scene: vs.triangulate(scene, "abc"), "give real numbers"),
         (
             lambda scene: vs.triangulate(scene, [[5.0, 5.0]], coordinate="a"),
-            "is of type",
+            "coordinate is 'a'; give an array",
         ),
-        (lambda scene: vs.triangulate(scene, [[5.0, 5.0]], medium="air"), "give an IndexField"),
+        (lambda scene: vs.triangulate(scene, [[5.0, 5.0]], medium=5), "give an IndexField"),
         (
             lambda scene: triangulated_points(scene, [[5.0, 5.0]], tolerance_px=-1.0),
             "tolerance_px is",

@@ -206,7 +206,7 @@ def test_behind_a_strong_lens_a_point_has_no_single_pixel(scene, method):
         (lambda scene: vs.project(scene, 1j * np.ones((2, 3))), "give real numbers"),
         (lambda scene: vs.project(scene, [[0, 0, 0]], camera="left"), "camera"),
         (lambda _: vs.project(5, [[0, 0, 0]]), "load_scene"),
-        (lambda scene: projected_points(scene, [[0, 0, 0]], method="paper"), "tabulated or newton"),
+        (lambda scene: projected_points(scene, [[0, 0, 0]], method="paper"), "tabulated, newton"),
         (lambda scene: projected_points(scene, [[0, 0, 0]], tolerance_px=0.0), "tolerance_px is"),
     ],
 )

@@ -266,7 +266,7 @@ def test_something_in_the_line_of_sight_is_an_undercut(scene):
 
 
 def test_an_unknown_method_is_refused(scene):
-    with pytest.raises(InputError, match="one of paper, newton, tabulated"):
+    with pytest.raises(InputError, match="take one of paper, newton, tabulated"):
         ray_search(scene, NINE, "secant")
 
 

@@ -20,21 +20,22 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import (
     LARGEST,
     SMALLEST,
+    generator_of,
     image_of,
     number_within,
     numbers_of,
-    unmasked,
     whole_number,
 )
 from virtual_sensor.calls import public
 from virtual_sensor.devices.planck import c, h
 from virtual_sensor.display import Displayed
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
 
 _SURELY_FULL = 10.0  # full wells: more light than that makes no difference
 _LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
+_DARKEST = 0.01  # photons, of a frame's brightest pixel
 _MOST_E = 1e18  # what NumPy draws a Poisson number of
 
 
@@ -145,7 +146,7 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
     InputError
         Where the image is dark.
     """
-    image = numbers_of("exposed: the image", unmasked(image))
+    image = numbers_of("exposed: the image", image)
     number_within("exposed: peak_e", peak_e, SMALLEST, LARGEST, "electrons, more than 0")
     brightest = float(np.nanmax(image, initial=0.0)) if image.size else 0.0
     if not 0.0 < brightest < np.inf:
@@ -187,9 +188,16 @@ def record(
         where the image is dark.
     """
     camera = CameraNoise() if camera is None else camera
+    if not isinstance(camera, CameraNoise):
+        raise InputError(f"record: camera is {short(camera)}; give a CameraNoise, or leave it out")
     photons = photons if peak_e is None else exposed(photons, peak_e, camera)
     light = image_of("record: photons", photons, 0.0)
-    rng = np.random.default_rng(seed)
+    rng = generator_of("record: seed", seed)
+    if 0.0 < (brightest := light.max(initial=0.0)) < _DARKEST:
+        raise InputError(
+            f"record: photons are at most {brightest:.2g} on a pixel, less than any camera sees; of"
+            " a radiance give the exposure too: peak_e, the electrons of its brightest pixel"
+        )
     offset, response = _pattern(camera, light.shape)
     full = min(_SURELY_FULL * camera.full_well_e, _MOST_E)
     mean = np.minimum(camera.quantum_efficiency * light * response, full)

@@ -14,8 +14,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import one_of
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
+from virtual_sensor.files import path_of
 from virtual_sensor.imaging.parts import Part, check_kind, read_part
 from virtual_sensor.records import Record
 
@@ -94,6 +97,7 @@ class PartSurvey(Record):
         return x, y, z
 
 
+@public
 def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
     """Survey a part's file: its size, its faults, and what its facets cost.
 
@@ -109,9 +113,8 @@ def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
     InputError
         If the file can't be read, or is no part that can be measured.
     """
-    path = Path(path)
-    if unit not in UNITS_MM:
-        raise InputError(f"unit {unit}: there is no such unit; give one of {', '.join(UNITS_MM)}")
+    path = path_of("survey: path", path)
+    one_of("unit", unit, UNITS_MM)
     kind = check_kind(path)
     if kind == "3mf" and unit != "mm":
         raise InputError(f"{path}: a 3MF file has its unit in it; leave out the unit {unit}")

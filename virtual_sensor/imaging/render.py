@@ -114,6 +114,10 @@ class Frame(Displayed):
         columns = {"column": column, "row": row, "radiance": radiance, **self.truth._columns()}
         return {name: values for name, values in columns.items() if name != "index"}
 
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The radiance, wherever an image is asked for."""
+        return np.array(self.radiance, dtype) if copy else np.asarray(self.radiance, dtype)
+
     @cached_property
     def point_mm(self) -> Image:
         """World point that the bent line of sight meets, (H, W, 3); NaN where no source reaches."""

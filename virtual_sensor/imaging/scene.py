@@ -400,6 +400,8 @@ class Scene(Displayed):
             If there is no such element, it can't stand so, or a file of the scene was changed since
             it was loaded.
         """
+        if not isinstance(name, str):
+            raise InputError(f"with_pose: name is {short(name)}; give one of {_listed(self.poses)}")
         self._named("camera or source", self.poses, name)
         return self._again({}, {name: self._matrix(name, pose)})
 
@@ -422,7 +424,7 @@ class Scene(Displayed):
     def _matrix(self, name: str, pose: Pose) -> Array:
         """A camera's or source's ``to_world``, (4, 4)."""
         if not isinstance(pose, Pose):
-            raise InputError(f"{self.path}: {name}: {short(pose)} is no Pose; give one")
+            raise InputError(f"{self.path}: {name}: pose is {short(pose)}; give a Pose")
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
         if name in self.cameras:
@@ -477,6 +479,8 @@ class Scene(Displayed):
 
     def _named(self, kind: str, named: Mapping[str, T], name: str) -> T:
         """What has a name."""
+        if not isinstance(name, str):
+            raise InputError(f"{kind} is {short(name)}; give its name: {_listed(named)}")
         if name not in named:
             raise InputError(
                 f"{self.path}: no {kind} '{shortened(str(name))}'; the scene has:"

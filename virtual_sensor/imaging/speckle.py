@@ -24,10 +24,17 @@ from scipy.fft import fft2, fftfreq, ifft2, next_fast_len
 from scipy.integrate import quad
 from scipy.special import j1, struve
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, image_of, number_within, whole_number
+from virtual_sensor.arrays import (
+    LARGEST,
+    SMALLEST,
+    generator_of,
+    image_of,
+    number_within,
+    whole_number,
+)
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
 
@@ -136,14 +143,16 @@ def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generat
         Where the image has another shape, or holds what is negative or no number; where the grains
         are finer than a 16th of a pixel.
     """
-    image = image_of("speckled: the image", image, 0.0)
+    if not isinstance(aperture, Aperture):
+        raise InputError(f"speckled: aperture is {short(aperture)}; give an Aperture")
+    image = image_of("speckled: image", image, 0.0)
     fine = max(3, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
     if fine > _MOST_FINE:
         raise InputError(
             f"speckled: {fine} grains to a pixel's side are too many to simulate, and their "
             f"contrast is {aperture.contrast:.2g}; leave speckle out, or make f_number larger"
         )
-    rng = np.random.default_rng(seed)
+    rng = generator_of("speckled: seed", seed)
     seen = np.zeros_like(image)
     brightest = image.max(initial=0.0)
     if not brightest:

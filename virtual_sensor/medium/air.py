@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from virtual_sensor.arrays import numbers_of
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
@@ -68,6 +69,14 @@ def air_refractivity(
     h = _within("relative_humidity", relative_humidity, 0.0, 1.0)
     x_c = _within("co2_ppm", co2_ppm, 0.0, 2000.0)
 
+    shapes = [values.shape for values in (wavelength, t, p, h, x_c)]
+    try:
+        np.broadcast_shapes(*shapes)
+    except ValueError:
+        raise InputError(
+            f"air_refractivity: the shapes {', '.join(map(str, shapes))} of wavelength_nm,"
+            " temperature_c, ... do not go together; give single numbers, or arrays of one shape"
+        ) from None
     t_fit = np.minimum(t, _HOTTEST_FIT_C)
     x = _vapour_fraction(t_fit, p, h)
     if np.any(x > 1.0):
@@ -118,7 +127,7 @@ def refractivity_of_density(
 
 def _within(name: str, values: ArrayLike, low: float, high: float) -> np.ndarray:
     """`values` as float64, all of them within [low, high] (a NaN is not)."""
-    array = np.asarray(values, dtype=np.float64)
+    array = numbers_of(name, values)
     outside = ~((array >= low) & (array <= high))
     if outside.any():
         raise InputError(f"{name} = {array[outside][0]:g} is outside {low:g} to {high:g}")

@@ -18,16 +18,21 @@ from numpy.typing import ArrayLike
 
 from virtual_sensor.arrays import (
     LARGEST,
+    SMALLEST,
     number_within,
     numbers_of,
+    one_of,
     points_of,
     to_numpy,
     to_vectors,
+    unmasked,
+    whole_number,
 )
 from virtual_sensor.calls import public
 from virtual_sensor.display import listed, place, span
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming, short
+from virtual_sensor.files import path_of
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
@@ -131,15 +136,15 @@ class IndexField(Movable):
         if nodes.ndim != 3 or min(nodes.shape) < MIN_NODES:
             raise InputError(
                 f"a field needs at least {MIN_NODES} nodes along each of x, y and z; "
-                f"this one has the shape {nodes.shape}"
+                f"this refractivity has the shape {nodes.shape}"
             )
-        if origin.shape != (3,) or spacing.shape != (3,) or np.shape(mirror) != (3,):
+        if origin.shape != (3,) or spacing.shape != (3,) or unmasked(mirror).shape != (3,):
             raise InputError("origin_mm, spacing_mm and mirror need three entries each: x, y, z")
         if not (np.isfinite(origin).all() and np.isfinite(spacing).all() and (spacing > 0).all()):
             raise InputError("origin_mm must be finite, and spacing_mm finite and positive")
         check_box(origin, spacing, nodes.shape)
         if solid is not None:
-            nodes = fill_solid(nodes, np.asarray(solid, dtype=bool), spacing)
+            nodes = fill_solid(nodes, unmasked(solid).astype(bool), spacing)
 
         missing = ~np.isfinite(nodes)
         if missing.any():
@@ -188,6 +193,11 @@ class IndexField(Movable):
         InputError
             If the file cannot be used; the message names the file, the element and the remedy.
         """
+        number_within("wavelength_nm", wavelength_nm, SMALLEST, LARGEST, "the light's in nm")
+        if time_s is not None and numbers_of("time_s", time_s).shape:
+            raise InputError(f"time_s is {short(time_s)}; give one time in s, or leave it out")
+        if mirror is not None and numbers_of("mirror", mirror).shape != (3,):
+            raise InputError(f"mirror is {short(mirror)}; give True or False for x, y and z")
         path = find_field(path)
         f = read_field_file(path, wavelength_nm, mirror, time_s)
         said = {name: value for name, value in vars(f).items() if name != "notes"}
@@ -207,6 +217,7 @@ class IndexField(Movable):
         InputError
             If the folder does not exist, n - 1 is 0.9 or more, or the field is turned.
         """
+        path = path_of("write: path", path)
         if not np.array_equal(self.axes(), np.eye(3)):
             raise InputError(
                 f"{path}: a field file's axes are the world's, and this field is turned; write it"
@@ -268,10 +279,8 @@ class IndexField(Movable):
         InputError
             If there is no such field.
         """
-        if interpolation not in SPLINES:
-            raise InputError(f"interpolation '{interpolation}' is none of {', '.join(SPLINES)}")
-        if dimensions not in (2, 3):
-            raise InputError(f"dimensions must be 2 or 3, not {dimensions}")
+        one_of("interpolation", interpolation, SPLINES)
+        whole_number("dimensions", dimensions, 2, 3)
         low, high = self.box[:, 0]
         if dimensions == 2 and not low <= 0.0 <= high:
             raise InputError(
@@ -369,9 +378,9 @@ class IndexField(Movable):
 
     def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """World points (N, 3) in the field's frame, and which of them are in the box."""
-        points = np.atleast_2d(points_of(points_mm))
+        points = np.atleast_2d(points_of("points_mm", points_mm))
         if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"points_mm must have the shape (N, 3), not {np.shape(points_mm)}")
+            raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
         low, high = self.box
         local = self.to_local(points)
         return local, ((local >= low) & (local <= high)).all(axis=1)

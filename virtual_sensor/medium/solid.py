@@ -35,7 +35,7 @@ def fill_solid(nodes: np.ndarray, solid: np.ndarray, spacing: np.ndarray) -> np.
     if solid.shape != nodes.shape or solid.all():
         raise InputError(
             f"solid must have the field's shape {nodes.shape} and leave some air; "
-            f"its shape is {solid.shape}, {solid.mean():.0%} of it solid"
+            f"its shape is {solid.shape}, {solid.sum() / max(solid.size, 1):.0%} of it solid"
         )
     if not solid.any():
         return nodes

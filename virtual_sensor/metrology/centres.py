@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
@@ -117,8 +117,9 @@ class LineCentres(Displayed):
     status: NDArray[np.uint8]
 
     @classmethod
-    def of_rows(cls, row: Array) -> LineCentres:
+    def of_rows(cls, row: ArrayLike) -> LineCentres:
         """Centres (W,) at a row in each column, of which no more is known; NO_PEAK where NaN."""
+        row = np.asarray(row, float)
         blank, along = np.full(row.size, np.nan), np.full(row.size, 90.0)
         status = np.where(np.isnan(row), Status.NO_PEAK, Status.OK).astype(np.uint8)
         return cls(np.arange(row.size), row, blank, blank, blank, blank, along, status)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import ndtri, stdtrit
 
+from virtual_sensor.arrays import numbers_of, points_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
@@ -237,16 +238,16 @@ def radius_interval(
 
 
 def _points(points_mm: ArrayLike) -> Array:
-    points = np.asarray(points_mm, float)
+    points = points_of("fit_cylinder: points_mm", points_mm)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise InputError(f"fit_cylinder: points of shape {points.shape}; give (N, 3)")
+        raise InputError(f"fit_cylinder: points_mm has the shape {points.shape}; give (N, 3)")
     return points
 
 
 def _direction(direction: ArrayLike | None) -> Array | None:
     if direction is None:
         return None
-    given = np.asarray(direction, float)
+    given = numbers_of("fit_cylinder: direction", direction)
     length = np.linalg.norm(given)
     if given.shape != (3,) or not 0.0 < length < np.inf:
         raise InputError(

@@ -15,7 +15,7 @@ from importlib import metadata
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, nearest, short
 from virtual_sensor.metrology import closed_forms, line_fits
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.line_profiles import Noise, Peaks, Profile
@@ -56,12 +56,14 @@ def find_detector(name: str) -> Foreign:
         If there is none of that name, or it can't be loaded.
     """
     if not isinstance(name, str):
-        raise InputError(f"line_centres: method is {name!r}; give a detector's name, or a function")
+        raise InputError(
+            f"line_centres: method is {short(name)}; give a detector's name, or a function"
+        )
     known = {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}
     if name not in known and ":" not in name:
         raise InputError(
             f"line_centres: no method '{name}'; take {', '.join([*NAMES, *known])}, or a function"
-            " of your own as package.module:function"
+            f" of your own as package.module:function{nearest(name, [*NAMES, *known])}"
         )
     try:
         if name in known:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import uniform_filter1d
 
-from virtual_sensor.arrays import LARGEST, number_within
+from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -77,8 +77,7 @@ def line_centres(
     Parameters
     ----------
     image : array_like of shape (H, W)
-        Grey values: uint8, uint16, float32 or float64.  NaN and infinity mark missing pixels,
-        as a NumPy mask does.
+        Grey values, or a `Frame`.  NaN and infinity mark missing pixels, as a NumPy mask does.
     method : str or callable
         "gaussian" fits a pixel-integrated Gaussian on a level background by least squares in a
         window that follows its width, "weighted_gaussian" with weights by the measured grey values,
@@ -96,7 +95,7 @@ def line_centres(
         than six sigma of the smoothed noise is no line either.
     saturation : float, optional
         Grey value from which on pixels are clipped: 4095 for a 12-bit camera.  By default the
-        largest value of an integer image; a float image has none.
+        largest value of a uint8 or uint16 image, or what `read_image` says; others have none.
     max_sigma : float
         Broadest line in px; broader peaks are POOR_FIT.
     noise : float, optional
@@ -119,16 +118,14 @@ def line_centres(
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
     if camera is not None:
+        if not all(hasattr(camera, name) for name in ("grey_noise", "gain", "saturation")):
+            raise InputError(f"line_centres: camera is {short(camera)}; give a CameraNoise")
         noise = camera.grey_noise if noise is None else noise
         gain, saturation = gain or camera.gain, saturation or camera.saturation
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
-    if not isinstance(along, str) or along not in ALONG:
-        raise InputError(f"line_centres: along is {along!r}; take {' or '.join(ALONG)}")
-    if not (isinstance(peaks, int | np.integer) and 1 <= peaks <= MOST_PEAKS):
-        raise InputError(
-            f"line_centres: peaks is {short(peaks)}; give a whole number, 1 to {MOST_PEAKS}"
-        )
+    one_of("line_centres: along", along, ALONG)
+    peaks = whole_number("line_centres: peaks", peaks, 1, MOST_PEAKS)
     below_1, beyond_least = np.nextafter([1.0, MIN_SIGMA_PX], [0.0, 1.0])
     min_amplitude = number_within(
         "line_centres: min_amplitude", min_amplitude, 0.0, below_1, "it 0 <= ... < 1"
@@ -147,7 +144,7 @@ def line_centres(
         image = np.ascontiguousarray(image.T)
 
     if isinstance(method, str) and method in NAMES:
-        line = _ours(image, method, int(peaks), min_amplitude, clipped, max_sigma, noise, gain)
+        line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
     else:
         line = by_foreign(image, method if callable(method) else find_detector(method))
     return line.transposed if along == "rows" else line

@@ -1,5 +1,6 @@
 """Where columns of an image have their peaks: what every columnwise detector starts from."""
 
+from os import PathLike
 from typing import NamedTuple
 
 import cv2
@@ -10,7 +11,7 @@ from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
 from virtual_sensor.arrays import LARGEST, number_within, unmasked
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -97,17 +98,25 @@ class Profile(NamedTuple):
 def checked_image(image: ArrayLike) -> NDArray:
     """Return `image` (H, W) as a contiguous array of native byte order, or raise InputError.
 
-    What a NumPy mask hides is NaN, a missing pixel.
+    What a NumPy mask hides is NaN, a missing pixel.  Integers of other types become float64, and
+    half floats float32.
     """
+    if isinstance(image, str | PathLike):
+        raise InputError(f"image is {short(image)}, a file's name; give vs.read_image of it")
     image = unmasked(image)
+    image = image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
+    kind, size = image.dtype.kind, image.dtype.itemsize
+    if kind not in "iuf" or size > 8:
+        raise InputError(
+            f"image is of type {image.dtype}; give grey values: integers, float32 or float64"
+        )
     if image.ndim != 2 or image.size == 0:
         problem = f"image: shape {image.shape} is not (height, width)"
         raise InputError(f"{problem}; give one grey channel, such as image[..., 1]")
-    native = image.dtype.newbyteorder("=")
-    if native not in (np.uint8, np.uint16, np.float32, np.float64):
-        problem = f"image: type {image.dtype} is not uint8, uint16, float32 or float64"
-        raise InputError(f"{problem}; convert it with image.astype('float32')")
-    return np.ascontiguousarray(image, native)
+    if kind == "f":
+        return np.ascontiguousarray(image, np.float32 if size <= 4 else np.float64)
+    kept = image.dtype.newbyteorder("=") in (np.uint8, np.uint16)
+    return np.ascontiguousarray(image, image.dtype.newbyteorder("=") if kept else np.float64)
 
 
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:
@@ -119,8 +128,8 @@ def saturation_level(image: ArrayLike, saturation: float | None) -> float:
         saturation = getattr(image, "largest", None)
     if saturation is not None:
         return number_within("image: saturation", saturation, -LARGEST, np.inf, "a grey value")
-    dtype = np.asanyarray(image).dtype  # of a masked image too, whose pixels become floats
-    return float(np.iinfo(dtype).max) if dtype.kind == "u" else np.inf
+    dtype = getattr(image, "dtype", None) or unmasked(image).dtype  # of a masked image its own
+    return float(np.iinfo(dtype).max) if dtype in (np.uint8, np.uint16) else np.inf
 
 
 def noise_beside(image: NDArray, given: float | None = None) -> Array:

@@ -129,7 +129,7 @@ def triangulated_points(
         if isinstance(medium, str | Path):
             medium = scene.with_medium(medium).medium
         sensor = scene.only(camera, source).sensor
-    pixel = points_of(getattr(pixel, "pixel", pixel), 2)
+    pixel = points_of("triangulate: pixel", getattr(pixel, "pixel", pixel), 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
     shape, s = pixel.shape[:-1], numbers_of("triangulate: coordinate", coordinate)

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import distance_transform_edt
 
-from virtual_sensor.arrays import numbers_of
+from virtual_sensor.arrays import LARGEST, number_within, numbers_of, truth_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.dot_peaks import DotCentres, DotStatus
 from virtual_sensor.statuses import StatusEnum
@@ -344,6 +344,10 @@ def compare_line(
     InputError
         If the frame has no such source, or the truth is of another image.
     """
+    if not hasattr(line, "status"):
+        raise InputError(f"compare_line: line is {short(line)}; give LineCentres")
+    number_within("compare_line: end_px", end_px, -LARGEST, LARGEST, "a distance in px")
+    truth_of("compare_line: cut", cut)
     truth = _true_line(truth, source)
     width = truth.row.shape[1]
     status = truth.status
@@ -385,7 +389,7 @@ def _true_line(truth: Any, source: str | None) -> TrueLine:
     if hasattr(truth, "source_coordinates"):
         return TrueLine.of_frame(truth, source)
     rows = numbers_of("compare_line: truth", truth)
-    if rows.ndim not in (1, 2):
+    if rows.ndim not in (1, 2) or not rows.size:
         raise InputError(
             f"compare_line: truth has shape {rows.shape}; give a frame (render_frame), or the"
             " line's row in each column"

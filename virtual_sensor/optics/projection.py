@@ -14,10 +14,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, points_of
+from virtual_sensor.arrays import number_within, one_of, points_of, truth_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.covering_maps import by_octaves, in_mm, in_view, rays_through
 from virtual_sensor.optics.newton_search import marched_pixels
 from virtual_sensor.optics.ray_families import Pinhole
@@ -138,11 +138,12 @@ def projected_points(
     tolerance_px : float
         Of "tabulated".
     """
-    points = points_of(points_mm)
+    points = points_of("project: points_mm", points_mm)
     if points.shape[-1:] != (3,):
         raise InputError(f"project: points_mm has the shape {points.shape}; give it (N, 3)")
-    if method not in (None, "tabulated", "newton"):
-        raise InputError(f"project: method must be tabulated or newton, not {short(method)}")
+    if method is not None:
+        one_of("project: method", method, ("tabulated", "newton"))
+    truth_of("project: through_medium", through_medium)
     number_within("project: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
     scene = chosen(scene_of("project", scene), camera, None)
     view, rows = scene.camera, points.reshape(-1, 3)

@@ -15,10 +15,10 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import SMALLEST, number_within, whole_number
+from virtual_sensor.arrays import SMALLEST, number_within, numbers_of, one_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError, nearest, short
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.map_search import tabulated_roots
 from virtual_sensor.optics.newton_search import Roots, newton, newton_along_line
 from virtual_sensor.optics.ray_families import Pinhole
@@ -177,17 +177,13 @@ def ray_search(
     scene = chosen(scene_of("ray_search", scene), camera, source)
     check_progress("ray_search", progress)
     progress = progress or (lambda fraction: None)
-    if method not in METHODS:
-        raise InputError(
-            f"ray_search: method must be one of {', '.join(METHODS)}, not {short(method)}"
-            f"{nearest(method, METHODS)}"
-        )
-    b = np.atleast_1d(_numbers("laser_y_mm", laser_y_mm))
+    one_of("ray_search: method", method, METHODS)
+    b = np.atleast_1d(numbers_of("ray_search: laser_y_mm", laser_y_mm))
     if b.ndim > 1:
         raise InputError(f"ray_search: laser_y_mm has the shape {b.shape}; give a list, (N,)")
     b = np.where(np.isfinite(b), b, np.nan)
     whole_number("ray_search: k_stop", k_stop, 1, _MOST_STEPS)
-    grid = _numbers("grid_px", grid_px)
+    grid = numbers_of("ray_search: grid_px", grid_px)
     if grid.shape != (2,) or not np.all((grid > 0.0) & (grid < np.inf)):
         raise InputError(f"ray_search: grid_px must be two positive numbers of px, not {grid_px}")
     limits = {"r_max_um": r_max_um, "z_max_mm": z_max_mm, "tolerance_px": tolerance_px}
@@ -205,13 +201,6 @@ def ray_search(
         found = _found(scene, _tabulated(scene, b, march, tolerance_px))
     lit = scene.source.reaches(0.0, b)
     return _checked(scene.camera, found, lit, r_max_um, z_max_mm)
-
-
-def _numbers(name: str, values: ArrayLike) -> Array:
-    try:
-        return np.asarray(values, float)
-    except (TypeError, ValueError):
-        raise InputError(f"ray_search: {name} must be numbers, not {values!r:.80}") from None
 
 
 def _paper(

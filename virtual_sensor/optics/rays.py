@@ -6,10 +6,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, whole_number
+from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, one_of, whole_number
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError, nearest, short
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Vectors
 from virtual_sensor.poses import Pose
 
@@ -99,13 +99,8 @@ class March(Displayed):
             advice = "it positive and finite"
             number_within(name, getattr(self, name), SMALLEST, LARGEST, advice)
         whole_number("max_steps", self.max_steps, 1, _MOST_STEPS)
-        if self.method not in STEPPERS:
-            raise InputError(
-                f"method {short(self.method)} is none of {', '.join(STEPPERS)}"
-                f"{nearest(self.method, STEPPERS)}"
-            )
-        if self.precision not in ("single", "double"):
-            raise InputError(f"precision must be single or double, not '{self.precision}'")
+        one_of("method", self.method, STEPPERS)
+        one_of("precision", self.precision, ("single", "double"))
 
     def _line(self) -> str:
         return f"{self}"

@@ -86,7 +86,8 @@ def trace(
     air: Field | None = field_of("trace: field", field)
     if air is None:
         raise InputError("trace: field is None, homogeneous air; rays are straight in it")
-    origins, directions = (np.atleast_2d(points_of(x)) for x in (origins_mm, directions))
+    origins = np.atleast_2d(points_of("trace: origins_mm", origins_mm))
+    directions = np.atleast_2d(points_of("trace: directions", directions))
     if directions.shape == (1, 3) and origins.ndim == 2:
         directions = np.repeat(directions, len(origins), axis=0)
     if origins.shape != directions.shape or origins.shape[1:] != (3,):

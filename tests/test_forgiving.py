@@ -1,0 +1,129 @@
+"""What a newcomer gives to the public functions works, or is told in a sentence with its name."""
+
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas
+import pytest
+
+import virtual_sensor as vs
+
+NAN = float("nan")
+WORDS = ["", "abc", "no such/file ä.xml", b"abc", Path("abc"), np.array(["a"]), ["1", "2"]]
+THINGS = [None, object(), {}, {"a": 1}, slice(3), range(3), np.array([{}, []], object), [None, 1]]
+NUMBERS = [True, 0, 5, -1, 1.5, NAN, float("inf"), 10**30, 1j, np.float32(2.5), np.int64(3)]
+LISTS = [[], (), [[]], [1], [1, 2], (0.5, -5), [1, 2, 3], [[1, 2], [3]], [[1, 2, 3]]]
+ARRAYS = [
+    *map(np.zeros, [0, (0, 2), (0, 3), (5, 2), (2, 2, 3)]),
+    np.zeros((4, 3), np.float16),
+    np.full((3, 3), NAN),
+    np.ones((3, 4), complex),
+    np.array(2.0),
+    np.eye(4),
+    np.ma.masked_equal(np.eye(3), 0.0),
+    pandas.Series([1.0, 2.0]),
+    pandas.DataFrame({"u": [1.0], "v": [2.0]}),
+]
+IMAGES = [np.full((6, 8), 1, kind) for kind in (bool, np.uint8, np.int32, np.uint64, np.float16)]
+GIVEN = [*WORDS, *THINGS, *NUMBERS, *LISTS, *ARRAYS, *IMAGES, -np.ones((6, 8))]
+SCENE = vs.load_scene("hot_cylinder", width=64, height=64, spp=1)
+LINE = np.repeat(np.exp(-((np.arange(24.0)[:, None] - 11.3) ** 2) / 8.0), 16, 1)
+CENTRES = vs.line_centres(LINE)
+FIELD = vs.IndexField.from_arrays(np.full((5, 5, 5), 2e-4), [-20, -20, -20], [10, 10, 10])
+POSE = vs.Pose(np.eye(3), np.zeros(3))
+ARC = np.array([[x, np.sin(a), np.cos(a)] for x in (0, 1, 2) for a in (0.0, 0.4, 0.8)])
+TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+CALLS = {
+    "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
+    "render": (vs.render, {"scene": SCENE}),
+    "render_frame": (vs.render_frame, {"scene": SCENE}),
+    "record": (vs.record, {"photons": 100.0 * LINE}),
+    "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
+    "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),
+    "save_png": (vs.save_png, {"image": LINE, "path": "a.png"}),
+    "read_image": (vs.read_image, {"path": "line.png"}),
+    "survey": (vs.survey, {"path": "part.obj"}),
+    "line_centres": (vs.line_centres, {"image": LINE}),
+    "dot_centres": (vs.dot_centres, {"image": LINE}),
+    "triangulate": (vs.triangulate, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
+    "triangulated_points": (vs.triangulated_points, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
+    "fit_cylinder": (vs.fit_cylinder, {"points_mm": ARC, "direction": [1, 0, 0]}),
+    "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),
+    "read_calibration": (vs.read_calibration, {"path": "no.yaml"}),
+    "ray_search": (vs.ray_search, {"scene": SCENE, "laser_y_mm": [0.0], "method": "newton"}),
+    "project": (vs.project, {"scene": SCENE, "points_mm": [[0.0, 0.0, 0.0]]}),
+    "projected_points": (vs.projected_points, {"scene": SCENE, "points_mm": [[0.0, 0.0, 0.0]]}),
+    "trace": (
+        vs.trace,
+        {"field": FIELD, "origins_mm": [0, 0, 10], "directions": [0, 0, -1], "length_mm": 5.0},
+    ),
+    "air_refractivity": (vs.air_refractivity, {}),
+    "IndexField.read": (vs.IndexField.read, {"path": "field.nc"}),
+    "IndexField.from_arrays": (
+        vs.IndexField.from_arrays,
+        {"refractivity": FIELD.nodes, "origin_mm": [0, 0, 0], "spacing_mm": [1, 1, 1]},
+    ),
+    "IndexField.refractivity": (FIELD.refractivity, {"points_mm": [[0, 0, 0]]}),
+    "IndexField.gradient": (FIELD.gradient, {"points_mm": [[0, 0, 0]]}),
+    "IndexField.write": (FIELD.write, {"path": "field.nc"}),
+    "IndexField.moved": (FIELD.moved, {"motion": POSE}),
+    "IndexField.simplified": (FIELD.simplified, {}),
+    "Pose": (vs.Pose, {"rotation": np.eye(3), "origin_mm": [0, 0, 0]}),
+    "Pose.from_matrix": (vs.Pose.from_matrix, {"to_world": np.eye(4)}),
+    "Pose.turn": (vs.Pose.turn, {"angle_deg": 5.0, "axis": [0, 0, 1]}),
+    "Pose.shift": (vs.Pose.shift, {"by_mm": [0, 0, 1]}),
+    "Pose.to_world": (POSE.to_world, {"points_mm": [0, 0, 1]}),
+    "Pose.to_local": (POSE.to_local, {"points_mm": [0, 0, 1]}),
+    "CameraNoise": (vs.CameraNoise, {}),
+    "Aperture": (vs.Aperture, {"f_number": 8.0}),
+    "Scene.with_medium": (SCENE.with_medium, {"medium": FIELD}),
+    "Scene.with_pose": (SCENE.with_pose, {"name": "camera", "pose": SCENE.camera.pose}),
+    "Scene.only": (SCENE.only, {}),
+}
+WITH_UNIT = {"time_s"}  # said of a file as its time
+APART = {"new_scene"}  # is tried beside what it writes
+
+
+def told(function, named):
+    """What is said against a call; "" where it works."""
+    try:
+        function(**named)
+    except vs.InputError as error:
+        return f"{error}"
+    return ""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder of one's own, with an image, a field and a part in it."""
+    monkeypatch.chdir(tmp_path)
+    vs.save_png(LINE, "line.png")
+    FIELD.write("field.nc")
+    Path("part.obj").write_text(TETRAHEDRON, encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_whatever_is_given_works_or_is_told(name, here):
+    """Rationale: a traceback from within NumPy, Dr.Jit or Mitsuba says nothing to its reader."""
+    function, good = CALLS[name]
+    for argument, shown in inspect.signature(function).parameters.items():
+        if shown.kind is shown.VAR_KEYWORD:
+            continue
+        for given in GIVEN:
+            try:
+                said = told(function, {**good, argument: given})
+            except Exception as error:
+                message = f"{name}({argument}={given!r}): {type(error).__name__}: {error}"
+                raise AssertionError(message) from error
+            assert len(said) < 700
+            stem = argument.partition("_")[0] if argument in WITH_UNIT else argument
+            named = re.search(rf"\b({argument}|{stem})\b", said) or (f"{given}" or "''") in said
+            assert not said or named, f"{name}({argument}={given!r}): {said}"
+
+
+def test_every_public_function_is_tried():
+    """Rationale: a function that is new must forgive too."""
+    functions = {name for name in vs.__all__ if inspect.isfunction(getattr(vs, name))}
+    assert functions - APART <= CALLS.keys()
