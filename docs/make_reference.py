@@ -261,8 +261,8 @@ def scene_parameters() -> str:
         values = {f"`{value}`" if value else "empty" for value in by_scene.values()}
         unit = unit_of(SweptParameter(name, words[name], ()))
         said = re.sub(r",? ?\b(degrees|degC|mm|nm|px|s|um)\b(?=[,;:]|$)", "", words[name])
-        rows.append((f"`{name}`", ", ".join(sorted(values)), unit, said, only))
-    head = ("parameter", "default", "unit", "what it is", "only in")
+        rows.append((f"`{name}`", unit, said, ", ".join(sorted(values)), only))
+    head = ("parameter", "unit", "what it is", "default", "only in")
     return "\n".join(
         [
             "# Scene parameters\n",
