@@ -185,3 +185,15 @@ def test_a_ball_is_drawn_round(tmp_path):
     distance = np.linalg.norm(outline.vertices - [5.0, -20.0], axis=1)
     assert len(distance) > 20
     np.testing.assert_allclose(distance, 20.0, atol=0.01)
+
+
+def test_of_a_part_its_faces_are_drawn_that_look_at_the_viewer():
+    """Seen from above, the upper side of a plate hides the lower one."""
+    square, up_mm = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([0, 0, 1])
+    corners, up = np.concatenate([square + up_mm, square]), np.array([[0, 1, 2], [0, 2, 3]])
+    plate = Part(corners, np.concatenate([up, 4 + up[:, ::-1]]))
+    (drawn,) = plate.plot(Figure().add_subplot()).collections
+    (alone,) = Part(corners[:4], up).plot(Figure().add_subplot()).collections
+    ends = [np.concatenate([path.vertices for path in c.get_paths()]) for c in (drawn, alone)]
+    np.testing.assert_allclose(ends[0].max(axis=0), ends[1].max(axis=0))
+    np.testing.assert_allclose(ends[0].min(axis=0), ends[1].min(axis=0))

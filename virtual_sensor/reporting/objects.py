@@ -55,7 +55,7 @@ _U, _V = "u in px", "v in px"
 _DRAWINGS: dict[str, Draw] = {}
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
-_MOST_TRIANGLES = 15_000
+_MOST_TRIANGLES = 10_000
 _EDGE_ON = 0.95  # of a plane's normal that lies in the picture
 _MARGIN_PX = 20  # about what is lit
 _TURN = np.linspace(0.0, 2.0 * np.pi, 60)
@@ -437,8 +437,12 @@ def _shaded(axes: Axes, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
     forward = np.array([np.sin(turn) * 0.8, np.cos(turn) * 0.8, -0.6])
     right = np.array([np.cos(turn), -np.sin(turn), 0.0])
     view = np.stack([right, np.cross(right, forward), forward])
-    corner = (np.asarray(vertices, float) @ view.T)[faces[:: -(-len(faces) // _MOST_TRIANGLES)]]
-    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    vertices, faces = _finer(
+        np.asarray(vertices, float), faces[:: -(-len(faces) // _MOST_TRIANGLES)]
+    )
+    corner = (vertices @ view.T)[faces]
+    # The view is left-handed: right, up, away.
+    normal = np.cross(corner[:, 2] - corner[:, 0], corner[:, 1] - corner[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = normal / np.where(length > 0.0, length, 1.0)
     front = normal[:, 2] <= 0.0
@@ -452,6 +456,18 @@ def _shaded(axes: Axes, vertices: NDArray[Any], faces: NDArray[Any]) -> None:
     axes.autoscale_view()
     axes.set_aspect("equal")
     axes.set_axis_off()
+
+
+def _finer(vertices: Array, faces: NDArray[Any]) -> tuple[Array, NDArray[Any]]:
+    """Triangles cut into smaller ones, which can be drawn one in front of the other."""
+    from trimesh.remesh import subdivide_to_size
+
+    corner = vertices[faces]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    size = np.linalg.norm(np.ptp(vertices, axis=0))
+    edge = max(size / 80.0, float(np.sqrt(np.sum(longest**2) / _MOST_TRIANGLES)))
+    finer: tuple[Array, NDArray[Any]] = subdivide_to_size(vertices, faces, edge, max_iter=20)
+    return finer
 
 
 def _hull_of(points: Array) -> Array:
