@@ -142,3 +142,11 @@ def test_a_scene_tells_of_its_parts_faults_and_of_facets_under_the_line(tmp_path
     (note,) = check_scene(scene)
     error_um = float(re.search(r"facets lie up to (\S+) um \(\S+ px\) beside", note)[1])
     assert error_um == pytest.approx(13.5e3 * (1.0 - np.cos(np.pi / 64)), rel=0.05)
+
+
+def test_a_part_far_from_the_origin_is_told_of_rounding():
+    """In float32 places near 2^17 mm are 2^-6 mm apart."""
+    box = make.box((60, 40, 10))
+    assert surveyed(box.apply_translation([9e3, 0, 0])).notes == ()
+    (note,) = surveyed(box.apply_translation([2.0**17, 0, 0])).notes
+    assert "float32 rounds places to 16 um: move it to the origin" in note

@@ -37,6 +37,7 @@ _CLOSED = 0.05  # of a body's area, summed as vectors: a closed one's is 0
 _SMALLEST, _LARGEST = 0.05, 200.0  # size of a part in fields of view that is not doubted...
 _FITTING = 0.2, 20.0  # ...and that speaks for a unit
 _ON_MM, _BESIDE, _TINY = 1e-3, 1e-2, 1e-30  # of a facet: above it, beside it, its area
+_ROUNDED_UM = 1.0  # is told
 _RINGS = 3  # of neighbours that a facet's estimate looks at
 _NO_WIDTH = 1e-6  # of the part's size: float32 leaves a crack of so much at a T-junction
 _HASH = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
@@ -233,6 +234,13 @@ def _faults(mesh: "Mesh") -> list[str]:
             f"{mesh.double_faces} of its triangles lie on others with the same corners, and which"
             " of them is seen is chance: remove double faces in the program that made the file"
         )
+    far = float(np.abs(mesh.places_mm).max())
+    rounding_um = 1e3 * float(np.spacing(np.float32(far)))
+    if rounding_um > _ROUNDED_UM:
+        notes.append(
+            f"it reaches {far:.3g} mm from the origin, where the renderer's float32 rounds places"
+            f" to {rounding_um:.2g} um: move it to the origin"
+        )
     return notes
 
 
@@ -254,7 +262,8 @@ class Mesh(Displayed):
     @staticmethod
     def of(vertices_mm: Array, faces: Indices) -> "Mesh":
         """A mesh whose vertices at the same place, in float32, are merged."""
-        bits = (vertices_mm.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64)
+        places = vertices_mm - vertices_mm.min(axis=0)
+        bits = (places.astype(np.float32) + np.float32(0.0)).view(np.uint32).astype(np.uint64)
         mixed = (bits * _HASH).sum(axis=1, dtype=np.uint64)
         mixed ^= mixed >> np.uint64(29)
         _, first, same = np.unique(mixed, return_index=True, return_inverse=True)
