@@ -1,5 +1,7 @@
 """What is simulated for a scene: its part, its temperature, air up to its sensor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,6 +9,7 @@ from command_line import command
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.medium.heat_flow.mesh import cylinder_mesh
 from virtual_sensor.medium.heat_flow.quick import CELLS, quick_cell_mm, quick_time_s
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.heat_flow.snapped_mesh import expected_cells, read_part, snapped_mesh
@@ -80,6 +83,11 @@ def test_a_first_look_is_as_fine_as_its_cells_allow(tmp_path, mine):
         assert 0.7 * CELLS < count < 2.0 * CELLS
     trimesh.creation.box((60.0, 40.0, 1.0)).export(path)
     assert quick_cell_mm(air.flow, read_part(path)) <= 1.0
+    for radius in (2.0, 13.5, 100.0):  # cylinders as well, with room for their blocks
+        flow = HeatFlow(radius_mm=radius, length_mm=12.0 * radius, quick=True)
+        flow = replace(flow, cell_mm=quick_cell_mm(flow, None))
+        assert cylinder_mesh(flow).cells < 8.0 * CELLS
+    assert quick_cell_mm(HeatFlow(section=True, quick=True), None) == 1.2
     assert quick_time_s(HeatFlow(900.0)) == 2.0
     assert quick_time_s(HeatFlow(240.0)) == 4.0
 

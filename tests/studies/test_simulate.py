@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene import load_scene, shipped_scenes
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow, Until
@@ -128,6 +129,43 @@ def test_recorded_instants_become_a_time_axis(simulator, uninterrupted, tmp_path
     until = Until(0.4, 0.4, 0.0)
     simulate(alone(SECTION), folder / "air.case", path, until, record_s=0.2, every_s=0.1)
     np.testing.assert_allclose(field_times(path), [0.2, 0.3, 0.4])
+
+
+@pytest.mark.slow
+def test_a_scene_finds_the_air_of_its_own_part(simulator, tmp_path):
+    """Rationale: a part of one's own to a measurement in its air, with nothing said twice."""
+    folder = tmp_path / "größe 1"
+    folder.mkdir()
+    part = trimesh.creation.box((24.0, 16.0, 8.0))
+    part.apply_translation([200.0, -50.0, -4.0])
+    part.invert()  # its faces look inwards
+    part.export(folder / "part.stl")
+    text = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
+    shape = (
+        '<shape type="stl"><string name="filename" value="part.stl"/><transform name="to_world">'
+        '<translate x="-200" y="50"/></transform></shape></scene>'
+    )
+    text = text[: text.index('<shape type="cylinder"')] + shape
+    text = text.replace("fields/hot_cylinder_$temperatureC_quarter.nc", "mine_air.nc")
+    scene = folder / "mine.xml"
+    scene.write_text(text, encoding="utf-8")
+    command = "from virtual_sensor import cli; cli.main()"
+    words = ("field", "simulate", "--scene", "mine", "--quick", "--cell", "5", "--time", "0.5")
+    ended = subprocess.run(
+        [sys.executable, "-c", command, *words], cwd=folder, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert "a first look" in ended.stdout
+    assert "virtual-sensor measure mine`" in " ".join(ended.stdout.split())
+    loaded = load_scene(scene)
+    assert loaded.medium is not None
+    assert not [note for note in loaded.notes if "not of this part" in note]
+    above, beside = loaded.medium.refractivity([[0.0, 0.0, 3.0], [0.0, 30.0, -4.0]])
+    ambient = loaded.medium.ambient
+    assert above < 0.5 * ambient  # hot
+    assert beside > 0.9 * ambient
+    light = loaded.cameras["camera"].pose.origin_mm[2]
+    assert loaded.medium.box[1, 2] > light
 
 
 def shifted(time_s):

@@ -106,7 +106,7 @@ def info(
     "    virtual-sensor field import case/ --variable T --mirror x,y -o air.nc\n\n"
     "    virtual-sensor field import air.vtu --units K --length-units m --axes x,-z,y -o air.nc\n\n"
     "    virtual-sensor field import air.txt --origin 0,0,13.5 --solid cylinder:13.5 -o air.nc\n\n"
-    "    virtual-sensor field import plane.csv --axes z,x,y --extrude -120,120 -o air.nc\n\n"
+    "    virtual-sensor field import plane.csv --axes z,x,y --extrude -180,180 -o air.nc\n\n"
     "    virtual-sensor field import n.npy --quantity index --spacing 0.8 -o air.nc",
 )
 @shared.with_options

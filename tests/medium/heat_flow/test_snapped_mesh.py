@@ -11,7 +11,7 @@ import pytest
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.balance import check_wall_layer
-from virtual_sensor.medium.heat_flow.prepare import prepare_case
+from virtual_sensor.medium.heat_flow.prepare import make_mesh, prepare_case
 from virtual_sensor.medium.heat_flow.run import run_case
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
@@ -157,6 +157,30 @@ def test_what_is_inside_is_known_whatever_way_the_faces_look(tmp_path):
         assert len(part.bodies) == 2
         np.testing.assert_array_equal(part.holds(points)[clear], inside[clear])
         assert part.volume_mm3 == pytest.approx(np.pi * 100 * 30 + 80 * 60 * 41, rel=2e-3)
+    twice = box((-10, -10, -10), (10, 10, 0)).append_polydata(box((-9, -9, -9), (11, 11, 0.5)))
+    part = read_part(written(tmp_path, twice))
+    assert part.volume_mm3 == pytest.approx(4000 + 3800)
+    assert part.filled_mm3 == pytest.approx(7800 - 19 * 19 * 9, rel=0.04)
+
+
+def test_thin_walls_that_the_mesh_has_lost_are_told(tmp_path):
+    """Rationale: snappyHexMesh leaves them out in silence, and what is not there is not hot."""
+    case = tmp_path / "case"
+    prepare_case(HeatFlow(stl=written(tmp_path, box((-30, -20, -1), (30, 20, 0)))), case, 0.1, 0.1)
+    (case / "constant/polyMesh").mkdir()
+    (case / "constant/polyMesh/points").touch()
+    low, high = (-0.1, -0.1, -0.1), (0.1, 0.1, 0.3)
+    said = (
+        "Overall domain bounding box ({} {} {}) ({} {} {})\nMesh OK.\nTotal volume = {:.9g}.  OK\n"
+    )
+    for held_mm3, lost in ((2300.0, False), (900.0, True)):
+        air = 0.2 * 0.2 * 0.4 - 1e-9 * held_mm3
+        (case / "log.checkMesh").write_text(said.format(*low, *high, air))
+        if lost:
+            with pytest.raises(InputError, match=r"only 38% of the part: .* take --cell 0.48,"):
+                make_mesh(None, case)
+        else:
+            make_mesh(None, case)
 
 
 @pytest.fixture(scope="session")

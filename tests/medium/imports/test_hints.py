@@ -58,15 +58,15 @@ def test_units_are_known_in_all_spellings(name, spellings):
 
 
 def test_the_documented_cross_section_is_imported(tmp_path, monkeypatch):
-    """Rationale: --extrude -120,120 begins as an option does."""
+    """Rationale: --extrude -180,180 begins as an option does."""
     monkeypatch.chdir(tmp_path)
     points = np.stack(np.meshgrid(Y, Z, indexing="ij"), axis=-1).reshape(-1, 2)
     values = temperature(np.column_stack([np.zeros(len(points)), points]))
     table = rows(values=np.column_stack([points, values]))
     written(tmp_path / "plane.csv", "x [mm],y [mm],T [K]\n" + table)
-    line = "field import plane.csv --axes z,x,y --extrude -120,120 -o air.nc"
+    line = "field import plane.csv --axes z,x,y --extrude -180,180 -o air.nc"
     status, _, err = command(*line.split())
     assert (status, err) == (0, "")
     field = IndexField.read(tmp_path / "air.nc")
-    np.testing.assert_allclose(field.box, [[-120, -24, 0], [120, 24, 40]])
+    np.testing.assert_allclose(field.box, [[-180, -24, 0], [180, 24, 40]])
     assert len(X) == 5

@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
+
+import numpy as np
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
@@ -20,6 +23,10 @@ from virtual_sensor.medium.heat_flow.case import (
 )
 from virtual_sensor.medium.heat_flow.openfoam import OpenFoam, run_tool
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
+from virtual_sensor.medium.heat_flow.snapped_mesh import SURFACE, read_part
+
+LEAST_HELD = 0.7
+"""Share of a part's volume that its mesh must leave out of the air."""
 
 
 def prepare_case(
@@ -52,18 +59,39 @@ def make_mesh(foam: OpenFoam, folder: Path) -> None:
     Raises
     ------
     InputError
-        If a tool fails, or the mesh does not pass.
+        If a tool fails, the mesh does not pass, or it lacks much of the part.
     """
     checked, mesh = folder / "log.checkMesh", folder / "constant/polyMesh"
+    made = setup_of(folder)
     if (mesh / "points").exists() and checked.exists() and "Mesh OK." in checked.read_text():
-        return
+        return _check_part(folder, made, checked.read_text())
     shutil.rmtree(mesh, ignore_errors=True)
-    for command in mesh_commands(setup_of(folder)):
+    for command in mesh_commands(made):
         run_tool(foam, folder, *command)
     output = run_tool(foam, folder, "checkMesh", "-time", "0")
     if "Mesh OK." not in output:
         faults = [line.strip(" *") for line in output.splitlines() if line.startswith(" ***")]
         raise InputError(f"{folder}: the mesh does not pass checkMesh: {'; '.join(faults)}")
+    return _check_part(folder, made, output)
+
+
+def _check_part(folder: Path, made: Mapping[str, object], checked: str) -> None:
+    """Refuse a mesh that fills thin walls of its part with air."""
+    if not made.get("stl"):
+        return
+    box = re.search(r"domain bounding box \((.*?)\) \((.*?)\)", checked)
+    total = re.search(r"Total volume = (\S+)\. ", checked)
+    if not (box and total):
+        return
+    low, high = (np.array(corner.split(), dtype=float) for corner in box.groups())
+    held_mm3 = 1e9 * (float(np.prod(high - low)) - float(total[1]))
+    part = read_part(folder / SURFACE)
+    if held_mm3 < LEAST_HELD * part.filled_mm3:
+        raise InputError(
+            f"{folder}: the mesh has only {held_mm3 / part.filled_mm3:.0%} of the part: walls"
+            f" thinner than its cells of {made.get('cell_mm'):g} mm are lost; take --cell"
+            f" {part.thickness_mm / 2.0:.2g}, with another -o or --case"
+        )
 
 
 def reconstruct(foam: OpenFoam, folder: Path) -> None:

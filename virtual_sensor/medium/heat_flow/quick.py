@@ -18,6 +18,7 @@ CELLS = 45_000
 
 _WIDEST_MM, _FINEST_MM = 16.0, 0.05
 _STEP = 1.03
+_OF_RADIUS = 0.09  # of a section's cylinder: six cells in the wall layer of 1250 degC
 _CELLS_IN_SHEET = 1.0  # widths across a thin part: two of the cells at the wall
 QUICK_HEIGHT_MM = 360.0
 _FLOW_S, _HOT_K = 2.0, 880.0  # in that time a plume so hot and so high stands
@@ -31,7 +32,9 @@ def quick_cell_mm(flow: HeatFlow, part: Part | None) -> float:
             return float(cylinder_mesh(replace(flow, cell_mm=width)).cells)
         return expected_cells(part, snapped_mesh(part, width, flow.light_mm[2], most=math.inf))
 
-    width = _WIDEST_MM if part else flow.radius_mm / 6.0
+    if flow.section:
+        return float(f"{_OF_RADIUS * flow.radius_mm:.2g}")
+    width = _WIDEST_MM if part else min(flow.radius_mm / 4.0, _WIDEST_MM / 4.0)
     while width > _FINEST_MM and cells(width / _STEP) < CELLS:
         width /= _STEP
     if part:

@@ -57,8 +57,8 @@ class HeatFlow(Displayed):
     cell_mm : float
         Width of a mesh cell across the plume, mm; all others scale with it.
     quick : bool
-        A first look at the air in a minute or two: wide cells, little flow time. The image's shift
-        has the right size, but is some tenths of it off.
+        A first look at the air in a minute or two: wide cells, long steps, little flow time. What
+        it does to light is right within some tenths as a whole, and not point by point.
     time_step_s : float or None
         Longest time step, s; None is one that suits parts hotter than the air by hundreds of K.
         Slower flows take longer ones.

@@ -33,6 +33,7 @@ PLUME_LEVEL, WALL_LEVEL = 3, 4  # how often cells are halved
 CELLS_OF_A_LEVEL = 3  # at least, before the next one
 STRETCH = 6.0  # height of the highest cells over that of those round the part
 MOST_CELLS = 2e7
+_PLACES = 30  # along each axis, at which a part of several bodies is tried
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,16 @@ class Part:
     def volume_mm3(self) -> float:
         """What it fills; bodies that overlap count twice."""
         return float(sum(body.volume for body in self.bodies))
+
+    @property
+    def filled_mm3(self) -> float:
+        """What it fills, however bodies overlap: within a few per cent if there are several."""
+        if len(self.bodies) == 1:
+            return self.volume_mm3
+        size = self.high_mm - self.low_mm
+        places = np.stack(np.meshgrid(*[(np.arange(_PLACES) + 0.5) / _PLACES] * 3), axis=-1)
+        inside = self.holds(self.low_mm + places.reshape(-1, 3) * size)
+        return float(inside.mean() * size.prod())
 
     @property
     def thickness_mm(self) -> float:
