@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.display import Displayed
@@ -181,6 +180,8 @@ def fit_of(part: Any, field: IndexField, file: Path, up: Array) -> SolidFit | No
     )
     away = np.zeros(len(nodes))
     if front.any():
+        from scipy.spatial import cKDTree  # most fields are their part's
+
         views = [sign * axis for axis in np.eye(3) for sign in (-1.0, 1.0)]
         skin = np.concatenate([_met(part, _all_over(box, view), -view) for view in views])
         away[front] = cKDTree(skin).query(nodes[front])[0]
