@@ -205,7 +205,7 @@ def test_links_lead_to_pages_pictures_and_headings():
     broken = []
     for page in [*PAGES, ROOT / "CHANGELOG.md", ROOT / "benchmarks" / "README.md"]:
         text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
-        for target in re.findall(r"\]\(<?([^)>\s]+)>?\)", re.sub(r"`[^`\n]*`", "", text)):
+        for target in re.findall(r"(?:\]\(<?|src=\")([^)>\s\"]+)", re.sub(r"`[^`\n]*`", "", text)):
             path, _, anchor = target.partition("#")
             file = page.parent / path if path else page
             if re.match(r"[a-z]+:", target) or (anchor.startswith("gh-") and file.exists()):
