@@ -83,7 +83,7 @@ CALLS = {
     "Scene.only": (SCENE.only, {}),
 }
 WITH_UNIT = {"time_s"}  # said of a file as its time
-APART = {"new_scene"}  # is tried beside what it writes
+APART = {"new_scene"}  # whose options are tried apart
 
 
 def told(function, named):
@@ -127,3 +127,23 @@ def test_every_public_function_is_tried():
     """Rationale: a function that is new must forgive too."""
     functions = {name for name in vs.__all__ if inspect.isfunction(getattr(vs, name))}
     assert functions - APART <= CALLS.keys()
+
+
+def test_what_a_new_scene_cant_have_is_told(here):
+    """Rationale: its options are many, and each is easily given in another way."""
+    wrong: list[dict] = [
+        *({"path": given} for given in (None, 5, "", [], b"a")),
+        *({"part": given} for given in (5, "none.stl", [], {})),
+        *({"focal_length_mm": given} for given in ("a", NAN, -1, {}, [[1, 2], [3]], 1j)),
+        *({"alpha": given} for given in ("a", 0, NAN, [30, "a"], {}, 500)),
+        *({"film": given} for given in ("a", 5, {}, [1], [0, 5], "2448")),
+        *({"unit": given} for given in (5, "yard")),
+        {"focal_lenght_mm": 35},
+    ]
+    for options in wrong:
+        (name,) = options
+        said = told(vs.new_scene, {"path": "mine.xml", "part": "part.obj"} | options)
+        stem = name.partition("_")[0]
+        assert stem in said or f"{options[name]}" in said, f"new_scene({options}): {said}"
+    assert "did you mean 'focal_length_mm'?" in told(vs.new_scene, {"path": "a", "focal_lenght": 3})
+    assert not Path("mine.xml").exists()

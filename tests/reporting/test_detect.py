@@ -216,7 +216,7 @@ def test_no_saturation_beyond_what_a_file_can_hold(tmp_path, undrawn, unpainted_
         assert isinstance(ended.exception, InputError), option
         assert "nan" in str(ended.exception)
     ended = run(tmp_path / "a.png", "--peaks", 10**9, "-o", tmp_path / "nan")
-    assert "peaks is 1000000000; give a whole number, 1 to 100" in str(ended.exception)
+    assert "peaks must be a whole number from 1 to 100, not 1000000000" in str(ended.exception)
 
 
 def test_what_a_calibration_leaves_open_is_noted(tmp_path, undrawn, unpainted_test):

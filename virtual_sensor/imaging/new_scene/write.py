@@ -13,8 +13,16 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from virtual_sensor.errors import InputError
-from virtual_sensor.files import check_output, exists, readable, scratch_folder, written_whole
+from virtual_sensor.arrays import numbers_of
+from virtual_sensor.errors import InputError, nearest, short
+from virtual_sensor.files import (
+    check_output,
+    exists,
+    path_of,
+    readable,
+    scratch_folder,
+    written_whole,
+)
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
@@ -129,16 +137,21 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     """
     known = [each.name for each in dataclasses.fields(NewScene)]
     if unknown := sorted(options.keys() - {*known}):
-        raise InputError(f"new_scene: no option '{unknown[0]}'; there are {', '.join(known)}")
+        raise InputError(
+            f"new_scene: no option '{unknown[0]}'; there are {', '.join(known)}"
+            f"{nearest(unknown[0], known)}"
+        )
     for name in ("alpha", "tilt", "laser_offset_mm", "at_mm"):
         if options.get(name) is not None:
-            options[name] = tuple(np.ravel(options[name]).tolist())
+            options[name] = tuple(numbers_of(f"new_scene: {name}", options[name]).ravel().tolist())
     for name in ("part", "field", "from_scene"):
         if options.get(name) is not None:
-            options[name] = str(options[name])
+            options[name] = str(path_of(f"new_scene: {name}", options[name]))
     if isinstance(options.get("film"), (tuple, list)):
         options["film"] = "x".join(map(str, options["film"]))
-    return write_scene(Path(path), NewScene(**options), overwrite).path
+    if not isinstance(options.get("film", ""), str):
+        raise InputError(f"new_scene: film is {short(options['film'])}; give (width, height) in px")
+    return write_scene(path_of("new_scene: path", path), NewScene(**options), overwrite).path
 
 
 def write_scene(path: Path, said: NewScene, overwrite: bool = False) -> WrittenScene:
@@ -181,10 +194,11 @@ def _check(said: NewScene) -> None:
         **dict.fromkeys(("laser_offset_mm", "at_mm"), (-1e6, 1e6)),
     }
     for name, (low, high) in limits.items():
-        for value in np.ravel([] if getattr(said, name) is None else getattr(said, name)):
-            if not low < value < high:
+        given = getattr(said, name)
+        for number in numbers_of(option_of(name), [] if given is None else given).ravel():
+            if not low < number < high:
                 raise InputError(
-                    f"{option_of(name)} {value:g}: give a number between {low:g} and {high:g}"
+                    f"{option_of(name)} {number:g}: give a number between {low:g} and {high:g}"
                 )
     if not np.all(said.alpha):
         raise InputError("--alpha 0: the camera would look along the laser; give 30, for example")
@@ -192,7 +206,7 @@ def _check(said: NewScene) -> None:
         ("up", said.up, UPWARD),
         ("unit", said.unit or "mm", {**SPELT, **UNITS_MM}),
     ):
-        if value not in known:
+        if not isinstance(value, str) or value not in known:
             raise InputError(f"--{name} {value}: give one of {', '.join(known)}")
     if said.part and (said.diameter_mm or said.length_mm):
         raise InputError("--diameter, --length: they are a cylinder's; leave them out, or --part")
