@@ -34,6 +34,8 @@ def measure(
 ) -> None:
     """Measure a part cold and hot: frames, line centres, points, ray search, a picture and a page.
 
+    Of several cameras or lasers each pair is measured by itself, into a folder of its own.
+
     Exit status 3: there are results, but no frame has a line centre; a note says why.
     """
     from virtual_sensor.imaging.scene import load_scene
@@ -43,6 +45,18 @@ def measure(
     shared.check_folder(output, overwrite)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
+        if len(loaded.cameras) * len(loaded.sources) > 1 and tolerance is None:
+            from virtual_sensor.reporting.pairs import pair_notes, pairs_table, save_pairs
+
+            command = shared.command_line()
+            pairs = save_pairs(
+                loaded, lambda pair: run(pair, report, y or None), output, command, overwrite
+            )
+            shared.print_results([pairs_table(pairs)], pair_notes(pairs))
+            shared.print_end(output)
+            if not any(state.section.points for state in pairs.states):
+                raise typer.Exit(shared.NOTHING_FOUND)
+            return
         if tolerance is not None:
             from virtual_sensor.studies.tolerance import choose, configured
 
