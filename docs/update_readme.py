@@ -5,8 +5,10 @@
 """
 
 import argparse
+import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 PICTURES = HERE / "pictures"
@@ -24,7 +26,8 @@ def main(
 ) -> None:
     """Replace what stands between the marks, and the pictures."""
     if measured:
-        replace("<!-- table: measure -->\n", measured / "table.md")
+        replace("<!-- table: measure -->\n", measured / "table.md", HERE / "explanation/method.md")
+        five_lines(json.loads((measured / "summary.json").read_text(encoding="utf-8")))
         shutil.copy(measured / "report.png", PICTURES / "hot_cylinder.png")
     if converged:
         replace(
@@ -57,12 +60,40 @@ def main(
         shutil.copy(tried / "signal.png", PICTURES / "trial_signal.png")
 
 
-def replace(begin: str, table: Path, page: Path = README) -> None:
+def five_lines(summary: dict[str, Any]) -> None:
+    """Put the README's table of accuracy and speed together."""
+    states = [summary["states"][name] for name in ("cold", "hot")]
+    width, height = (summary["parameters"][name] for name in ("width", "height"))
+    rays = sum(states[0]["search_status"].values())
+    lines = {
+        "Measured minus true section, rms": [f"{s['section']['rms_um']:.3g} µm" for s in states],
+        "Rendered line minus ray search, rms": [
+            f"{s['line_minus_search']['rms_px']:.4f} px" for s in states
+        ],
+        "Centres that are ok and wrong by the frame's truth": [
+            f"{s['line_minus_truth']['wrong']} of {s['line_status']['ok']}" for s in states
+        ],
+        f"Frame of {width} x {height} px, {summary['made_with']['samples_per_pixel']} samples per"
+        " pixel": [f"{s['render_time_s']:.2f} s" for s in states],
+        f"Search of {rays} rays by Newton's method": [
+            f"{s['search_time_s']:.2f} s" for s in states
+        ],
+    }
+    rows = [f"| {words} | {' | '.join(values)} |" for words, values in lines.items()]
+    head = ["| `virtual-sensor measure hot_cylinder` | cold | hot |", "| --- | --- | --- |"]
+    put("<!-- table: measure in five lines -->\n", "\n".join(head + rows), README)
+
+
+def replace(begin: str, table: Path, page: Path) -> None:
     """Put a table, without the heading that it has as a page, between its mark and the next end."""
+    lines = table.read_text(encoding="utf-8").splitlines()
+    put(begin, "\n".join(line for line in lines if not line.startswith("# ")).strip(), page)
+
+
+def put(begin: str, text: str, page: Path) -> None:
+    """Put a text between its mark and the next end."""
     before, rest = page.read_text(encoding="utf-8").split(begin)
     _, after = rest.split(END, maxsplit=1)
-    lines = table.read_text(encoding="utf-8").splitlines()
-    text = "\n".join(line for line in lines if not line.startswith("# ")).strip()
     page.write_text(f"{before}{begin}\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
