@@ -2,9 +2,9 @@
 
 ``python docs/refresh_outputs.py docs/tutorial.md [--all] [--folder DIR]``
 
-The block of ``text`` that follows a block is replaced by what it printed; a picture that the page
-shows, and a block wrote under that name, is copied to the page. Blocks marked ``not run`` are left
-alone, unless ``--all`` is said.
+The block of ``text`` that follows a block is replaced by what it printed, without progress; a
+picture ``PAGE_RESULTS.png`` by that of the folder of results. Blocks marked ``not run`` are left
+alone, unless ``--all`` is said, and what needs another machine's installation is never run.
 """
 
 import argparse
@@ -25,6 +25,7 @@ FENCE = re.compile(
     r"(?P<shown>\n```text\n.*?^```\n)?",
     re.M | re.S,
 )
+PROGRESS = re.compile(r"^ *\d+% after .*\n", re.M)
 PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)]+\.png)\)")
 
 
@@ -33,7 +34,7 @@ def refresh(page: Path, folder: Path, everything: bool) -> None:
     names: dict[str, Any] = {}
 
     def replaced(found: re.Match[str]) -> str:
-        if found["mark"] and not everything:
+        if found["mark"] and (not everything or "installation" in found["mark"]):
             return found[0]
         printed = printed_by(found["language"], found["code"], folder, names).rstrip()
         code = f"{found['mark'] or ''}```{found['language']}\n{found['code']}```\n"
@@ -41,8 +42,8 @@ def refresh(page: Path, folder: Path, everything: bool) -> None:
 
     text = FENCE.sub(replaced, page.read_text(encoding="utf-8"))
     for picture in PICTURE.finditer(text):
-        made = folder / Path(picture["path"]).name
-        if made.is_file():
+        results = Path(picture["path"]).stem.removeprefix(f"{page.stem}_")
+        if (made := folder / results / "report.png").is_file():
             shutil.copy(made, page.parent / picture["path"])
     with written_whole(page) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -53,10 +54,11 @@ def printed_by(language: str, code: str, folder: Path, names: dict[str, Any]) ->
     print(code, end="", flush=True)
     if language == "sh":
         wide = os.environ | {"COLUMNS": "100"}
-        return subprocess.run(
+        ran = subprocess.run(
             ["bash", "-ec", code], cwd=folder, env=wide, text=True, check=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        ).stdout  # fmt: skip
+        )  # fmt: skip
+        return PROGRESS.sub("", ran.stdout)
     printed = io.StringIO()
     with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
         exec(compile(code, "page", "exec"), names)

@@ -130,12 +130,11 @@ def _facet_note(scene: Scene, line: LitLine) -> list[str]:
     pixel_mm = float(scene.sensor.camera.pixel_mm(line.points_mm).mean())
     if error_mm < FACETS_TOLD_PX * pixel_mm:
         return []
+    tolerance_um = 1e3 * FACETS_TOLD_PX * pixel_mm
     return [
         f"the part's facets lie up to {1e3 * error_mm:.2g} um ({error_mm / pixel_mm:.2g} px) beside"
-        " the curved surface that they stand for, where the line meets them (estimated from the"
-        " angles between them). Export the part finer: facets half as wide leave a quarter, and a"
-        f" chord tolerance of {1e3 * FACETS_TOLD_PX * pixel_mm:.1g} um will do. Vertex normals"
-        " shade facets and move none"
+        " the curved surface, where the line meets them (estimated from the angles between them);"
+        f" export the part finer, with a chord tolerance of {tolerance_um:.1g} um"
     ]
 
 

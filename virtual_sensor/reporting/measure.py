@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from itertools import product, starmap
 from operator import attrgetter
 from pathlib import Path
@@ -356,7 +357,9 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
         panels |= {"letters": _letters_panel()} | check
     else:
         panels |= check | {"frame": _frame_panel(result, 3)}
-    title = f"{drawable(result.scene.path.stem)}: {findings(figures)}"
+    caveats = tuple(caveat.split(";")[0] for caveat in figures.caveats)  # without the remedy
+    short = findings(replace(figures, caveats=caveats))
+    title = f"{drawable(result.scene.path.stem)}: {short}"
     drawn = draw_picture(title, list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
 
