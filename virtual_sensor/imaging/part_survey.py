@@ -87,9 +87,8 @@ class PartSurvey(Record):
         counts = ", ".join(f"{number} {name}" for name, number in faults.items() if number)
         facets = f"facets cost {self.facet_error_um:.3g} µm"
         faces = f"{self.triangles} triangles"
-        return listed(
-            f"{size} mm", f"top {place(self.top_mm)}", faces, facets, counts or "no faults"
-        )
+        found = counts or ("see its notes" if self.notes else "no faults")
+        return listed(f"{size} mm", f"top {place(self.top_mm)}", faces, facets, found)
 
     @property
     def size_mm(self) -> Vector:
