@@ -82,7 +82,10 @@ def test_a_first_look_is_as_fine_as_its_cells_allow(tmp_path, mine):
         count = expected_cells(part, snapped_mesh(part, width, air.flow.light_mm[2]))
         assert 0.7 * CELLS < count < 2.0 * CELLS
     trimesh.creation.box((60.0, 40.0, 1.0)).export(path)
-    assert quick_cell_mm(air.flow, read_part(path)) <= 1.0
+    assert quick_cell_mm(air.flow, read_part(path)) <= 1.5
+    trimesh.creation.box((60.0, 40.0, 0.2)).export(path)
+    with pytest.raises(InputError, match=r"walls of some 0.2 mm .* million: no quick look"):
+        quick_cell_mm(air.flow, read_part(path))
     for radius in (2.0, 13.5, 100.0):  # cylinders as well, with room for their blocks
         flow = HeatFlow(radius_mm=radius, length_mm=12.0 * radius, quick=True)
         flow = replace(flow, cell_mm=quick_cell_mm(flow, None))

@@ -114,8 +114,10 @@ def scene_air(
         temperature_c = float(known["temperature"])
     if temperature_c is not None:
         flow = replace(flow, temperature_c=temperature_c)
-    if name is None or flow.stl:
+    if name is None:
         return SceneAir(one, flow, None, field, given, ())
+    if flow.stl:
+        return SceneAir(one, replace(flow, light_mm=_light_mm(one)), None, field, given, ())
     surface = scene.surface
     if isinstance(surface, Cylinder) and surface == Cylinder(
         surface.radius_mm, surface.half_length_mm, 0.0, -surface.radius_mm
@@ -127,13 +129,17 @@ def scene_air(
             f"{path}: --section is of a cylinder along x whose top line goes through the origin,"
             " and the scene's part is another; leave it out, --quick is quick too"
         )
-    line = lit_line(one).points_mm
+    flow = replace(flow, light_mm=_light_mm(one))
     part, notes = part_mesh(scene)
-    highest = max(pose.origin_mm[2] for pose in scene.poses.values()) + _OVER_SENSOR_MM
-    x, y = line[:, :2].mean(axis=0)
-    over = np.clip(highest - part.bounds[1, 2], _LEAST_MM, _MOST_MM)
-    flow = replace(flow, light_mm=(float(x), float(y), float(part.bounds[1, 2] + over)))
     return SceneAir(one, flow, part, field, given, tuple(f"{path}: {note}" for note in notes))
+
+
+def _light_mm(scene: Scene) -> tuple[float, float, float]:
+    """Where light comes down to a scene's part, and how high air is simulated over it, mm."""
+    x, y = lit_line(scene).points_mm[:, :2].mean(axis=0)
+    top = float(scene.mitsuba.bbox().max[2])
+    highest = max(pose.origin_mm[2] for pose in scene.poses.values()) + _OVER_SENSOR_MM
+    return float(x), float(y), top + float(np.clip(highest - top, _LEAST_MM, _MOST_MM))
 
 
 def _own_field(scene: Path, name: str) -> Path | None:

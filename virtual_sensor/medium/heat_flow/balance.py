@@ -197,7 +197,7 @@ def check_wall_layer(flow: HeatFlow, nusselt: float | None = None) -> None:
         width = float(f"{0.95 * width:.2g}")
     raise InputError(
         f"a mesh of {flow.cell_mm:g} mm resolves the wall layer with {cells} cells; at least"
-        f" {CELLS_IN_WALL_LAYER} are needed: take {width:g} mm or less, or say --coarse"
+        f" {CELLS_IN_WALL_LAYER} are needed: take {width:g} mm or less, or say --coarse or --quick"
     )
 
 

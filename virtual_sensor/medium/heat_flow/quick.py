@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.medium.heat_flow.mesh import cylinder_mesh
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.heat_flow.snapped_mesh import Part, expected_cells, snapped_mesh
@@ -18,14 +19,21 @@ CELLS = 45_000
 
 _WIDEST_MM, _FINEST_MM = 16.0, 0.05
 _STEP = 1.03
+_MOST_CELLS = 500_000
 _OF_RADIUS = 0.09  # of a section's cylinder: six cells in the wall layer of 1250 degC
-_CELLS_IN_SHEET = 1.0  # widths across a thin part: two of the cells at the wall
+_OF_THICKNESS = 1.5  # of a thin part's: the cells at its wall are half as wide
 QUICK_HEIGHT_MM = 360.0
 _FLOW_S, _HOT_K = 2.0, 880.0  # in that time a plume so hot and so high stands
 
 
 def quick_cell_mm(flow: HeatFlow, part: Part | None) -> float:
-    """Width of cells across the plume, mm: as fine as `CELLS` allow; finer for a thin part."""
+    """Width of cells across the plume, mm: as fine as `CELLS` allow; finer for a thin part.
+
+    Raises
+    ------
+    InputError
+        If the part is so thin that the look would take hours.
+    """
 
     def cells(width: float) -> float:
         if part is None:
@@ -38,7 +46,13 @@ def quick_cell_mm(flow: HeatFlow, part: Part | None) -> float:
     while width > _FINEST_MM and cells(width / _STEP) < CELLS:
         width /= _STEP
     if part:
-        width = min(width, part.thickness_mm / _CELLS_IN_SHEET)
+        width = min(width, _OF_THICKNESS * part.thickness_mm)
+        if (expected := cells(width)) > _MOST_CELLS:
+            raise InputError(
+                f"walls of some {part.thickness_mm:.2g} mm need narrow cells, about"
+                f" {expected / 1e6:.1f} million: no quick look. For the air alone a thicker part"
+                " does (--stl thick.stl beside --scene), or give --cell"
+            )
     return float(f"{width:.2g}")
 
 
