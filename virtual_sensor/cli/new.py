@@ -83,7 +83,7 @@ _SENSOR = {"focal_length_mm": "Focal length of the lens, mm", "distance_mm": "Di
 
 def _answer(words: str, otherwise: str, reader: Callable[[str], Any]) -> Any:
     """What is typed; None of nothing."""
-    while text := shared.console.input(f"{words} [{otherwise}]: ").strip():
+    while text := shared.console.input(f"{words} [{otherwise}]: ", markup=False).strip():
         try:
             return reader(text)
         except ValueError as error:  # InputError among them
