@@ -50,14 +50,17 @@ def commands(scene, folder):
 
 
 def test_every_command_says_which_there_are(scene, tmp_path):
-    """And takes the name that it asks for."""
+    """And takes the name that it asks for; `measure` measures all pairs."""
     for name, words in commands(scene, tmp_path).items():
-        ended = CliRunner().invoke(cli.app, [str(word) for word in words])
-        assert ended.exit_code != 0, name
-        assert "2 cameras: near, far; say which (camera=, or --camera" in str(ended.exception), name
-        ended = CliRunner().invoke(cli.app, [str(word) for word in [*words, "--camera", "near"]])
-        assert "2 sources: red, blue; say which (source=, or --source" in str(ended.exception), name
-        ended = CliRunner().invoke(cli.app, [str(word) for word in [*words, "--source", "green"]])
+        if name != "measure":
+            ended = CliRunner().invoke(cli.app, [str(word) for word in words])
+            assert ended.exit_code != 0, name
+            said = str(ended.exception)
+            assert "2 cameras: near, far; say which (camera=, or --camera" in said, name
+            ended = CliRunner().invoke(cli.app, [*map(str, words), "--camera", "near"])
+            said = str(ended.exception)
+            assert "2 sources: red, blue; say which (source=, or --source" in said, name
+        ended = CliRunner().invoke(cli.app, [*map(str, words), "--source", "green"])
         assert "no source 'green'; the scene has: red, blue" in str(ended.exception), name
 
 

@@ -32,7 +32,7 @@ def simulated(result: Simulation) -> list[str]:
     lines.append(f"cells of {result.cell_mm:g} mm, {result.wall_layer_cells} in the wall layer")
     if result.quick:
         lines.append(
-            "a first look: right within some tenths as a whole, not point by point; --cell"
+            "a first look: what it does to light is right to a factor of two or three; --cell"
             f" {result.cell_mm / 1.5:.2g} shows how much still changes"
         )
     return lines
