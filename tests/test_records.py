@@ -284,7 +284,7 @@ def test_a_table_is_a_data_frame():
 def test_without_pandas_the_remedy_is_named(monkeypatch):
     """Rationale: an ImportError names a module and no remedy."""
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="pip install pandas"):
+    with pytest.raises(InputError, match=r'pip install "virtual-sensor\[dataframe\]"'):
         line().to_dataframe()
 
 

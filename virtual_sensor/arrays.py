@@ -92,11 +92,14 @@ def image_of(name: str, values: ArrayLike, least: float = -LARGEST) -> NDArray[n
     A mask hides numbers, and what is not finite, or is below `least`, is none.
     """
     image = numbers_of(name, values)
-    if image.ndim != 2 or not np.all((image >= least) & (image <= LARGEST)):
-        wanted = f"finite numbers{f' from {least:g} on' if least > -LARGEST else ''}"
-        raise InputError(
-            f"{name} is of shape {image.shape}; give an image (height, width) of {wanted}"
-        )
+    wanted = f"finite numbers{f' from {least:g} on' if least > -LARGEST else ''}"
+    wanted = f"give an image (height, width) of {wanted}"
+    if image.ndim != 2:
+        raise InputError(f"{name} is of shape {image.shape}; {wanted}")
+    if missing := int(np.sum(~np.isfinite(image))):
+        raise InputError(f"{name}: {missing} of its {image.size} values are not finite; {wanted}")
+    if (lowest := image.min(initial=np.inf)) < least:
+        raise InputError(f"{name}: its values go down to {lowest:g}; {wanted}")
     return image
 
 

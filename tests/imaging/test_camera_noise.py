@@ -219,6 +219,8 @@ def test_light_that_can_not_be_is_refused(light):
     """Rather than turned into grey values."""
     with pytest.raises(InputError, match="photons"):
         record(light, CameraNoise())
+    with pytest.raises(InputError, match=r"photons: its values go down to -2; .* from 0 on"):
+        record(np.eye(3) - 2.0)
 
 
 def test_what_a_camera_knows_need_not_be_said_again():

@@ -1,5 +1,6 @@
 """Plane-line intersection against points whose place is known."""
 
+import dataclasses
 from itertools import product
 
 import numpy as np
@@ -8,6 +9,7 @@ from artificial import paper_sensor
 
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
@@ -82,6 +84,20 @@ def test_what_are_no_pixels_is_refused():
     """Points instead of pixels are an easy mistake."""
     with pytest.raises(InputError, match=r"\(4, 3\)"):
         triangulate(paper_sensor(), np.zeros((4, 3)))
+
+
+def test_a_line_of_an_image_of_another_size_is_refused():
+    """Rationale: its pixels would be taken for others, and make a wrong profile without a word."""
+    sensor = paper_sensor()
+    width, height = sensor.camera.size
+    line, whole = (LineCentres.of_rows(np.full(count, 900.0)) for count in (512, width))
+    assert np.isfinite(triangulate(sensor, whole)).all()
+    with pytest.raises(InputError, match=f"line has 512 columns, the camera {width}"):
+        triangulate(sensor, line)
+    with pytest.raises(InputError, match=f"line has 512 rows, the camera {height}"):
+        triangulate(sensor, line.transposed)
+    part = [getattr(whole, field.name)[100:200] for field in dataclasses.fields(whole)]
+    assert len(triangulate(sensor, LineCentres(*part))) == 100  # whose columns are known
 
 
 @pytest.mark.parametrize("alpha_deg", [0.0, 180.0])

@@ -452,3 +452,6 @@ def test_a_frame_and_an_array_of_rows_serve_as_truth():
         np.testing.assert_allclose(result.error_px, 0.25, atol=1e-9)
     with pytest.raises(InputError, match="give a frame"):
         compare_line(found, 3.0)
+    part = LineCentres.of_rows(ROWS[:100])
+    with pytest.raises(InputError, match=f"line has 100 columns, the frame {WIDTH}; compare"):
+        compare_line(part, frame)

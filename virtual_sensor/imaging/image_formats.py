@@ -73,7 +73,10 @@ def _channel(
         if all(np.array_equal(first, other, equal_nan=True) for other in others):
             return first
         kind = "is a colour image; " if set(channels) == set(COLOURS) else ""
-        raise InputError(f"{path}: {kind}say which --channel: {names}")
+        name = next(iter(channels))
+        raise InputError(
+            f"{path}: {kind}say which channel: {names} (channel='{name}', or --channel {name})"
+        )
     if list(channels) == [_GREY]:
         remarks.append(f"is grey: --channel {channel} is not needed")
         return channels[_GREY]

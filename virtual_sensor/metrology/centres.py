@@ -136,6 +136,20 @@ class LineCentres(Displayed):
         return np.where(there[..., None], np.stack([self.column, self.row], axis=-1), np.nan)
 
     @property
+    def searched(self) -> tuple[str, int]:
+        """Whether columns or rows of an image were searched ("columns", "rows"), and how many.
+
+        Of lines of any direction, and of a part of a line's centres, no columns: 0.
+        """
+        for name, places, normal in (("columns", self.column, 90.0), ("rows", self.row, 0.0)):
+            numbers = np.arange(places.shape[-1] if places.ndim else 0)
+            if np.all(self.normal_deg == normal) and np.array_equal(
+                places, np.broadcast_to(numbers, places.shape)
+            ):
+                return name, numbers.size
+        return "columns", 0
+
+    @property
     def transposed(self) -> LineCentres:
         """The same centres in the transposed image: rows are columns there."""
         turned = 90.0 - self.normal_deg

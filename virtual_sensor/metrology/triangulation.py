@@ -89,8 +89,9 @@ def triangulate(
     Raises
     ------
     InputError
-        Where `pixel` is no list of (u, v), there is no such camera or source, the camera stands in
-        the laser plane, or the medium bends light too sharply for the tolerance.
+        Where `pixel` is no list of (u, v), or a line in an image of another size; there is no such
+        camera or source, the camera stands in the laser plane, or the medium bends light too
+        sharply for the tolerance.
     """
     points = triangulated_points(
         sensor, pixel, medium=medium, camera=camera, source=source, coordinate=coordinate
@@ -129,6 +130,7 @@ def triangulated_points(
         if isinstance(medium, str | Path):
             medium = scene.with_medium(medium).medium
         sensor = scene.only(camera, source).sensor
+    _check_size(pixel, sensor.camera.size, scene)
     pixel = points_of("triangulate: pixel", getattr(pixel, "pixel", pixel), 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
@@ -151,6 +153,19 @@ def triangulated_points(
         rows = pixel.reshape(-1, 2), np.broadcast_to(s, shape).ravel()
         point, status = _on_rays(sensor, *rows, medium, tolerance_px)
     return TriangulatedPoints(point.reshape(*shape, 3), status.reshape(shape))
+
+
+def _check_size(line: Any, size: tuple[int, int], scene: Any) -> None:
+    """Refuse the centres of a line in an image of another size than the camera's."""
+    searched, count = getattr(line, "searched", ("columns", 0))
+    name = {"columns": "width", "rows": "height"}[searched]
+    of_camera = dict(zip(("width", "height"), size, strict=True))[name]
+    if count not in (0, of_camera):
+        remedy = "give its own image" if scene is None else f"load the scene with {name}={count}"
+        raise InputError(
+            f"triangulate: the line has {count} {searched}, the camera {of_camera}; {remedy}, or"
+            " give (u, v) of the whole image"
+        )
 
 
 def _scene_of(sensor: Any) -> Any:

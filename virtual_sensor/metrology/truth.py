@@ -348,8 +348,16 @@ def compare_line(
         raise InputError(f"compare_line: line is {short(line)}; give LineCentres")
     number_within("compare_line: end_px", end_px, -LARGEST, LARGEST, "a distance in px")
     truth_of("compare_line: cut", cut)
+    is_frame = hasattr(truth, "source_coordinates")
     truth = _true_line(truth, source)
     width = truth.row.shape[1]
+    searched, count = line.searched
+    if searched == "columns" and count not in (0, width):
+        given = "frame" if is_frame else "truth"
+        raise InputError(
+            f"compare_line: the line has {count} columns, the {given} {width}; compare images of"
+            " one size"
+        )
     status = truth.status
     if cut:
         status = np.where(status == TruthStatus.CUT, TruthStatus.KNOWN, status)

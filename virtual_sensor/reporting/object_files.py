@@ -35,7 +35,9 @@ def data_frame(thing: Displayed) -> Any:
     try:
         import pandas
     except ImportError:
-        raise InputError("to_dataframe: pandas is missing; pip install pandas") from None
+        raise InputError(
+            'to_dataframe: pandas is missing; pip install "virtual-sensor[dataframe]"'
+        ) from None
     return pandas.DataFrame(columns_of(thing))
 
 
