@@ -106,7 +106,9 @@ def call(_: Path, options: dict[str, Any]) -> dict[str, Any]:
         return {"value": found.pixel, "status": found.status}
     if function == "trace":
         x, y, z = np.meshgrid(*[np.linspace(-6.0, 6.0, 5)] * 3, indexing="ij")
-        air = vs.IndexField.from_arrays(1e-4 + 1e-6 * (x + 2 * y - z), [-6.0] * 3, [3.0] * 3)
+        air = vs.IndexField.from_arrays(
+            1e-4 + 1e-6 * (x + 2 * y - z), [-6.0] * 3, [3.0] * 3, ambient=0.0
+        )
         rays = vs.trace(air, **given)
         return {"value": rays.position, "status": rays.status}
     if function == "render":

@@ -91,11 +91,11 @@ def test_a_mirrored_field_is_the_unfolded_one(points):
     """Folding changes signs of the gradient and of mixed second derivatives, nothing else."""
     rng = np.random.default_rng(3)
     half = 1e-4 * rng.random((6, 7, 5))
-    folded = IndexField.from_arrays(half, ORIGIN, SPACING, mirror=(True, False, True))
+    folded = IndexField.from_arrays(half, ORIGIN, SPACING, ambient=0.0, mirror=(True, False, True))
     whole = np.concatenate((half[:0:-1], half), axis=0)
     whole = np.concatenate((whole[:, :, :0:-1], whole), axis=2)
     first = ORIGIN - SPACING * [5, 0, 4]
-    unfolded = IndexField.from_arrays(whole, first, SPACING)
+    unfolded = IndexField.from_arrays(whole, first, SPACING, ambient=0.0)
 
     np.testing.assert_allclose(folded.box, unfolded.box)
     low, high = folded.box
@@ -174,7 +174,7 @@ def test_refining_the_grid_converges_with_order_four():
         x = np.linspace(-1.0, 1.0, n)
         grid = np.meshgrid(x, x, x, indexing="ij")
         values = np.exp(-(grid[0] ** 2)) * np.cos(grid[1] + 2.0 * grid[2])
-        f = IndexField.from_arrays(0.1 * values, 3 * [-1.0], 3 * [2.0 / (n - 1)])
+        f = IndexField.from_arrays(0.1 * values, 3 * [-1.0], 3 * [2.0 / (n - 1)], ambient=0.0)
         p = np.random.default_rng(4).uniform(-1.0, 1.0, (4000, 3))
         exact = 0.1 * np.exp(-(p[:, 0] ** 2)) * np.cos(p[:, 1] + 2.0 * p[:, 2])
         return abs(f.refractivity(p) - exact).max()
@@ -196,7 +196,9 @@ def test_the_border_jump_is_told_per_face():
     """One node off ambient on one face, and a mirrored axis whose low face is the high one's."""
     values = np.zeros((5, 5, 5))
     values[2, 4, 2], values[4, 2, 2], values[0, 2, 2], values[2, 2, 0] = 1e-6, 2e-6, 9e-6, -3e-6
-    jump = IndexField.from_arrays(values, 3 * [0], 3 * [1], mirror=(True, False, False))
+    jump = IndexField.from_arrays(
+        values, 3 * [0], 3 * [1], ambient=0.0, mirror=(True, False, False)
+    )
     np.testing.assert_array_equal(jump.border_jump(), [2e-6, 2e-6, 0.0, 1e-6, 3e-6, 0.0])
 
 
@@ -207,6 +209,14 @@ def test_the_field_keeps_its_own_copy():
     values[:] = 1.0
     assert kept.refractivity([[1.5, 1.5, 1.5]]) == 0.0
     assert kept.lookup("double") is kept.lookup("double")
+
+
+def test_the_border_s_one_value_is_the_ambient_air_s():
+    """A forgotten `ambient` is no vacuum; a plane of symmetry is no border."""
+    values = np.full((5, 5, 5), 2.7e-4)
+    values[:3, 2, 2] = 1e-4
+    found = IndexField.from_arrays(values, 3 * [0], 3 * [1], mirror=(True, False, False))
+    assert (found.ambient, found.border_jump().max()) == (2.7e-4, 0.0)
 
 
 def test_the_solid_is_filled_smoothly_from_the_air():
@@ -232,7 +242,9 @@ def test_steel_in_the_solid_does_not_reach_the_air():
     solid = np.zeros((8, 8, 8), dtype=bool)
     solid[3:6, :, :4] = True
     fields = [
-        IndexField.from_arrays(np.where(solid, inside, values), 3 * [0], 3 * [1], solid=solid)
+        IndexField.from_arrays(
+            np.where(solid, inside, values), 3 * [0], 3 * [1], ambient=0.0, solid=solid
+        )
         for inside in (np.nan, 0.5)
     ]
     np.testing.assert_array_equal(fields[0].nodes, fields[1].nodes)
@@ -244,7 +256,10 @@ def test_steel_in_the_solid_does_not_reach_the_air():
         ({"refractivity": np.zeros((4, 4))}, "at least 4 nodes"),
         ({"refractivity": np.zeros((3, 4, 4))}, "at least 4 nodes"),
         ({"refractivity": np.full((4, 4, 4), np.nan)}, "64 nodes have no finite value"),
-        ({"refractivity": np.full((4, 4, 4), -1.5)}, "n - 1 must be above -1"),
+        ({"refractivity": np.full((4, 4, 4), -1.5)}, "outside -1 to 0.9; give n - 1"),
+        ({"refractivity": np.full((4, 4, 4), 600.0)}, "is 600 at node .* no temperature"),
+        ({"refractivity": np.full((4, 4, 4), 1.00027)}, "not n"),
+        ({"refractivity": np.linspace(0.0, 2e-4, 64).reshape(4, 4, 4)}, "ambient is missing"),
         ({"origin_mm": [0.0, 0.0]}, "three entries"),
         ({"origin_mm": [0.0, np.inf, 0.0]}, "origin_mm must be finite"),
         ({"spacing_mm": [1.0, -1.0, 1.0]}, "positive"),

@@ -94,7 +94,7 @@ def test_rays_through_air_that_does_not_vary_along_x_are_the_same(interpolation,
     """To rounding."""
     profile = -2e-4 * np.random.default_rng(3).random((12, 11))
     field = IndexField.from_arrays(
-        np.repeat(profile[None], 9, axis=0), [-40.0, -25.0, -25.0], [10.0, 5.0, 5.0]
+        np.repeat(profile[None], 9, axis=0), [-40.0, -25.0, -25.0], [10.0, 5.0, 5.0], ambient=0.0
     ).simplified(interpolation)
     starts = np.array([[-12.0, 3.0, -40.0], [-10.0, -4.0, -40.0]])
     directions = [[0.1, 0.2, 1.0], [-0.2, 0.0, 1.0]]

@@ -12,6 +12,8 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, field_times, write_quantity
 
 SHAPE = (5, 4, 6)
+SOLID = np.zeros(SHAPE, dtype=bool)
+SOLID[2:4, :2, 1:3] = True
 
 
 @pytest.fixture
@@ -29,11 +31,13 @@ def test_a_written_field_comes_back_bit_for_bit(path, mirror):
         [0.3, 1.0 / 3.0, 2.0],
         ambient=2.7e-4,
         mirror=mirror,
+        solid=SOLID,
         source="a test, 20 °C",
     )
     field.write(path)
     back = IndexField.read(path)
     np.testing.assert_array_equal(back.nodes, field.nodes)
+    np.testing.assert_array_equal(back.solid, SOLID)
     np.testing.assert_array_equal(back.origin, field.origin)
     np.testing.assert_allclose(back.spacing, field.spacing, rtol=1e-15)
     assert (back.ambient, back.mirror, back.source) == (field.ambient, mirror, field.source)

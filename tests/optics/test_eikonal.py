@@ -129,7 +129,7 @@ def test_a_grid_that_does_not_vary_along_x_keeps_the_x_component():
     """The middle of a long part: the spline must not invent a gradient along it."""
     profile = -2e-4 * np.random.default_rng(2).random((12, 11))
     nodes = np.repeat(profile[None], 9, axis=0)
-    field = IndexField.from_arrays(nodes, [-40.0, -25.0, -25.0], [10.0, 5.0, 5.0])
+    field = IndexField.from_arrays(nodes, [-40.0, -25.0, -25.0], [10.0, 5.0, 5.0], ambient=0.0)
     _, T, status, _ = bent(field, STARTS, DIRECTIONS, March(1.0, "leapfrog"), length=40.0)
     ambient_to_inside = 1.0 + field.refractivity(STARTS)
     assert np.all(status == RayStatus.ENDED)

@@ -64,7 +64,9 @@ def gridded(contrast=1.0):
     """A field on a grid."""
     x = np.linspace(-30.0, 30.0, 21)
     r2 = np.add.outer(np.add.outer(x**2, x**2), x**2)
-    return IndexField.from_arrays(-0.01 * contrast * np.exp(-r2 / 128.0), [-30.0] * 3, [3.0] * 3)
+    return IndexField.from_arrays(
+        -0.01 * contrast * np.exp(-r2 / 128.0), [-30.0] * 3, [3.0] * 3, ambient=0.0
+    )
 
 
 def test_what_does_not_bend_rays_makes_no_map_again(spot):

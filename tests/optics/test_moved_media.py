@@ -64,7 +64,7 @@ def plume(dimensions=3, interpolation="cubic"):
     x, y, z = np.linspace(-40, 40, 9), np.linspace(-30, 30, 25), np.linspace(-20, 60, 33)
     shape = np.exp(-((y[:, None] / 9.0) ** 2) - ((z - 10.0) / 25.0) ** 2)
     nodes = -2e-3 * shape * (1.0 + 0.3 * np.cos(x / 20.0))[:, None, None]
-    made = IndexField.from_arrays(nodes, [-40, -30, -20], [10.0, 2.5, 2.5])
+    made = IndexField.from_arrays(nodes, [-40, -30, -20], [10.0, 2.5, 2.5], ambient=0.0)
     return made.simplified(interpolation, dimensions)
 
 

@@ -30,7 +30,9 @@ def to_plane(field, march, starts=STARTS, directions=DIRECTIONS, x_mm=30.0, surf
 def random_air(seed=4):
     """A smooth random field in a small box, with its SciPy twin."""
     rough = np.random.default_rng(seed).normal(size=(9, 11, 11))
-    field = IndexField.from_arrays(0.02 * rough, [-14.0, -20.0, -20.0], [4.0, 4.0, 4.0])
+    field = IndexField.from_arrays(
+        0.02 * rough, [-14.0, -20.0, -20.0], [4.0, 4.0, 4.0], ambient=0.0
+    )
     return field, oracles.spline_index(field.nodes, field.origin, field.spacing, field.mirror)
 
 
@@ -199,7 +201,9 @@ def test_a_tolerance_that_can_not_be_met_ends_out_of_steps():
 def test_float32_follows_the_tolerance_too():
     """Down to a nanometre in air, as only the difference from the straight ray is carried."""
     rough = np.random.default_rng(7).normal(size=(9, 11, 8))
-    field = IndexField.from_arrays(1e-4 * rough, [-14.0, -20.0, -14.0], [4.0, 4.0, 4.0])
+    field = IndexField.from_arrays(
+        1e-4 * rough, [-14.0, -20.0, -14.0], [4.0, 4.0, 4.0], ambient=0.0
+    )
     ends = {
         precision: to_numpy(
             to_plane(field, March(5.0, "dopri5", precision, tolerance_mm=1e-7))[1].offset[0]

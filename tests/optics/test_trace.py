@@ -292,7 +292,7 @@ def test_a_ray_in_the_mirror_plane_stays_there():
     """An even field has no gradient across its plane; on either side rays are mirror images."""
     half = -1e-3 * np.random.default_rng(6).random((6, 9, 9))
     field = IndexField.from_arrays(
-        half, [0.0, -16.0, -16.0], [4.0] * 3, mirror=(True, False, False)
+        half, [0.0, -16.0, -16.0], [4.0] * 3, ambient=0.0, mirror=(True, False, False)
     )
     starts = np.array([[0.0, 3.0, -15.0], [2.0, 3.0, -15.0], [-2.0, 3.0, -15.0]])
     directions = unit([[0.0, 0.1, 1.0], [0.2, 0.1, 1.0], [-0.2, 0.1, 1.0]])

@@ -292,7 +292,9 @@ def test_a_flat_border_does_not_refract():
 def test_noise_does_not_stop_rays():
     """In a field of pure noise, of the strength of hot air, all rays come out."""
     rng = np.random.default_rng(8)
-    field = IndexField.from_arrays(1e-4 * rng.normal(size=(20, 20, 20)), [-10.0] * 3, [1.0] * 3)
+    field = IndexField.from_arrays(
+        1e-4 * rng.normal(size=(20, 20, 20)), [-10.0] * 3, [1.0] * 3, ambient=0.0
+    )
     starts = np.stack([np.full(50, -20.0), *rng.uniform(-8.0, 8.0, (2, 50))], axis=1)
     for method in ("leapfrog", "dopri5"):
         rays = vs.trace(field, starts, np.tile([1.0, 0, 0], (50, 1)), 60.0, 1.0, method, "single")

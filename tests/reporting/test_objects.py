@@ -116,7 +116,11 @@ def test_a_frame_is_an_image_or_all_its_layers(made, tmp_path):
 
 def test_fields_and_calibrations_are_read_back(made, tmp_path):
     field = vs.IndexField.from_arrays(
-        1e-4 * np.random.default_rng(0).random((4, 5, 6)), [0, 0, 0], [1, 2, 3], mirror=(1, 0, 0)
+        1e-4 * np.random.default_rng(0).random((4, 5, 6)),
+        [0, 0, 0],
+        [1, 2, 3],
+        ambient=0.0,
+        mirror=(1, 0, 0),
     )
     again = vs.IndexField.read(field.save(tmp_path / "field.nc"))
     np.testing.assert_allclose(again.nodes, field.nodes, rtol=1e-6)

@@ -37,10 +37,13 @@ from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
 from virtual_sensor.medium.netcdf_elements import check_box
+from virtual_sensor.medium.quantities import AMBIENT_LIMITS, LIMITS
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
 from virtual_sensor.poses import Movable, Pose
 from virtual_sensor.records import vectors
+
+_SAME_BORDER = 0.01  # of the field's range: so much a border may vary that is the ambient air's
 
 
 @public
@@ -70,6 +73,8 @@ class IndexField(Movable):
         What of its file is ignored.
     pose : Pose or None
         Of the field's frame, after `moved`; None: it is the world's.
+    solid : ndarray of bool of shape (nx, ny, nz) or None
+        True at the nodes inside the solid, whose values are made up; None: not known.
     """
 
     nodes: np.ndarray
@@ -82,6 +87,7 @@ class IndexField(Movable):
     dimensions: int = 3
     notes: tuple[str, ...] = ()
     pose: Pose | None = None
+    solid: np.ndarray | None = None
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
 
     def _line(self) -> str:
@@ -104,7 +110,7 @@ class IndexField(Movable):
         origin_mm: ArrayLike,
         spacing_mm: ArrayLike,
         *,
-        ambient: float = 0.0,
+        ambient: float | None = None,
         mirror: Sequence[bool] = (False, False, False),
         solid: ArrayLike | None = None,
         source: str = "",
@@ -117,8 +123,9 @@ class IndexField(Movable):
             n - 1 at the nodes, at least four along each axis. Finite, except inside the solid.
         origin_mm, spacing_mm : array_like of shape (3,)
             Position of node [0, 0, 0], and the distance of nodes, mm.
-        ambient : float
-            n - 1 of the surrounding air.
+        ambient : float, optional
+            n - 1 of the surrounding air; by default that of the field's border, which must then
+            have the same all round, within 1 % of what the field varies by.
         mirror : sequence of three bool
             True: the field is even about the plane through this axis's first node.
         solid : array_like of bool of shape (nx, ny, nz), optional
@@ -144,7 +151,8 @@ class IndexField(Movable):
             raise InputError("origin_mm must be finite, and spacing_mm finite and positive")
         check_box(origin, spacing, nodes.shape)
         if solid is not None:
-            nodes = fill_solid(nodes, unmasked(solid).astype(bool), spacing)
+            solid = unmasked(solid).astype(bool)
+            nodes = fill_solid(nodes, solid, spacing)
 
         missing = ~np.isfinite(nodes)
         if missing.any():
@@ -153,15 +161,23 @@ class IndexField(Movable):
                 f"{np.argwhere(missing)[0].tolist()}; give them one, or mark those that lie in the "
                 "solid (`solid`, 1 there and 0 in the air)"
             )
-        ambient = number_within(
-            "ambient", ambient, -LARGEST, LARGEST, "n - 1 of the surrounding air"
-        )
-        if nodes.min() <= -1.0 or not ambient > -1.0:
-            raise InputError("n - 1 must be above -1, in the field and in the surrounding air")
-        for array in (nodes, origin, spacing):
-            array.flags.writeable = False
+        low, high, _ = LIMITS["refractivity"]
+        unfit = (nodes <= low) | (nodes >= high)
+        if unfit.any():
+            raise InputError(
+                f"refractivity is {nodes[unfit][0]:g} at node {np.argwhere(unfit)[0].tolist()},"
+                f" outside {low:g} to {high:g}; give n - 1, some 2.7e-4 of air, not n, and no"
+                " temperature (vs.air_refractivity makes n - 1 of it)"
+            )
         even = tuple(bool(m) for m in mirror)
-        return cls(nodes, origin, spacing, float(ambient), even, source)
+        if ambient is None:
+            ambient = _ambient_of(nodes, even)
+        low, high, _ = AMBIENT_LIMITS["ambient_refractivity"]
+        number_within("ambient", ambient, low, high, "n - 1 of the surrounding air")
+        marked = solid if solid is not None and solid.any() else None
+        for array in (nodes, origin, spacing, *([] if marked is None else [marked])):
+            array.flags.writeable = False
+        return cls(nodes, origin, spacing, float(ambient), even, source, solid=marked)
 
     @classmethod
     @public
@@ -230,6 +246,7 @@ class IndexField(Movable):
             self.spacing,
             ambient={"ambient_refractivity": self.ambient},
             mirror=self.mirror,
+            solid=self.solid,
             attributes={"source": self.source} if self.source else {},
         )
         write_quantity(path, quantity, packed=False)
@@ -384,6 +401,25 @@ class IndexField(Movable):
         low, high = self.box
         local = self.to_local(points)
         return local, ((local >= low) & (local <= high)).all(axis=1)
+
+
+def _ambient_of(nodes: np.ndarray, mirror: Sequence[bool]) -> float:
+    """The one value of a field's border, where nobody says what surrounds it."""
+    border = np.concatenate(
+        [
+            nodes.take(node, axis).ravel()
+            for axis, even in enumerate(mirror)
+            for node in ([-1] if even else [0, -1])
+        ]
+    )
+    low, high = border.min(), border.max()
+    if high - low > _SAME_BORDER * (nodes.max() - nodes.min()):
+        raise InputError(
+            f"ambient is missing: n - 1 of the surrounding air can't be told from the field's"
+            f" border, where it is {low:.4g} to {high:.4g}; give it, such as"
+            f" ambient={np.median(border):.4g}"
+        )
+    return float(np.median(border))
 
 
 def field_of(name: str, given: Any, wavelength_nm: float = 532.0) -> Any:
