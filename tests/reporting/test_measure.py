@@ -15,7 +15,10 @@ from matplotlib.figure import Figure
 from virtual_sensor.engine import activate
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.imaging.scene_file import find_scene
+from virtual_sensor.poses import Pose
 from virtual_sensor.reporting import measure as reporting
+from virtual_sensor.reporting.page import page_html
+from virtual_sensor.reporting.pictures import _lines
 from virtual_sensor.studies.measure import measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
@@ -86,16 +89,26 @@ def test_the_page_begins_with_how_wrong_the_section_is(measured):
         assert f"y = {section.largest_y_mm:.3g} mm".replace("-", "\N{MINUS SIGN}") in lead
 
 
-def test_a_measurement_that_is_worth_little_says_so_first(measured):
+def test_a_measurement_that_is_worth_little_says_so_beside_the_result(measured):
     """Rationale: of a film of 256 px 8 of 108 columns had a centre, and the lead was their rms."""
     result, good, folder = measured["hot"]
     assert good.caveats == ()
     assert reporting.findings(good) == reporting.headline(good)
     poor = replace(good, caveats=("hot: few",), notes=("hot: few", "cold: another"))
-    assert reporting.findings(poor) == f"hot: few. I{reporting.headline(good)[1:]}"
+    told = f"{reporting.headline(good)}. These figures are worth little: hot: few"
+    assert reporting.findings(poor) == told
     page = reporting.page(result, poor, {}, "virtual-sensor measure")
-    assert page.lead.startswith("Hot: few. In hot air the measured section")
-    assert page.notes == ("cold: another",)
+    assert page.lead.startswith("In hot air the measured section")
+    assert (page.caveats, page.notes) == (("hot: few",), ("cold: another",))
+    box = re.search(r'<ul class="notes">.*?</ul>', page_html(page))[0]
+    assert box.startswith(
+        '<ul class="notes"><li><strong>These figures are worth little:</strong><ul><li>hot: few'
+    )
+    many = replace(good, caveats=(f"my_air.nc: {'long ' * 90}; remedy",) * 3)
+    drawn, _ = reporting.picture(result, many)
+    assert "remedy" not in drawn.title
+    assert "my_air.nc" in drawn.title
+    assert len(_lines(drawn.title, 1800)) <= 3
     html = (folder.parent / "nothing/report.html").read_text(encoding="utf-8")
     assert re.search(r"In hot air no point is measured: the columns are .*too_narrow \d+", html)
 
@@ -179,16 +192,35 @@ def test_no_key_lies_on_a_panel_s_curves(measured):
 
 def test_the_light_paths_are_whole(measured):
     """Rationale: the laser's path was cut off where the field ends."""
-    hot = measured["hot"][0].hot
-    figure = Figure()
-    for axis in (0, 1):
-        axes = figure.add_subplot()
-        reporting._air_plane(axes, hot, axis)
+    result, figure = measured["hot"][0], Figure()
+    panel = reporting._air_panel(result, result.hot)
+    panel.draw(figure)
+    for axes in figure.axes[:2]:
         left, right = axes.get_xlim()
         bottom, top = axes.get_ylim()
         ends = np.concatenate([line.get_xydata() for line in axes.lines])
         assert (ends >= [left, bottom]).all()
         assert (ends <= [right, top]).all()
+
+
+def test_the_air_is_cut_through_the_middle_of_the_line(measured):
+    """Rationale: of a part off the origin the planes y = 0 and x = 0 showed no plume."""
+    result, by = measured["hot"][0], np.array([76.2, -50.8, 3.0])
+    panel = reporting._air_panel(result, result.hot)
+    assert "plane y = 0 mm and the plane x = 0 mm" in panel.alt
+    field = result.hot.scene.field
+    aside = field.moved(Pose.shift(by))
+    here, box = reporting._air_plane(field, np.zeros(3), 0)
+    there, moved_box = reporting._air_plane(aside, by, 0)
+    np.testing.assert_allclose(there, here, atol=1e-3)
+    np.testing.assert_allclose(moved_box - box, [by[[0, 2]]] * 2, atol=1e-9)
+    assert np.ptp(here) > 10.0
+    outside, _ = reporting._air_plane(aside, np.array([0.0, 1e4, 0.0]), 0)
+    np.testing.assert_allclose(outside, 1e5 * field.ambient, rtol=1e-6)
+    hot, cold = result.hot, result.cold
+    dense = replace(cold.dense, laser_point_mm=cold.dense.laser_point_mm + by)
+    off = replace(result, cold=replace(cold, dense=dense))
+    assert "plane y = −50.8 mm and the plane x = 76.2 mm" in reporting._air_panel(off, hot).alt
 
 
 def test_the_check_says_how_many_were_compared_and_why_others_were_not(measured):

@@ -79,3 +79,11 @@ def test_words_begin_a_sentence_and_stay_on_a_line():
     assert textwrap.wrap("of " + unbroken("3 x 4 mm"), 5, break_long_words=False)[1:] == [
         "3\xa0x\xa04\xa0mm"
     ]
+
+
+def test_a_sentence_begins_with_a_capital_but_a_name_stays():
+    """Rationale: "Hot_bracket_air.nc" is no file."""
+    assert capital("in hot air") == "In hot air"
+    for told in ("hot_air.nc: coarse", "air.nc: coarse", "laser_line: not lit"):
+        assert capital(told) == told
+    assert capital("none. All is well") == "None. All is well"

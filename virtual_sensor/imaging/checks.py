@@ -48,6 +48,17 @@ class LitLine(Displayed):
     y_mm: Array
     points_mm: Array
 
+    @property
+    def middle_mm(self) -> Array:
+        """Where the laser's axis meets the part (3,): y = 0 of the line; NaN if none is lit."""
+        lit = np.isfinite(self.points_mm).all(axis=1)
+        if not lit.any():
+            return np.full(3, np.nan)
+        order = np.argsort(self.y_mm[lit])
+        y, points = self.y_mm[lit][order], self.points_mm[lit][order]
+        middle = [np.interp(0.0, y, each) for each in points.T]
+        return np.round(middle, 6) + 0.0  # the rest is rounding
+
 
 @dataclass(frozen=True)
 class BorderCrossing(Displayed):

@@ -115,7 +115,7 @@ def table(figures: BurstSummary) -> TextTable:
             Column("what", "standard deviation"),
             Column("sway.median", "median"),
             Column("sway.largest", "largest"),
-            Column("sway.largest_y_mm", "at y in mm"),
+            Column("sway.largest_y_mm", "at y along the line, in mm"),
             Column("sway.largest_frames", "frames", "{:d}"),
         ],
     )
@@ -132,9 +132,9 @@ def lead(figures: BurstSummary) -> str:
     along = in_words(figures.static_error.rms_um, "{:.3g}")
     return (
         f"Over {figures.frames} frames the measured height sways by up to {sway.largest:.3g} µm"
-        f" (standard deviation), at y = {sway.largest_y_mm:.3g} mm{seen}; the median along the line"
-        f" is {sway.median:.3g} µm. The error that stays, of the mean points, is {there} µm there"
-        f" and {along} µm rms along the line."
+        f" (standard deviation), at y = {sway.largest_y_mm:.3g} mm along the line{seen}; the"
+        f" median along it is {sway.median:.3g} µm. The error that stays, of the mean points, is"
+        f" {there} µm there and {along} µm rms along the line."
     )
 
 

@@ -21,7 +21,7 @@ from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, write_vector
-from virtual_sensor.reporting.style import BLACK, colour, drawable, key
+from virtual_sensor.reporting.style import ALONG, BLACK, colour, drawable, key
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed
 from virtual_sensor.studies.field_grid import COARSE_PX
@@ -365,14 +365,13 @@ class Cut:
 
 
 def panels_of(info: FieldInfo) -> list[Panel]:
-    """Cuts x = 0, y = 0 (or through the middle) and a level one; the shift of the probe rays."""
-    low, high = info.box_mm
-    middle = np.where((low < 0.0) & (high > 0.0), 0.0, 0.5 * (low + high))
+    """Cuts through the line's or the solid's middle, and a level one; the shift of probe rays."""
+    middle = _middle_mm(info)
     celsius = info.quantity != "refractivity" and not np.isnan(info.lowest_temperature_c)
     of = "temperature" if celsius else "n - 1"
     panels = []
     for normal, place_mm in enumerate((middle[0], middle[1], level_mm(info))):
-        place = f"{'xyz'[normal]} = {place_mm:.3g} mm"
+        place = f"{'xyz'[normal]} = {place_mm:.4g} mm"
         cut = make_cut(info, normal, place_mm)
         panels.append(
             Panel(
@@ -393,6 +392,23 @@ def panels_of(info: FieldInfo) -> list[Panel]:
             )
         )
     return panels
+
+
+def _middle_mm(info: FieldInfo) -> Array:
+    """Where the upright cuts meet, in the field's frame: the middle of the scene's line.
+
+    Without one, the origin where the solid (or the field) is about it, else that one's middle.
+    """
+    box = low, high = info.box_mm
+    if info.line and np.isfinite(world := info.line.middle_mm).all():
+        line = info.field.to_local(world)
+        return np.asarray(np.clip(np.round(line, 6) + 0.0, *box))
+    if info.solid is not None and info.solid.any():
+        nodes = np.argwhere(info.solid)
+        start, spacing = info.field.origin, info.field.spacing
+        low, high = start + nodes.min(axis=0) * spacing, start + nodes.max(axis=0) * spacing
+        low = np.where(info.field.mirror, 2.0 * start - high, low)
+    return np.where((low < 0.0) & (high > 0.0), 0.0, 0.5 * (low + high))
 
 
 def title(info: FieldInfo) -> str:
@@ -503,5 +519,5 @@ def _draw_shift(axes: Axes, info: FieldInfo) -> None:
     axes.axhline(0.0, color="0.4", lw=0.8)
     for i, (name, shade, marker) in enumerate((("u", BLACK, "s"), ("v", colour("hot"), "o"))):
         axes.plot(y, shift[:, i], marker + "-", color=shade, label=f"along {name}")
-    axes.set(xlabel="y of the probe ray in mm", ylabel="hot minus cold in px")
+    axes.set(xlabel=ALONG, ylabel="hot minus cold in px")
     axes.figure.legend(loc="outside lower center", ncols=2)

@@ -2,28 +2,32 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from itertools import product, starmap
 from operator import attrgetter
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.imaging.checks import LitLine
 from virtual_sensor.imaging.image_files import save_png
 from virtual_sensor.imaging.render import EXR_LAYERS, write_exr
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
 from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import PAGE, Details, Page, Section
+from virtual_sensor.reporting.page import PAGE, WORTH_LITTLE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture, key_above
-from virtual_sensor.reporting.style import LINES, MARKERS, colour, drawable
+from virtual_sensor.reporting.style import ALONG, LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
 from virtual_sensor.studies.measure import (
@@ -53,21 +57,24 @@ CALIBRATION = "calibration.yaml"
 NIL_UM = 1e-6
 """Below this, lengths are rounding: drawn as zero."""
 
-_U, _Y = "u along the line in px", "y along the line in mm"
+_U = "u along the line in px"
 _MARGIN_PX = 12
 _ON_BLACK = ("#56B4E9", "#FF7A2F")  # colours of cold and hot, as light as a black ground needs
 _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
+_LEAST_CONTRAST = 0.1  # of the planes' colours, 1e-5
+_TITLE, _CLAUSE = 400, 130  # most letters: three lines, and less than one
 _LONGEST_STEP = 4.0  # times the usual one of searched points
 _LETTERS = {
     name: letters.replace("-", "\N{MINUS SIGN}").replace("_m", "ₘ")
     for name, letters in LETTERS.items()
 }
 _UM, _PX, _COUNT = "µm", "{:.4f} px", "{}"
+_AT_Y = "at y along line, mm"  # from its middle
 _FIGURES = (  # key, words in the table of all, heading on the console ("" where not shown), format
     ("section.rms_um", "Measured minus true section, rms", "rms, µm", _UM),
     ("section.largest_um", "... the largest", "largest, µm", _UM),
-    ("section.largest_y_mm", "... at y, along the line", "at y, mm", "{:.3g} mm"),
+    ("section.largest_y_mm", "... at y along the line, from its middle", _AT_Y, "{:.3g} mm"),
     ("section.points", "", "points", _COUNT),
     ("dots_minus_search.rms_px", "Rendered dots minus ray search, rms", "rms, px", _PX),
     ("dots_minus_search.largest_u_px", "... at most, along the line", "largest in u, px", _PX),
@@ -249,7 +256,8 @@ def page(
             _beside(panels, "section", "paths"),
             section_table(figures),
             "The true section is where straight light of the sheet's middle meets the part. Each"
-            " point's distance from it is positive outside the part.",
+            " point's distance from it is positive outside the part. y is counted along the line,"
+            " from its middle: where the laser's axis meets the part.",
             *_at_edges(figures),
         ),
         Section("What the camera sees", _beside(panels, "frame", "air")),
@@ -281,9 +289,9 @@ def page(
         ),
     ]
     title = f"{result.scene.path.stem}: a measurement"
-    lead = f"{capital(findings(figures))}."
+    lead = f"{capital(headline(figures))}."
     notes = tuple(note for note in figures.notes if note not in figures.caveats)
-    return Page(title, lead, tuple(sections), command, figures.made_with, notes)
+    return Page(title, lead, tuple(sections), command, figures.made_with, notes, figures.caveats)
 
 
 def _beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:
@@ -353,21 +361,22 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
     check = {"check": _check_panel(result)} if result.centres else {}
     if hot:
         panels |= {"paths": _paths_panel(hot), "frame": _frame_panel(result, 2)}
-        panels |= {"air": _air_panel(hot), "probes": _probe_panel(result)}
+        panels |= {"air": _air_panel(result, hot), "probes": _probe_panel(result)}
         panels |= {"letters": _letters_panel()} | check
     else:
         panels |= check | {"frame": _frame_panel(result, 3)}
-    caveats = tuple(caveat.split(";")[0] for caveat in figures.caveats)  # without the remedy
-    short = findings(replace(figures, caveats=caveats))
-    title = f"{drawable(result.scene.path.stem)}: {short}"
+    whole = f"{drawable(result.scene.path.stem)}: {findings(figures)}"
+    title = shorten(whole, _TITLE, placeholder=" ...")
     drawn = draw_picture(title, list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
 
 
 def findings(figures: Summary) -> str:
-    """What the reader wants to know first, and before it whether it is worth anything."""
-    first, *others = [*figures.caveats, headline(figures)]
-    return ". ".join([first, *map(capital, others)])
+    """How wrong the measured section is, and in short why that figure is worth little."""
+    short = [caveat.split(";")[0] for caveat in figures.caveats]  # without the remedy
+    short = [shorten(words, _CLAUSE, placeholder=" ...") for words in short]
+    little = f". {WORTH_LITTLE}: {'; '.join(short)}" if short else ""
+    return headline(figures) + little
 
 
 def headline(figures: Summary) -> str:
@@ -388,6 +397,7 @@ def headline(figures: Summary) -> str:
                 f"in {name} air the measured section is wrong by"
                 f" {micrometres(section.rms_um)} rms, at most by"
                 f" {micrometres(section.largest_um)} at y = {_number(section.largest_y_mm)} mm"
+                " along the line"
             )
         else:
             wrong.append(f"in {name} air by {micrometres(section.rms_um)} rms")
@@ -401,8 +411,8 @@ def micrometres(value_um: float | None) -> str:
     return "none" if value_um is None or np.isnan(value_um) else f"{_number(value_um)} µm"
 
 
-def _number(value: float) -> str:
-    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+def _number(value: float, digits: int = 3) -> str:
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:
@@ -448,7 +458,7 @@ def _section_panel(result: Measurement, figures: Summary) -> Panel:
         curves.append(_curve(y, error, "search", first, marker="o", mfc="none", ms=4, ls=""))
     return _curve_panel(
         "Measured minus true section",
-        _Y,
+        ALONG,
         "outside (+) or inside the part (−), µm",
         f"Error of the measured section along the line. {capital(findings(figures))}.",
         curves,
@@ -468,7 +478,7 @@ def _paths_panel(hot: State) -> Panel:
     )
     return _curve_panel(
         "Why: hot air bends both paths",
-        _Y,
+        ALONG,
         "error of the section, µm",
         "The section's error of the hot part, split into what the bent laser light alone makes and"
         " what the camera's bent lines of sight add.",
@@ -484,7 +494,7 @@ def _probe_panel(result: Measurement) -> Panel:
     found, y = probe_deviations(result), result.probe_y_mm
     return _curve_panel(
         "Probe rays",
-        "y of the laser ray in mm",
+        ALONG,
         "distance, µm",
         "Distances between the points lit (A cold, B hot) and measured (A_m cold, B_m hot), for"
         " each probe ray.",
@@ -557,14 +567,22 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
     )
 
 
-def _air_panel(hot: State) -> Panel:
-    """The air in two planes through the part, with the light paths drawn in."""
+def _air_panel(result: Measurement, hot: State) -> Panel:
+    """The air in two planes through the line's middle, with the light paths drawn in."""
+    field = hot.scene.field
+    assert field is not None
+    middle = LitLine(result.dense_y_mm, result.cold.dense.laser_point_mm).middle_mm
+    names = [f"plane {name} = {_number(middle[i], 4)} mm" for i, name in ((1, "y"), (0, "x"))]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, 2, gridspec_kw={"wspace": 0.1})
         figure.subplots_adjust(left=0.12, right=0.83, bottom=0.14, top=0.78)
-        for each, axis in zip(axes, (0, 1), strict=True):
-            drawn = _air_plane(each, hot, axis)
+        planes = [_air_plane(field, middle, axis) for axis in (0, 1)]
+        n = np.concatenate([plane.ravel() for plane, _ in planes])
+        norm = Normalize(n.min(), max(n.max(), n.min() + _LEAST_CONTRAST))
+        for axis, each in enumerate(axes):
+            drawn = _draw_air(each, hot, axis, *planes[axis], norm)
+            each.set_title(names[axis], fontsize=9.5, fontweight="normal", loc="center")
         axes[0].set_ylabel("z in mm")
         axes[1].set_yticklabels([])
         bar = figure.add_axes((0.85, 0.14, 0.03, 0.64))
@@ -575,27 +593,40 @@ def _air_panel(hot: State) -> Panel:
     return Panel(
         "The air and the light paths",
         draw,
-        "Refractivity of the air in the planes y = 0 and x = 0, with the laser's and the camera's"
-        " light paths to both ends and the middle of the line.",
+        f"Refractivity of the air in the {names[0]} and the {names[1]}, through the line's middle,"
+        " with the laser's and the camera's light paths to both ends and the middle of the line.",
         axes=False,
         layout=None,
     )
 
 
-def _air_plane(axes: Axes, state: State, axis: int) -> Any:
-    """The plane in which x (axis 0) or y (axis 1) varies, with z upwards."""
-    field = state.scene.field
-    assert field is not None
+def _air_plane(field: IndexField, middle_mm: Array, axis: int) -> tuple[Array, Array]:
+    """10^5 (n - 1) of (z, x) for axis 0, or (z, y) for 1, ambient outside the field; and the ends.
+
+    The plane goes through a point of the world; of its ends (2, 2) the first are the lower ones.
+    """
     corners = field.to_world(np.array(list(product(*field.box.T))))
     low, high = corners.min(axis=0), corners.max(axis=0)
     side, z = (np.linspace(low[i], high[i], _AIR_NODES) for i in (axis, 2))
-    points = np.zeros((len(side), len(z), 3))
-    points[..., axis], points[..., 2] = side[:, None], z
-    n = field.refractivity(points.reshape(-1, 3)).reshape(len(side), len(z))
-    extent = (low[axis], high[axis], low[2], high[2])
-    drawn = axes.imshow(n.T * 1e5, origin="lower", extent=extent, aspect="auto", cmap="YlOrRd_r")
+    points = np.tile(middle_mm, (len(z), len(side), 1))
+    points[..., axis], points[..., 2] = side, z[:, None]
+    n = field.refractivity(points.reshape(-1, 3)).reshape(len(z), len(side))
+    return 1e5 * n, np.stack([low, high])[:, [axis, 2]]
+
+
+def _draw_air(
+    axes: Axes, state: State, axis: int, plane: Array, box: Array, norm: Normalize
+) -> ScalarMappable:
+    """Draw a plane of the air with z upwards, and the light as it is seen square to it."""
+    field = state.scene.field
+    assert field is not None
+    (left, low), (right, high) = box
+    extent = (left, right, low, high)
+    drawn = axes.imshow(
+        plane, origin="lower", extent=extent, aspect="auto", cmap="YlOrRd_r", norm=norm
+    )
     axes.set_facecolor(drawn.cmap(drawn.norm(1e5 * field.ambient)))
-    ends = [low[[axis, 2]], high[[axis, 2]]]
+    ends = list(box)
     for number, path in enumerate(_light_paths(state)):
         for style, (name, points_mm) in zip(LINES, path.items(), strict=False):
             label = f"{name}'s light" if number == 0 else None
@@ -605,7 +636,6 @@ def _air_plane(axes: Axes, state: State, axis: int) -> Any:
     xlim, ylim = np.stack([np.min(ends, axis=0), np.max(ends, axis=0)], axis=1)
     axes.set(xlim=xlim, ylim=ylim, xlabel=f"{'xy'[axis]} in mm")
     axes.grid(False)
-    axes.set_title(f"plane {'yx'[axis]} = 0", fontsize=9.5, fontweight="normal", loc="center")
     return drawn
 
 

@@ -24,6 +24,7 @@ from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
 from virtual_sensor.reporting.pictures import coarser
 from virtual_sensor.reporting.style import (
+    ALONG,
     BLUE,
     CYCLE,
     GREY,
@@ -587,7 +588,7 @@ def _sensitivity(axes: Axes, found: Sensitivity) -> None:
     largest = {n: np.nanmax(s) for n, s in sizes.items() if np.isfinite(s).any()}
     for number, name in enumerate(sorted(largest, key=lambda name: -largest[name])[:6]):
         axes.semilogy(found.laser_y_mm, sizes[name], ".-", color=CYCLE[number], label=name)
-    axes.set(xlabel="y along the line in mm", ylabel="px per unit")
+    axes.set(xlabel=ALONG, ylabel="px per unit")
     if largest:
         axes.legend(fontsize="small")
 
@@ -621,7 +622,7 @@ def _measurement(axes: Axes, result: Any) -> None:
     for name, state in result.states.items():
         along = state.section.along_mm(state.points_mm)
         axes.plot(along, state.section_error_um, ".", ms=2.5, color=colour(name), label=name)
-    axes.set(xlabel="y along the line in mm", ylabel="measured minus true in µm")
+    axes.set(xlabel=ALONG, ylabel="measured minus true in µm")
     axes.legend(markerscale=3.0)
 
 
@@ -638,7 +639,7 @@ def _section(axes: Axes, section: Any) -> None:
     points = np.array(section.point_mm, float)
     steps = np.flatnonzero(~section.joined[: len(points) - 1]) + 1
     axes.plot(*np.insert(points, steps, np.nan, axis=0).T, color=BLUE)
-    axes.set(xlabel="along the line in mm", ylabel="away from the laser in mm")
+    axes.set(xlabel=ALONG, ylabel="away from the laser in mm")
     axes.invert_yaxis()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -18,9 +19,13 @@ from virtual_sensor.reporting.words import anchor
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from markupsafe import Markup
 
 PAGE = "report.html"
 """Name of the page of a folder of results."""
+
+WORTH_LITTLE = "These figures are worth little"
+"""What stands before their caveats."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +101,10 @@ class Page:
     made_with : Record or mapping
         Versions and machine, by their names.
     notes : tuple of str
-        What the reader should know besides; shown below the lead.
+        What the reader should know besides; shown below the lead. What stands between backticks is
+        code.
+    caveats : tuple of str
+        Why the figures are worth little; shown before the notes, and marked so.
     """
 
     title: str
@@ -105,6 +113,7 @@ class Page:
     command: str
     made_with: Record | Mapping[str, object]
     notes: tuple[str, ...] = ()
+    caveats: tuple[str, ...] = ()
 
     @property
     def facts(self) -> dict[str, object]:
@@ -154,6 +163,19 @@ def _environment() -> Environment:
     }
     environment.filters |= {
         "printable": lambda value: printable(str(value)),
+        "prose": _prose,
         "base64": lambda data: base64.b64encode(data).decode("ascii"),
     }
+    environment.globals["WORTH_LITTLE"] = WORTH_LITTLE
     return environment
+
+
+def _prose(text: object) -> Markup:
+    """A text as HTML, with code where it stands between backticks."""
+    from markupsafe import Markup, escape
+
+    words, *others = re.split(r"`([^`]+)`", printable(str(text)))
+    found = escape(words)
+    for code, words in zip(others[::2], others[1::2], strict=True):
+        found += Markup("<code>{}</code>{}").format(code, words)
+    return found

@@ -272,7 +272,8 @@ def _title(title: str, width_px: int) -> Image8:
 
 
 def _lines(title: str, width_px: int) -> list[str]:
-    return textwrap.wrap(title, max(round(width_px / _LETTER_PX), 20))
+    """A title in lines; backticks, which mark code elsewhere, are left out."""
+    return textwrap.wrap(title.replace("`", ""), max(round(width_px / _LETTER_PX), 20))
 
 
 def _figure(size_px: tuple[int, int], layout: Literal["constrained"] | None) -> Figure:

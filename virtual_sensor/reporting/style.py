@@ -27,6 +27,9 @@ CYCLE = (BLUE, VERMILION, GREEN, ORANGE, SKY, PURPLE, YELLOW, GREY, MAGENTA, LIM
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 LINES = ("-", "--", "-.", ":")
 
+ALONG = "y along the line, from its middle, in mm"
+"""Label of an axis: probe rays and points are counted so."""
+
 COLOURS = {
     # the part, and what is compared
     "cold": BLUE,

@@ -46,8 +46,9 @@ def counted(number: int, thing: str, things: str | None = None) -> str:
 
 
 def capital(text: str) -> str:
-    """A text as a sentence begins."""
-    return text[:1].upper() + text[1:]
+    """A text as a sentence begins; a name of a file or of an element that it begins with stays."""
+    name = re.match(r"\S*\w[._]\w", text)
+    return text if name else text[:1].upper() + text[1:]
 
 
 def unbroken(text: str) -> str:

@@ -209,7 +209,7 @@ class Sway(Record):
     median, largest : float
         Along the line.
     largest_y_mm : float
-        Where along the line the largest is.
+        Where the largest is: y along the line, from its middle.
     largest_frames : int
         In how many frames there is a value there.
     """

@@ -137,7 +137,7 @@ class SectionErrors(Record):
     largest_um : float
         The distance that is largest in magnitude.
     largest_y_mm : float
-        Where along the line that is.
+        Where that is: y along the line, from its middle, where the laser's axis meets the part.
     """
 
     points: int
