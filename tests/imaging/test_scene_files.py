@@ -83,6 +83,20 @@ def test_a_scene_in_any_encoding_is_the_scene(tmp_path, encoding, declared):
     assert f"{path}, line {line}: <emitter" in refusal(path)
 
 
+def test_a_file_that_is_something_else_is_named_for_what_it_is(tmp_path):
+    """A part by its suffix or its first bytes, an image, a field; with the command to take."""
+    for name, data, words in (
+        ("wavy 1.stl", b"\x80" * 84, "is a part, not a scene; `virtual-sensor new 'wavy 1' --part"),
+        ("ascii.stl", b"solid box\n", "is a part, not a scene; `virtual-sensor new ascii --part"),
+        ("part", b"ply\nformat ascii 1.0\n", "is a part, not a scene"),
+        ("part.step", b"ISO-10303-21;\n", "is a part, not a scene"),
+        ("frame.png", b"\x89PNG\r\n", "is an image, not a scene; `virtual-sensor detect"),
+        ("air.nc", b"\x89HDF\r\n", "is a field of air, not a scene; give it to one"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        assert words in refusal(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
@@ -159,6 +173,7 @@ def test_parameters_of_an_included_file_are_the_scenes(tmp_path):
     half, quarter = (vs.load_scene(path, width=64, height=64, rho=rho) for rho in (0.5, 0.25))
     np.testing.assert_allclose(vs.render(quarter), 0.5 * vs.render(half), rtol=1e-5)
     assert "no parameter 'roh'; the scene has: along" in refusal(path, roh=1)
+    assert "it was made without; say --roughness to `virtual-s" in refusal(path, roughness=1)
     material.write_text(text.replace('"diffuse"', '"difuse"'), encoding="utf-8")
     assert f'{material}, line 3: there is no <bsdf type="difuse">' in refusal(path)
 

@@ -176,6 +176,14 @@ def _other_kind(data: bytes) -> tuple[str, str] | None:
     return None
 
 
+def is_part(path: Path, data: bytes) -> bool:
+    """Whether a file is of a part, by its first bytes or its suffix; of a mesh or of surfaces."""
+    if path.suffix.lower().removeprefix(".") in (*KINDS, *EXACT_KINDS):
+        return True
+    found = _other_kind(data)
+    return found is not None and found[0] != "3mf"  # many files are ZIP archives
+
+
 def check_kind(path: Path) -> str:
     """The kind that a part's file is by its suffix, one of `KINDS`.
 

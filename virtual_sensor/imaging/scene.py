@@ -85,6 +85,11 @@ _ELEMENTS = {  # that a scene may lack
     "camera": '<sensor type="perspective">',
     "source": '<emitter type="laser_line">',
 }
+_OF_NEW = {"emissivity": "--temperature"} | {
+    name: f"--{name}"
+    for name in ("roughness", "temperature", "part", "unit", "up", "film", "diameter", "length")
+}
+"""Names that a scene may lack as parameters: options of `new`, which decide what it is made of."""
 _METRES_MM = 2.0, 5.0  # a part no larger, and a camera no farther: scenes in metres are so
 
 
@@ -670,9 +675,11 @@ def _read(
     unknown = [k for k in given if k not in defaults and not any(u.startswith(k) for u in free)]
     if unknown:
         names = ", ".join(sorted(defaults)) or "none"
+        option = _OF_NEW.get(unknown[0])
+        remedy = f"; it was made without; say {option} to `virtual-sensor new`" if option else ""
         raise InputError(
             f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}"
-            f"{nearest(unknown[0], defaults)}"
+            f"{remedy or nearest(unknown[0], defaults)}"
         )
     if "temperature" in values:
         _check_temperature(path, values["temperature"])

@@ -22,6 +22,7 @@ files of parts.
 
 import codecs
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import resources
@@ -43,6 +44,10 @@ _MARKS = {  # in this order: the mark of UTF-32 begins with that of UTF-16
     codecs.BOM_UTF16_BE: "UTF-16",
     codecs.BOM_UTF8: "UTF-8-SIG",
 }
+_IMAGES = (  # the first bytes of PNG, JPEG, TIFF, OpenEXR, BMP, GIF
+    *(b"\x89PNG", b"\xff\xd8\xff", b"II*\x00", b"MM\x00*", b"v/1\x01", b"BM", b"GIF8"),
+)
+_FIELDS = (b"CDF\x01", b"CDF\x02", b"CDF\x05", b"\x89HDF")  # of NetCDF
 _PLAIN = ("utf-8", "utf-8-sig", "ascii")
 _MITSUBAS = (*_PLAIN, "utf-16", "iso8859-1")
 _DECLARATION = re.compile(r"<\?xml\b[^>]*?\bencoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
@@ -114,7 +119,8 @@ def read_scene_file(path: Path, inner: bool = False) -> SceneFile:
     InputError
         If the file can't be read, is no well-formed XML, or holds what the table above refuses.
     """
-    text, encoding = _decoded(path, _bytes(path))
+    data = _bytes(path)
+    text, encoding = _decoded(path, data)
     if inner and encoding not in _MITSUBAS:
         raise _encoding_refused(path, encoding)
     parser = expat.ParserCreate("utf-8")
@@ -153,6 +159,7 @@ def read_scene_file(path: Path, inner: bool = False) -> SceneFile:
     try:
         parser.Parse(text.encode("utf-8", "surrogatepass"), True)
     except expat.ExpatError as error:
+        _check_it_is_a_scene(path, data)
         raise InputError(f"{path}: not well-formed XML ({error}); mend that line") from None
     plain = encoding in _PLAIN
     notes = () if plain else (f"{path}: read as {encoding}, as its first bytes say",)
@@ -223,6 +230,8 @@ def shortened(text: str, most: int = 80) -> str:
 def _bytes(path: Path) -> bytes:
     size = readable(path).stat().st_size
     if size > LARGEST_FILE:
+        with path.open("rb") as file:
+            _check_it_is_a_scene(path, file.read(1000))
         raise InputError(
             f"{path}: {size / 2**20:.0f} MiB are no scene file; give at most"
             f" {LARGEST_FILE >> 20} MiB of XML"
@@ -243,6 +252,7 @@ def _decoded(path: Path, data: bytes) -> tuple[str, str]:
         encoding = codecs.lookup(declared).name
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
+        _check_it_is_a_scene(path, data)
         line = data[: error.start].count(b"\n") + 1
         raise InputError(
             f"{path}, line {line}: not {shortened(declared)} as it says ({error.reason}); save it"
@@ -251,6 +261,29 @@ def _decoded(path: Path, data: bytes) -> tuple[str, str]:
     except (LookupError, ValueError):
         raise _encoding_refused(path, declared) from None
     return _DECLARATION.sub(lambda head: re.sub(r"[^\n]", " ", head[0]), text, count=1), encoding
+
+
+def _check_it_is_a_scene(path: Path, data: bytes) -> None:
+    """Refuse a file that holds something else, and say what."""
+    from virtual_sensor.imaging.parts import is_part  # few scenes are none
+
+    image = any(data.startswith(mark) for mark in _IMAGES)
+    if is_part(path, data) and not image:
+        name = shlex.quote(path.stem)
+        raise InputError(
+            f"{path} is a part, not a scene; `virtual-sensor new {name} --part"
+            f" {shlex.quote(f'{path}')}` makes one"
+        )
+    if image:
+        raise InputError(
+            f"{path} is an image, not a scene; `virtual-sensor detect"
+            f" {shlex.quote(f'{path}')}` finds its lines"
+        )
+    if data.startswith(_FIELDS):
+        raise InputError(
+            f"{path} is a field of air, not a scene; give it to one: `virtual-sensor measure SCENE"
+            f" -D field={shlex.quote(f'{path}')}`"
+        )
 
 
 def _encoding_refused(path: Path, encoding: str) -> InputError:
