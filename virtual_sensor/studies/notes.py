@@ -193,12 +193,13 @@ def centre_notes(
             f"{compared.lost.size} of {compared.expected} columns that see the whole line have no"
             f" centre: {_counted(lost)}{where}{_FINER * narrow}"
         ] = few
+    cut, stray = compared.cut_centres, compared.stray_centres
     left_out = {
-        "are cut by an edge": compared.cut_centres,
-        "lie off the searched line": compared.stray_centres,
+        f"{cut} {'is' if cut == 1 else 'are'} cut by an edge": cut,
+        f"{stray} {'lies' if stray == 1 else 'lie'} off the searched line": stray,
     }
     if any(left_out.values()):
-        reasons = ", ".join(f"{number} {why}" for why, number in left_out.items() if number)
+        reasons = ", ".join(words for words, number in left_out.items() if number)
         notes[f"{compared.count} of {centres} centres were compared with the search; {reasons}"] = (
             compared.count < _HARDLY * centres
         )
