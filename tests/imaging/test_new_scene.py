@@ -81,7 +81,7 @@ def test_measured_points_lie_on_the_part(tmp_path):
             points = points + np.rint(mesh.bounds.mean(axis=0) + shift) - shift
         error_um = beside_um(mesh, points)
         assert len(points) > 80
-        assert np.median(error_um) < 0.5, name
+        assert np.median(error_um) < 1.0, name  # a hundredth of a pixel
         assert np.quantile(error_um, 0.9) < 2.0, name
 
 
@@ -107,6 +107,52 @@ def test_a_camera_sees_what_its_laser_lights(tmp_path):
             width, height = camera.size
             middle_px = (width - 1) / 2, (height - 1) / 2
             np.testing.assert_allclose(camera.project([middle])[0], middle_px, atol=1e-2)
+
+
+def test_where_there_is_no_surface_in_the_middle_the_line_lies_beside_it(tmp_path):
+    """A ring off the origin, turned or not; two blocks apart; and a place of two numbers."""
+    ring, blocks = pipe(), [trimesh.creation.box((10, 10, 10)) for _ in range(2)]
+    for block, x in zip(blocks, (-40, 40), strict=True):
+        block.apply_translation((x, 0, 0))
+    for mesh, said, place in (
+        (ring, {}, (11.25, 0, 10)),
+        (ring, {"turn": 90}, (0, 11.25, 10)),
+        (trimesh.util.concatenate(blocks), {}, (36.5625, 0, 5)),
+        (ring, {"at_mm": (-20, 3)}, (-20, 3, 10)),
+    ):
+        mesh = mesh.copy()
+        mesh.apply_translation((76, -50, 40))
+        mesh.export(tmp_path / "part.stl")
+        shift = (76, -50)
+        if "at_mm" in said:
+            said = {"at_mm": tuple(np.add(said["at_mm"], shift))}
+        said = NewScene(f"{tmp_path / 'part.stl'}", "mm", **said)
+        written = write_scene(tmp_path / "s", said, overwrite=True)
+        at = [float(written.parameters[f"at_{axis}"]) for axis in "xyz"]
+        np.testing.assert_allclose(at, np.add(place, (*shift, 40)), atol=2e-3)
+        assert written.aside is (said.at_mm is None)
+        assert written.lines["camera", "laser"].seen > 0.95 or said.at_mm
+
+
+def test_a_part_in_metres_is_told(tmp_path):
+    """By `survey`, by `new`, and as a warning of `new_scene`; not where the unit was said."""
+    part = tmp_path / "plate.stl"
+    trimesh.creation.box((0.05, 0.08, 0.0075)).export(part)
+    words = "the part is 0.05 x 0.08 x 0.0075 mm: is its file in metres? then say --unit m"
+    assert any(words in note for note in vs.survey(part).notes)
+    assert vs.survey(part, "m").notes == ()
+    with pytest.warns(UserWarning, match=re.escape(words)):
+        vs.new_scene(tmp_path / "small", part=part)
+    vs.new_scene(tmp_path / "plate", part=part, unit="m")
+
+
+def test_a_line_is_no_longer_than_what_a_told_camera_sees(tmp_path):
+    """Of a part of 80 mm before a camera that sees 36 mm."""
+    part = tmp_path / "plate.stl"
+    trimesh.creation.box((50, 80, 8)).export(part)
+    said = NewScene(f"{part}", focal_length_mm=35, distance_mm=150)
+    (line,) = write_scene(tmp_path / "s", said).lines.values()
+    assert line.outside == 0.0
 
 
 def test_sensors_stand_as_they_are_told(tmp_path):
@@ -173,7 +219,7 @@ def test_nothing_is_overwritten_and_nothing_is_left_of_what_is_refused(tmp_path)
     (folder / "there.xml").write_text("<scene/>", encoding="utf-8")
     before = {file: file.read_bytes() for file in folder.iterdir()}
     refused = (
-        ("there", {}, r"there\.xml: exists; choose another name, or say --overwrite"),
+        ("there", {}, r"there\.xml: exists; choose another name, or say overwrite=True"),
         ("new", {"part": part}, r"part\.stl: exists, and .* would be copied there"),
         ("hot_cylinder", {}, "a scene that is installed has this name"),
         ("new", {"part": "nope.stl"}, r"nope\.stl: can't be read"),

@@ -40,7 +40,9 @@ def new(
     """Write a scene of your own, a part and the sensor over it, that `measure` runs at once.
 
     What you don't say is chosen so that it suits the part, and said. In a terminal you are asked
-    for the part, its unit, the lens and the distance, if you don't say them.
+    in two cases only, and Enter takes what stands in [brackets]. With NAME alone: for the part, the
+    lens, the distance and the temperature. With --part and without --unit: for the unit of a file
+    whose part would be smaller than 1 mm or larger than 2 m.
     """
     said = _asked(said)
     from virtual_sensor.imaging.new_scene.write import write_scene
@@ -68,13 +70,27 @@ def _asked(said: NewScene) -> NewScene:
                     answers[name] = _answer(words, otherwise, float)
         part = said.part or answers.get("part")
         if part and not said.unit and Path(part).suffix.lower() != ".3mf":  # which has its own
-            size = " x ".join(f"{length:.4g}" for length in _size(Path(f"{part}")))
-            answers["unit"] = _answer(f"{part} is {size}: in which unit", "mm", _unit)
+            answers["unit"] = _asked_unit(part, always=not said.given)
         if not said.given:
             for name, words in _SENSOR.items():
-                answers[name] = _answer(words, "as suits the part", float)
+                answers[name] = _answer(words, "chosen to suit", float)
             answers["temperature_c"] = _answer("Temperature of the part, degC", "cold", float)
     return replace(said, **{name: value for name, value in answers.items() if value is not None})
+
+
+def _asked_unit(part: str, always: bool) -> str | None:
+    """The unit of a part's file, asked for where mm are not plausible, or always."""
+    from virtual_sensor.imaging.part_survey import likely_unit, plausible, survey
+    from virtual_sensor.imaging.parts import find_part
+
+    file = find_part(part)
+    size_mm = survey(file).size_mm
+    if plausible(size_mm) and not always:
+        return None
+    likely = likely_unit(size_mm)
+    size = " x ".join(f"{length:.4g}" for length in size_mm)
+    answer = _answer(f"{file.name} is {size}: in which unit", likely, _unit)
+    return answer or (likely if likely != "mm" else None)
 
 
 _CYLINDER = {"diameter_mm": ("Diameter, mm", "27"), "length_mm": ("Length, mm", "170")}
@@ -105,10 +121,3 @@ def _unit(text: str) -> str:
     if text not in known:
         raise InputError(f"{text}: give one of {', '.join(known)}")
     return text
-
-
-def _size(path: Path) -> tuple[float, float, float]:
-    from virtual_sensor.imaging.part_survey import survey
-    from virtual_sensor.imaging.parts import find_part
-
-    return survey(find_part(path)).size_mm

@@ -83,8 +83,10 @@ class BorderCrossing(Displayed):
     shift_px: Array
 
 
-def check_scene(scene: Scene) -> list[str]:
+def check_scene(scene: Scene, facets: bool = True) -> list[str]:
     """Check geometry and field of a scene: each camera with each source.
+
+    `facets`: note also what those of a mesh cost.
 
     Returns
     -------
@@ -108,7 +110,7 @@ def check_scene(scene: Scene) -> list[str]:
     for camera, source in pairs:
         pair = f"{camera} with {source}"
         try:
-            found = _check_pair(scene.only(camera, source))
+            found = _check_pair(scene.only(camera, source), facets)
         except InputError as error:
             found, refused[pair] = [f"{error}"], error
         for note in found:
@@ -120,13 +122,13 @@ def check_scene(scene: Scene) -> list[str]:
     ]
 
 
-def _check_pair(scene: Scene) -> list[str]:
+def _check_pair(scene: Scene, facets: bool) -> list[str]:
     """Check the one camera with the one source."""
     line = lit_line(scene)
     with naming(scene.path):
         _check_solid(scene, line)
         found = _check_border(scene.medium, scene.sensor, line) if scene.medium else []
-        found += _facet_note(scene, line)
+        found += _facet_note(scene, line) if facets else []
     return found + _glow_note(scene, line)
 
 

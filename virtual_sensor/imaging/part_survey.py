@@ -7,6 +7,7 @@ directions; faces that agree are a body, and a body's outside is where its volum
 a sheet where more of its area faces.  A body within another is a hollow, and its faces look in.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +35,7 @@ SHARP_DEG = 29.0
 
 _ALIKE = 3.0  # bends of one curved surface differ by a factor of so much
 _CLOSED = 0.05  # of a body's area, summed as vectors: a closed one's is 0
+_PLAUSIBLE_MM = 1.0, 2000.0  # longest edge of a part before such a sensor
 _SMALLEST, _LARGEST = 0.05, 200.0  # size of a part in fields of view that is not doubted...
 _FITTING = 0.2, 20.0  # ...and that speaks for a unit
 _ON_MM, _BESIDE, _TINY = 1e-3, 1e-2, 1e-30  # of a facet: above it, beside it, its area
@@ -120,7 +122,8 @@ def survey(path: Path | str, unit: str = "mm") -> PartSurvey:
         raise InputError(f"{path}: a 3MF file has its unit in it; leave out the unit {unit}")
     part = read_part(path, kind)
     found = survey_part(replace(part, vertices=part.vertices * UNITS_MM[unit]))
-    notes = [*part.notes, *(f"{path}: {note}" for note in found.notes)]
+    doubt = unit_note(found.size_mm) if unit == "mm" and kind != "3mf" else ""
+    notes = [*part.notes, *(f"{path}: {note}" for note in (doubt, *found.notes) if note)]
     return replace(found, notes=tuple(notes))
 
 
@@ -145,6 +148,29 @@ def survey_part(part: Part) -> PartSurvey:
 def faults(part: Part) -> list[str]:
     """Notes of what is wrong with a part, each with its remedy; they don't name its file."""
     return _faults(Mesh.of(part.vertices, part.faces))
+
+
+def plausible(size_mm: Sequence[float], unit: str = "mm") -> bool:
+    """Whether a part's size, as if its file were in mm, is one of a part in another unit."""
+    low, high = _PLAUSIBLE_MM
+    return low <= max(size_mm) * UNITS_MM[unit] <= high
+
+
+def likely_unit(size_mm: Sequence[float]) -> str:
+    """The unit that a file seems to be in, one of `UNITS_MM`, by its part's size as if in mm."""
+    return next((unit for unit in ("mm", "m", "um") if plausible(size_mm, unit)), "mm")
+
+
+def unit_note(size_mm: Sequence[float]) -> str:
+    """A note of a part whose file seems to be in another unit than mm; "" if it does not."""
+    if (unit := likely_unit(size_mm)) == "mm":
+        return ""
+    size = " x ".join(f"{length:.4g}" for length in size_mm)
+    words = {"m": "metres", "um": "micrometres"}[unit]
+    return (
+        f"the part is {size} mm: is its file in {words}? then say --unit {unit}"
+        f' (Python: unit="{unit}")'
+    )
 
 
 def scale_note(size_mm: float, field_of_view_mm: float) -> str:

@@ -10,7 +10,7 @@ _CHOSEN = {
     "focal_length_mm": "a lens of {} mm",
     "distance_mm": "the camera {} mm from the line",
     "line_length_mm": "a line {} mm long",
-    "line_radius_mm": "of a radius of {} mm",
+    "line_radius_mm": "a line radius of {} mm",
 }
 
 
@@ -31,6 +31,11 @@ def on_console(written: WrittenScene, said: NewScene) -> list[str]:
     if chosen:
         lines.append(f"Chosen to suit it: {', '.join(chosen)}.")
     lines.append(_view(written))
+    if written.aside:
+        lines.append(
+            "There is no surface under the middle of the part: the line is beside it, at the"
+            " nearest place where it lights a good part (another: --at X,Y)."
+        )
     return lines
 
 
@@ -58,7 +63,7 @@ def _place(written: WrittenScene) -> list[str]:
 
 def notes(written: WrittenScene) -> list[str]:
     """What part of the line is not seen, and the scene's own notes."""
-    found = []
+    found = [written.unit_note] if written.unit_note else []
     for (camera, laser), line in written.lines.items():
         which = f"{camera} with {laser}: " if len(written.lines) > 1 else ""
         words = _unseen(line)

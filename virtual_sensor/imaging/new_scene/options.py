@@ -59,8 +59,10 @@ class NewScene:
         The whole sensor round the x-axis, degrees; by default 0.
     turn : float, optional
         The whole sensor round the vertical, degrees; by default 0, the line along y.
-    at_mm : tuple of three float, optional
-        X,Y,Z of the line's middle, mm; by default the part's surface under the middle of its box.
+    at_mm : tuple of two or three float, optional
+        X,Y,Z of the line's middle in the scene's world, mm, that is after unit and up; X,Y alone:
+        on the part's surface there. By default on the surface under the middle of the part's box;
+        where there is none, as over a bore, beside it, where the line lights a good part.
     line_length_mm : float, optional
         Of the laser's line, mm; by default four fifths of the part.
     line_radius_mm : float, optional
@@ -95,9 +97,7 @@ class NewScene:
     laser_offset_mm: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)
     beta: float | None = None
     turn: float | None = None
-    at_mm: tuple[float, float, float] | None = dataclasses.field(
-        default=None, metadata={"counts": (3,)}
-    )
+    at_mm: tuple[float, ...] | None = dataclasses.field(default=None, metadata={"counts": (2, 3)})
     line_length_mm: float | None = None
     line_radius_mm: float | None = None
     fan: float | None = None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
-from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey, survey_part
+from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey, survey_part, unit_note
 from virtual_sensor.imaging.parts import check_kind, find_part, read_part
 from virtual_sensor.poses import Pose
 
@@ -62,6 +62,8 @@ class NewPart:
         Of the file.
     radius_mm, half_length_mm : float
         Of the cylinder.
+    unit_note : str
+        Of a file that seems to be in another unit than mm, if none was said.
     """
 
     corners_mm: Array
@@ -73,6 +75,7 @@ class NewPart:
     survey: PartSurvey | None = None
     radius_mm: float = 0.0
     half_length_mm: float = 0.0
+    unit_note: str = ""
 
     @property
     def box_mm(self) -> tuple[Array, Array]:
@@ -142,4 +145,5 @@ def _from_file(file: Path, said: NewScene) -> NewPart:
         moves.append(Move("translate", shift, "to the origin: float32 is coarse far from it"))
         world += ", moved to the origin"
     title = re.sub(r"-(?=-)", "- ", file.name)  # two of them would end a comment
-    return NewPart(corners, title, world, file, kind, tuple(moves), survey)
+    doubt = "" if said.unit or kind == "3mf" else unit_note(survey.size_mm)
+    return NewPart(corners, title, world, file, kind, tuple(moves), survey, unit_note=doubt)

@@ -31,6 +31,8 @@ _FILMS_DEEP = 4.0  # focal length by the film's width, by default
 _FILM_USED = 0.85  # by what is lit
 _PART_LIT = 0.8  # of the part's breadth, by default
 _LINE_PX = 4.0  # radius of the line, by default
+_SHEETS = 33  # that are tried where there is no surface in the middle
+_ABOUT_AS_MUCH = 0.9
 _BEFORE_APEX = 0.95  # of the way from the line to where a fan's light would cross
 _MOST_PX = 100_000
 
@@ -50,6 +52,8 @@ class Placement:
     line_length_mm, line_radius_mm, laser_distance_mm : float
     chosen : tuple of str
         What was not given, by the names of `NewScene`.
+    aside : bool
+        Whether the line was put beside the middle, where there is no surface.
     """
 
     at_mm: Array
@@ -64,6 +68,7 @@ class Placement:
     line_radius_mm: float
     laser_distance_mm: float
     chosen: tuple[str, ...]
+    aside: bool = False
 
 
 def placed(part: NewPart, said: NewScene) -> Placement:
@@ -79,7 +84,7 @@ def placed(part: NewPart, said: NewScene) -> Placement:
     film_mm = size_px[0] * pixel_um / 1000.0, size_px[1] * pixel_um / 1000.0
     alphas, (tilts, offsets) = said.alpha or (30.0,), _lasers(said)
     turn, beta = said.turn or 0.0, 0.0 if part.radius_mm else said.beta or 0.0  # round its axis
-    at = _at(part, turn) if said.at_mm is None else np.array(said.at_mm)
+    at, aside = _at(part, turn, said)
     frame = _frame(at, beta, turn)
     sheet = _towards(frame, tilts[0])
     profile = LitProfile.of(part.corners_mm, sheet)
@@ -91,7 +96,12 @@ def placed(part: NewPart, said: NewScene) -> Placement:
         )
     if (length := said.line_length_mm) is None:
         lit = profile.t_mm[np.isfinite(profile.height_mm)]
-        length = chosen["line_length_mm"] = rounded(_PART_LIT * float(np.ptp(lit)), up=False)
+        span = profile.longest[1] if aside else float(np.ptp(lit))
+        length = _PART_LIT * span
+        if said.focal_length_mm and said.distance_mm:
+            seen_mm = film_mm[0] * said.distance_mm / said.focal_length_mm
+            length = min(length, _FILM_USED * seen_mm)
+        length = chosen["line_length_mm"] = rounded(length, up=False)
     lit_mm = profile.points_mm(sheet, length)
     views = [_towards(frame, tilts[0] + alpha) for alpha in alphas]
     focal, distance = said.focal_length_mm, said.distance_mm
@@ -112,7 +122,7 @@ def placed(part: NewPart, said: NewScene) -> Placement:
         apex = length / 2.0 / math.tan(math.radians(said.fan) / 2.0)
         laser_distance = min(distance, rounded(_BEFORE_APEX * apex, up=False))
     sensor = alphas, tilts, offsets, size_px, pixel_um, focal, distance
-    return Placement(at, *sensor, length, radius, laser_distance, tuple(chosen))
+    return Placement(at, *sensor, length, radius, laser_distance, tuple(chosen), aside)
 
 
 def film_of(text: str) -> tuple[int, int]:
@@ -138,18 +148,40 @@ def _lasers(said: NewScene) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return tilts, offsets
 
 
-def _at(part: NewPart, turn: float) -> Array:
-    """The surface under the middle of the part's box; over a bore, at the height beside it."""
-    frame = _frame(np.mean(part.box_mm, axis=0), 0.0, turn)
+def _at(part: NewPart, turn: float, said: NewScene) -> tuple[Array, bool]:
+    """Where the line's middle falls, and whether it had to be put beside the part's middle.
+
+    As it is told, on the surface where no height is; else on the surface under the middle of the
+    part's box.  Where there is none, as over a bore, the nearest sheet that lights about as much in
+    one stretch as any other does, and the middle of that stretch.
+    """
+    digits = max(4 - math.floor(math.log10(part.size_mm)), 0)
+    middle = np.mean(part.box_mm, axis=0)
+    if said.at_mm is not None and len(said.at_mm) == 3:
+        return np.array(said.at_mm), False
+    if said.at_mm is not None:
+        middle[:2] = said.at_mm
+    frame = _frame(middle, 0.0, turn)
     profile = LitProfile.of(part.corners_mm, frame)
-    if not profile.met:  # between two bodies
-        middles = part.corners_mm.mean(axis=1)
-        aside = np.linalg.norm((middles - frame.origin_mm)[:, :2], axis=1)
-        frame = _frame(middles[np.argmin(aside)], 0.0, turn)
-        profile = LitProfile.of(part.corners_mm, frame)
-    place = frame.origin_mm + np.array([0.0, 0.0, profile.middle_height_mm])
-    digits = 4 - math.floor(math.log10(part.size_mm))
-    return np.round(place, max(digits, 0)) + 0.0
+    if said.at_mm is not None or profile.over_part:
+        height = profile.middle_height_mm if profile.met else 0.0
+        return np.round(frame.to_world(np.array([[0.0, 0.0, height]]))[0], digits) + 0.0, False
+    across = frame.to_local(part.corners_mm.reshape(-1, 3))[:, 0]
+    bodies = frame.to_local(part.corners_mm.mean(axis=1))
+    nearest = bodies[np.argmin(np.linalg.norm(bodies[:, :2], axis=1)), 0]  # if all others miss
+    offsets = [*np.linspace(across.min(), across.max(), _SHEETS)[1:-1], nearest]
+    sheets = [_frame(frame.to_world(np.array([[x, 0.0, 0.0]]))[0], 0.0, turn) for x in offsets]
+    profiles = [LitProfile.of(part.corners_mm, sheet) for sheet in sheets]
+    most = said.line_length_mm or np.inf
+    lit = np.array([min(each.longest[1], most) if each.met else 0.0 for each in profiles])
+    if not lit.any():  # of a flat sheet that the light grazes
+        return middle, False
+    good = np.flatnonzero(lit >= _ABOUT_AS_MUCH * lit.max())
+    best = int(min(good, key=lambda i: (round(abs(offsets[i]), 6), -offsets[i])))
+    t = profiles[best].longest[0]
+    height = float(np.interp(t, profiles[best].t_mm, profiles[best].height_mm))
+    place = sheets[best].to_world(np.array([[0.0, t, height]]))[0]
+    return np.round(place, digits) + 0.0, True
 
 
 def _frame(at_mm: Array, beta: float, turn: float) -> Pose:
@@ -209,11 +241,26 @@ class LitProfile:
         return bool(np.isfinite(self.height_mm).any())
 
     @property
+    def over_part(self) -> bool:
+        """Whether there is a surface at t = 0."""
+        if not (self.met and self.t_mm[0] <= 0.0 <= self.t_mm[-1]):
+            return False
+        return bool(np.isfinite(self.height_mm[np.argmin(np.abs(self.t_mm))]))
+
+    @property
+    def longest(self) -> tuple[float, float]:
+        """Middle and length, mm, of the longest stretch that is lit without a gap."""
+        lit = np.concatenate([[False], np.isfinite(self.height_mm), [False]])
+        start, end = np.flatnonzero(np.diff(lit)).reshape(-1, 2).T
+        best = int(np.argmax(end - start))
+        first, last = self.t_mm[start[best]], self.t_mm[end[best] - 1]
+        return float((first + last) / 2.0), float(last - first)
+
+    @property
     def middle_height_mm(self) -> float:
         """Height at t = 0; where nothing is there, the median of all."""
-        nearest = int(np.argmin(np.abs(self.t_mm)))
-        if self.t_mm[0] <= 0.0 <= self.t_mm[-1] and np.isfinite(self.height_mm[nearest]):
-            return float(self.height_mm[nearest])
+        if self.over_part:
+            return float(self.height_mm[np.argmin(np.abs(self.t_mm))])
         return float(np.nanmedian(self.height_mm))
 
     def points_mm(self, sheet: Pose, length_mm: float) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import shutil
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,6 +88,10 @@ class WrittenScene:
     lines : Mapping
         `SeenLine` by the names of camera and laser.
     notes : tuple of str
+    aside : bool
+        Whether the line was put beside the middle of the part, where there is no surface.
+    unit_note : str
+        Of a part that seems to be in another unit than mm, if none was said.
     """
 
     path: Path
@@ -96,6 +101,8 @@ class WrittenScene:
     chosen: tuple[str, ...]
     lines: Mapping[tuple[str, str], SeenLine]
     notes: tuple[str, ...]
+    aside: bool = False
+    unit_note: str = ""
 
 
 @dataclass(frozen=True)
@@ -106,6 +113,8 @@ class _Draft:
     files: dict[str, Path]
     survey: PartSurvey | None = None
     chosen: tuple[str, ...] = ()
+    aside: bool = False
+    unit_note: str = ""
 
 
 def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> Path:
@@ -120,8 +129,10 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     overwrite : bool
         Replace files that exist.
     **options
-        Fields of `NewScene`: `part`, `unit`, `focal_length_mm`, `pixel_um`, `film`, `distance_mm`,
-        `alpha`, `tilt`, `line_length_mm`, `roughness`, `temperature_c` and others.  Several
+        Fields of `NewScene`, which says what each is: `part`, `unit`, `up`; `diameter_mm`,
+        `length_mm` of a cylinder; `focal_length_mm`, `pixel_um`, `film`, `distance_mm`; `alpha`,
+        `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `line_length_mm`, `line_radius_mm`,
+        `fan`, `wavelength_nm`; `roughness`, `temperature_c`, `field`, `from_scene`.  Several
         `alpha` make several cameras, several `tilt` several lasers.
 
     Returns
@@ -134,6 +145,11 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     InputError
         If an option can't be, the part can't be read, or no camera sees a line; nothing is written
         then.
+
+    Warns
+    -----
+    UserWarning
+        If the part's file seems to be in another unit than mm, and none is said.
     """
     known = [each.name for each in dataclasses.fields(NewScene)]
     if unknown := sorted(options.keys() - {*known}):
@@ -151,7 +167,13 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
         options["film"] = "x".join(map(str, options["film"]))
     if not isinstance(options.get("film", ""), str):
         raise InputError(f"new_scene: film is {short(options['film'])}; give (width, height) in px")
-    return write_scene(path_of("new_scene: path", path), NewScene(**options), overwrite).path
+    try:
+        written = write_scene(path_of("new_scene: path", path), NewScene(**options), overwrite)
+    except InputError as error:
+        raise InputError(f"{error}".replace("--overwrite", "overwrite=True")) from None
+    if written.unit_note:
+        warnings.warn(f"{options['part']}: {written.unit_note}", stacklevel=2)
+    return written.path
 
 
 def write_scene(path: Path, said: NewScene, overwrite: bool = False) -> WrittenScene:
@@ -179,7 +201,8 @@ def write_scene(path: Path, said: NewScene, overwrite: bool = False) -> WrittenS
             shutil.copyfile(file, new)
     with written_whole(path) as new:
         new.write_text(draft.text, encoding="utf-8")
-    return WrittenScene(path, tuple(copies), parameters, draft.survey, draft.chosen, lines, notes)
+    written = path, tuple(copies), parameters, draft.survey, draft.chosen, lines, notes
+    return WrittenScene(*written, draft.aside, draft.unit_note)
 
 
 def _check(said: NewScene) -> None:
@@ -236,7 +259,7 @@ def _drawn(path: Path, said: NewScene) -> _Draft:
         field = _place(path.parent, readable(air))
         files[field] = air
     text = scene_text(path.stem, part, part_place, sensor, said, field)
-    return _Draft(text, files, part.survey, sensor.chosen)
+    return _Draft(text, files, part.survey, sensor.chosen, sensor.aside, part.unit_note)
 
 
 def _place(folder: Path, file: Path) -> str:
@@ -263,7 +286,7 @@ def _tried(
             lines = {pair: SeenLine.of(scene.only(*pair)) for pair in pairs}
             if not any(line.seen for line in lines.values()):
                 raise InputError(f"{path}: {_remedy(next(iter(lines.values())))}")
-            notes = [*scene.notes, *check_scene(scene)]
+            notes = [*scene.notes, *check_scene(scene, facets=False)]
         except InputError as error:
             raise InputError(f"{error}".replace(f"{folder}", f"{path.parent}")) from None
     told = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
@@ -311,7 +334,7 @@ def _changes(said: NewScene, values: Mapping[str, str]) -> dict[str, str]:
     given = {parameter_of(name): value for name, value in said.given.items()}
     given.pop("from")
     if at := given.pop("at", None):
-        given |= {f"at_{axis}": value for axis, value in zip("xyz", at, strict=True)}
+        given |= {f"at_{axis}": value for axis, value in zip("xyz", at, strict=False)}
     if {"film", "pixel"} & given.keys():
         if film := given.pop("film", None):
             given["width"], given["height"] = film_of(str(film))
