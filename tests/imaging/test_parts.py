@@ -13,7 +13,8 @@ import trimesh
 import virtual_sensor as vs
 from virtual_sensor.arrays import to_vectors
 from virtual_sensor.engine import mi
-from virtual_sensor.imaging.parts import check_kind, read_part
+from virtual_sensor.imaging.part_kinds import check_kind
+from virtual_sensor.imaging.parts import read_part
 from virtual_sensor.imaging.scene_file import shipped_scenes
 
 BALL = trimesh.creation.icosphere(2, 13.5).apply_translation([1.0, 2.0, -13.5])

@@ -19,8 +19,9 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, scratch_folder
+from virtual_sensor.imaging.part_kinds import AS_MESH, EXACT_KINDS, KINDS
 from virtual_sensor.imaging.part_survey import faults
-from virtual_sensor.imaging.parts import AS_MESH, EXACT_KINDS, KINDS, Part, read_part
+from virtual_sensor.imaging.parts import Part, read_part
 from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
 from virtual_sensor.medium.find_field import find_field, is_installed
 

@@ -20,7 +20,8 @@ from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import path_of
-from virtual_sensor.imaging.parts import Part, check_kind, read_part
+from virtual_sensor.imaging.part_kinds import check_kind
+from virtual_sensor.imaging.parts import Part, read_part
 from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]

@@ -31,6 +31,7 @@ from xml.parsers import expat
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists, named_file, readable
+from virtual_sensor.imaging.part_kinds import is_part
 
 MOST_NESTED = 16
 MOST_INCLUDED = 14  # one less than Mitsuba allows
@@ -265,8 +266,6 @@ def _decoded(path: Path, data: bytes) -> tuple[str, str]:
 
 def _check_it_is_a_scene(path: Path, data: bytes) -> None:
     """Refuse a file that holds something else, and say what."""
-    from virtual_sensor.imaging.parts import is_part  # few scenes are none
-
     image = any(data.startswith(mark) for mark in _IMAGES)
     if is_part(path, data) and not image:
         name = shlex.quote(path.stem)

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import readable
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
+from virtual_sensor.imaging.part_kinds import check_kind
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey, survey_part, unit_note
-from virtual_sensor.imaging.parts import check_kind, find_part, read_part
+from virtual_sensor.imaging.parts import find_part, read_part
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
