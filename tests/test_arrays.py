@@ -67,6 +67,7 @@ OTHERS = {
     "render_frame",
     "record",
     "line_centres",
+    "lines_by_source",
 }
 
 

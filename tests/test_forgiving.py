@@ -46,6 +46,7 @@ CALLS = {
     "read_image": (vs.read_image, {"path": "line.png"}),
     "survey": (vs.survey, {"path": "part.obj"}),
     "line_centres": (vs.line_centres, {"image": LINE}),
+    "lines_by_source": (vs.lines_by_source, {"scene": SCENE, "image": np.ones((64, 64))}),
     "dot_centres": (vs.dot_centres, {"image": LINE}),
     "triangulate": (vs.triangulate, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
     "triangulated_points": (vs.triangulated_points, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),

@@ -41,6 +41,8 @@ Images as a camera gives them
 
 From images to numbers
     line_centres         Find the centres of a laser line in an image.
+    lines_by_source      Find the line of each source where the scene expects its light, through
+                         its air.
     LineCentres          Centres of a laser line; NaN where `status` is not OK.
     dot_centres          Find the intensity-weighted centroids of bright dots.
     triangulate          Measure the points that pixels see on a source's rays, along straight
@@ -125,6 +127,7 @@ if TYPE_CHECKING:
     from virtual_sensor.optics.ray_status import RayStatus as RayStatus
     from virtual_sensor.optics.trace import trace as trace
     from virtual_sensor.poses import Pose as Pose
+    from virtual_sensor.studies.lines_by_source import lines_by_source as lines_by_source
 
 _HOME = {
     "Aperture": "imaging.speckle",
@@ -149,6 +152,7 @@ _HOME = {
     "fit_cylinder": "metrology.cylinder_fit",
     "gaussian_blur": "imaging.lens",
     "line_centres": "metrology.line_peaks",
+    "lines_by_source": "studies.lines_by_source",
     "load_scene": "imaging.scene",
     "new_scene": "imaging.new_scene.write",
     "project": "optics.projection",

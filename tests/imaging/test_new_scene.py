@@ -14,6 +14,7 @@ from virtual_sensor.imaging.new_scene.write import write_scene
 from virtual_sensor.imaging.parts import find_part
 from virtual_sensor.imaging.scene_file import parameter_words
 from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.studies.lines_by_source import expected_light
 
 SMALL = {
     "film": "612x512",
@@ -243,6 +244,18 @@ def test_nothing_is_overwritten_and_nothing_is_left_of_what_is_refused(tmp_path)
     assert {file: file.read_bytes() for file in folder.iterdir()} == before
     vs.new_scene(folder / "there", part=part, overwrite=True)
     assert (folder / "part.stl").read_bytes() == part.read_bytes()
+
+
+def test_lasers_whose_light_meets_in_the_image_are_noted(tmp_path):
+    """Rationale: `lines_by_source` then finds no centre; the pixels that are lit say so as well."""
+    part = tmp_path / "plate.stl"
+    trimesh.creation.box((60, 40, 8)).export(part)
+    for offset_mm, meet in ((0.0, True), (2.4, True), (6.0, False)):
+        options = {"tilt": (0, 15), "laser_offset_mm": (0, offset_mm), "film": "240x200"}
+        made = write_scene(tmp_path / "two", NewScene(part=f"{part}", **options), overwrite=True)
+        note = any("laser_1 and laser_2 lie within" in note for note in made.notes)
+        one, other = expected_light(vs.load_scene(made.path)).values()
+        assert note == meet == bool((one & other).any()), offset_mm
 
 
 def test_a_part_that_is_installed_is_found_by_its_name_and_ones_own_comes_first(

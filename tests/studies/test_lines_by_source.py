@@ -12,7 +12,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
 from virtual_sensor.imaging.lens import gaussian_blur
 from virtual_sensor.metrology.centres import Status
-from virtual_sensor.studies.lines_by_source import expected_light, lines_by_source
+from virtual_sensor.studies.lines_by_source import expected_light
 
 FILM = {"width": 1024, "height": 1024, "line_radius": 0.15}
 
@@ -46,7 +46,7 @@ def alone(scene):
 
 def test_each_line_is_that_of_its_laser_alone(scene, image, alone):
     """Rationale: to 0.002 px where they don't overlap, with the same status in every column."""
-    found = lines_by_source(scene, image)
+    found = vs.lines_by_source(scene, image)
     assert list(found) == ["red", "blue"]
     for name, line in found.items():
         known = vs.line_centres(alone[name])
@@ -61,7 +61,7 @@ def test_each_line_is_that_of_its_laser_alone(scene, image, alone):
 
 def test_no_centre_is_of_both_lasers_light(scene, image, alone):
     """Rationale: by the frames of each alone: where both shine near a centre it must not be OK."""
-    for name, line in lines_by_source(scene, image).items():
+    for name, line in vs.lines_by_source(scene, image).items():
         (other,) = (light for each, light in alone.items() if each != name)
         column = np.flatnonzero(line.status == Status.OK)
         rows = np.rint(line.row[column]).astype(int) + np.arange(-4, 5)[:, None]
@@ -76,7 +76,7 @@ def test_a_recorded_image_is_told_apart_too(scene, image, alone):
     def recorded(radiance, seed):
         return record(exposed(gaussian_blur(radiance, 0.5), 4000.0, camera), camera, seed=seed)
 
-    found = lines_by_source(scene, recorded(image, 1), margin_px=3.0, **options)
+    found = vs.lines_by_source(scene, recorded(image, 1), margin_px=3.0, **options)
     for name, line in found.items():
         exact = vs.line_centres(gaussian_blur(alone[name], 0.5))
         both = (line.status == Status.OK) & (exact.status == Status.OK)
@@ -87,16 +87,16 @@ def test_a_recorded_image_is_told_apart_too(scene, image, alone):
 
 def test_a_scene_with_one_source_has_one_line(scene, alone):
     """Rationale: of one source nothing overlaps, and nothing is to be taken out."""
-    (line,) = lines_by_source(scene.only(source="red"), alone["red"]).values()
+    (line,) = vs.lines_by_source(scene.only(source="red"), alone["red"]).values()
     np.testing.assert_array_equal(line.row, vs.line_centres(alone["red"]).row)
 
 
 def test_an_image_of_another_size_is_refused(scene):
     """Rationale: of two cameras' images the wrong one may be given."""
-    with pytest.raises(InputError, match=r"band of 'red'.*\(10, 10\)"):
-        lines_by_source(scene, np.zeros((10, 10), np.float32))
+    with pytest.raises(InputError, match=r"image is of shape \(10, 10\), .* \(1024, 1024\)"):
+        vs.lines_by_source(scene, np.zeros((10, 10), np.float32))
     with pytest.raises(InputError, match="no camera 'ear'"):
-        lines_by_source(scene, np.zeros((10, 10), np.float32), camera="ear")
+        vs.lines_by_source(scene, np.zeros((10, 10), np.float32), camera="ear")
 
 
 def test_more_margin_is_more_pixels(scene):

@@ -1,22 +1,31 @@
 """The lines of a scene's sources in one image of one camera, separated."""
 
+from __future__ import annotations
+
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import number_within
+from virtual_sensor.calls import public
+from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import lit_pixels
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.bands import lines_in_bands
 from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.detectors import Foreign
+from virtual_sensor.metrology.line_profiles import checked_image
+from virtual_sensor.optics.sight import scene_of
 
 MARGIN_PX = 2.0
 
 
+@public
 def lines_by_source(
-    scene: Scene,
+    scene: Scene | str | Path,
     image: ArrayLike,
     method: str | Foreign = "gaussian",
     *,
@@ -28,8 +37,8 @@ def lines_by_source(
 
     Parameters
     ----------
-    scene : Scene
-        With any number of sources.
+    scene : Scene, str or Path
+        With any number of sources; or its name or path.
     image : array_like of shape (H, W)
         Of one of its cameras: rendered, or recorded.
     camera : str, optional
@@ -43,7 +52,8 @@ def lines_by_source(
     Returns
     -------
     dict from str to LineCentres
-        By the sources' names.  Columns in which the light of two meets are OVERLAPPING.
+        By the sources' names.  Columns in which the light of two meets are OVERLAPPING: a laser's
+        line is lit out to 2.5 of its 1/e^2 radii on both sides, and `margin_px` is added to both.
 
     Raises
     ------
@@ -51,7 +61,15 @@ def lines_by_source(
         If the scene has several cameras and none is named, the image is not of its size, or as
         `line_centres` does.
     """
-    bands = expected_light(scene.only(camera=camera), margin_px)
+    seen = scene_of("lines_by_source", scene).only(camera=camera)
+    number_within("lines_by_source: margin_px", margin_px, 0.0, 1e3, "px, 0 or more")
+    (width, height), shape = seen.camera.size, checked_image(image).shape
+    if shape != (height, width):
+        raise InputError(
+            f"lines_by_source: the image is of shape {shape}, the camera's of {(height, width)};"
+            " give its image, or load the scene with the image's width and height"
+        )
+    bands = expected_light(seen, margin_px)
     return lines_in_bands(image, bands, method, **options)
 
 

@@ -26,6 +26,7 @@ from virtual_sensor.files import (
 )
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.new_scene.lasers import close_lines
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.new_scene.part import part_of
 from virtual_sensor.imaging.new_scene.placement import film_of, placed
@@ -286,7 +287,7 @@ def _tried(
             lines = {pair: SeenLine.of(scene.only(*pair)) for pair in pairs}
             if not any(line.seen for line in lines.values()):
                 raise InputError(f"{path}: {_remedy(next(iter(lines.values())))}")
-            notes = [*scene.notes, *check_scene(scene, facets=False)]
+            notes = [*scene.notes, *check_scene(scene, facets=False), *close_lines(scene)]
         except InputError as error:
             raise InputError(f"{error}".replace(f"{folder}", f"{path.parent}")) from None
     told = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
