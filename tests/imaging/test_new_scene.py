@@ -9,6 +9,7 @@ import trimesh
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging import loading
 from virtual_sensor.imaging.new_scene.options import NewScene
 from virtual_sensor.imaging.new_scene.write import write_scene
 from virtual_sensor.imaging.parts import find_part
@@ -154,6 +155,29 @@ def test_a_line_is_no_longer_than_what_a_told_camera_sees(tmp_path):
     said = NewScene(f"{part}", focal_length_mm=35, distance_mm=150)
     (line,) = write_scene(tmp_path / "s", said).lines.values()
     assert line.outside == 0.0
+
+
+def test_a_part_that_stays_is_read_and_looked_over_once(tmp_path, monkeypatch):
+    """Rationale: a scan moves the sensor thousands of times. A file that changed is read again."""
+    files, reader = [], loading.read_part
+
+    def read(file, kind):
+        files.append(file)
+        return reader(file, kind)
+
+    monkeypatch.setattr(loading, "read_part", read)
+    part = tmp_path / "part.stl"
+    mesh = bracket()
+    trimesh.Trimesh(mesh.vertices, mesh.faces[2:]).export(part)  # with a hole
+    path = vs.new_scene(tmp_path / "scene", part=part, **SMALL)
+    scene = vs.load_scene(path)
+    files.clear()
+    moved = scene.with_sensor_moved(vs.Pose.shift((1, 0, 0))).with_parameters(beta=1)
+    assert files == []
+    assert moved.notes == scene.notes
+    assert any("hole" in note for note in moved.notes)
+    mesh.export(part)
+    assert not any("hole" in note for note in vs.load_scene(path).notes)
 
 
 def test_sensors_stand_as_they_are_told(tmp_path):

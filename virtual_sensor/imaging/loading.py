@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from virtual_sensor.child import physical_memory
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.files import exists, scratch_folder
+from virtual_sensor.files import exists, readable, scratch_folder, sha256_of
 from virtual_sensor.imaging.part_kinds import AS_MESH, EXACT_KINDS, KINDS
 from virtual_sensor.imaging.part_survey import faults
 from virtual_sensor.imaging.parts import Part, read_part
@@ -32,6 +33,7 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
     ("refractive", "tolerance"),
 }
+_PARTS_CACHED = 8
 _WATERTIGHT = "embree_use_robust_intersections"
 _LARGEST = 1e30  # float32 ends at 3e38
 _PIXEL_BYTES = 64  # of a frame with its truth, at least
@@ -435,23 +437,36 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
             raise InputError(
                 f'{where}: there is no file "{shortened(name)}" where "filename" says; correct it'
             )
-        with naming(where):
-            part = read_part(file, kind)
         to_world = np.eye(4)
         if "to_world" in props:
             to_world = np.array(props["to_world"].matrix, float).reshape(4, 4)
-        placed = part.placed(to_world)
-        notes += [*part.notes, *(f"{file}: {fault}" for fault in faults(placed))]
-        if part.by_mitsuba and np.linalg.det(to_world[:3, :3]) > 0.0:
+        with naming(where):
+            digest = sha256_of(readable(file))
+            found, ply = _prepared(file, kind, digest, tuple(to_world.ravel().tolist()))
+        notes += found
+        if not ply:
             continue
         folder = folder or temporary.enter_context(scratch_folder())
         written = folder / f"{number}.ply"
-        written.write_bytes(_ply(placed))
+        written.write_bytes(ply)
         if "to_world" in props:
             del props["to_world"]
         props.set_plugin_name("ply")
         props["filename"] = str(written)
     return notes
+
+
+@lru_cache(maxsize=_PARTS_CACHED)  # a sensor that moves has its scene loaded again, its part stays
+def _prepared(
+    file: Path, kind: str, digest: str, to_world: tuple[float, ...]
+) -> tuple[tuple[str, ...], bytes]:
+    """Notes of a part's file of this digest, and a file for Mitsuba; b"" if it reads the part's."""
+    part, matrix = read_part(file, kind), np.array(to_world).reshape(4, 4)
+    placed = part.placed(matrix)
+    notes = *part.notes, *(f"{file}: {fault}" for fault in faults(placed))
+    if part.by_mitsuba and np.linalg.det(matrix[:3, :3]) > 0.0:
+        return notes, b""
+    return notes, _ply(placed)
 
 
 def _ply(part: Part) -> bytes:
