@@ -150,7 +150,7 @@ def test_a_temperature_below_absolute_zero_is_refused():
 def test_a_field_that_does_not_reach_the_line_is_refused(slab):
     """Rationale: the hottest air is at the part; without it the rest means nothing."""
     words = refusal(slab(0.0, half_width_mm=10.9).path)
-    assert '<integrator type="refractive">: the field from (-200, -10.9, -20) to' in words
+    assert '<integrator type="refractive">: the field slab.nc from (-200, -10.9, -20) to' in words
     assert "the laser meets the part at (3.276, -11, -5.674) mm, 0.1 mm beyond its end" in words
     assert "give a larger field, make one of this part (virtual-sensor field simulate" in words
     assert check_scene(slab(0.0, half_width_mm=11.1)) == []
@@ -210,8 +210,11 @@ def test_the_jump_is_told_above_0_003_px_and_refused_above_0_1_px(slab, shift_px
     scene = slab(jump)
     if verdict == "refused":
         words = refusal(scene.path)
-        assert '<integrator type="refractive">: the field does not fade to ambient' in words
-        assert "give a field that reaches further out" in words
+        assert '<integrator type="refractive">: the field slab.nc does not fade to ambient' in words
+        assert "its ambient 0.00027: was the ambient forgotten?" in words
+        assert f"{scene.path}: {words.partition(': ')[2]}" in scene.notes
+        (given,) = scene.with_medium(scene.medium).notes
+        assert "the given air does not fade to ambient" in given
     else:
         assert bool(check_scene(scene)) == (verdict == "told")
 

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,8 +52,8 @@ def judged(tmp_path):
         try:
             assert all("facets" in note for note in check_scene(scene))
         except InputError as error:
-            return "\n".join(scene.notes), str(error)
-        return "\n".join(scene.notes), ""
+            return "\n".join(scene.loading_notes), str(error)
+        return "\n".join(scene.loading_notes), ""
 
     return judge
 
@@ -154,7 +155,7 @@ def test_the_parts_own_field_is_silent(beta):
 def test_a_field_without_a_solid_says_so(judged, tmp_path):
     """Rationale: nothing is known of its part but how hot its air is."""
     air = vs.IndexField.read("hot_cylinder_1250C_quarter")
-    air.write(tmp_path / "air.nc")  # of n - 1
+    replace(air, solid=None).write(tmp_path / "air.nc")  # of n - 1
     field = tmp_path / "air.nc"
     own = cylinder(13.5, 85, -13.5)
     note, _ = judged(own, field=field)
@@ -177,3 +178,11 @@ def test_notes_of_a_field_that_is_gone_are_those_of_the_scene(tmp_path):
     scene = vs.load_scene("hot_cylinder", field=tmp_path / "air.nc")
     (tmp_path / "air.nc").unlink()
     assert scene.notes == ()
+
+
+def test_air_that_is_given_is_looked_at_too():
+    """Rationale: only what stood in the scene's own file was: a render in other air was silent."""
+    scene, air = vs.load_scene("hot_cylinder"), vs.IndexField.read("hot_cylinder_1250C_quarter")
+    assert scene.with_medium(air).notes == ()
+    aside = scene.with_medium(air.moved(vs.Pose.shift([0.0, 0.0, 3.0])))
+    assert any("the given air is not of this part: its solid" in note for note in aside.notes)

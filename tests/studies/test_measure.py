@@ -263,7 +263,7 @@ def test_a_line_beside_the_solid_of_its_field_is_told():
     assert beside_solid(scene, points) == []
     for by_mm, words in ((3.0, "mm above the solid"), (-3.0, "mm inside the solid")):
         (note,) = beside_solid(scene, points + np.array([0.0, 0.0, by_mm]))
-        said = float(re.search(rf"the laser's line lies (\S+) {words} of its field hot_", note)[1])
+        said = float(re.search(rf"the laser's line lies (\S+) {words} of the field hot_", note)[1])
         assert said == pytest.approx(3.0, abs=0.7)
     assert beside_solid(scene, np.full((3, 3), np.nan)) == []
     assert beside_solid(scene.cold(), points) == []

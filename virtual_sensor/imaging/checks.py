@@ -14,7 +14,7 @@ from virtual_sensor.imaging.field_solid import REFUSED, wrong_scale
 from virtual_sensor.imaging.part_survey import facet_error_mm
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.index_field import IndexField, border_of
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
@@ -35,7 +35,7 @@ FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 _INSIDE_MM = 1e-4
 _CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
 _DULL = 0.2  # reflectance of an oxidised part
-_FIELD = '<integrator type="refractive">: the field'
+_ALL_ROUND = 0.1  # of a border's jump: so much it may vary that is the same everywhere
 
 
 @dataclass(frozen=True)
@@ -122,12 +122,22 @@ def check_scene(scene: Scene, facets: bool = True) -> list[str]:
     ]
 
 
+def air_notes(scene: Scene) -> list[str]:
+    """What `check_scene` tells of a scene with air, and what it would refuse it for."""
+    if scene.medium is None:
+        return []
+    try:
+        return check_scene(scene)
+    except InputError as error:
+        return [f"{error}"]
+
+
 def _check_pair(scene: Scene, facets: bool) -> list[str]:
     """Check the one camera with the one source."""
     line = lit_line(scene)
     with naming(scene.path):
         _check_solid(scene, line)
-        found = _check_border(scene.medium, scene.sensor, line) if scene.medium else []
+        found = _check_border(scene, scene.medium, line) if scene.medium else []
         found += _facet_note(scene, line) if facets else []
     return found + _glow_note(scene, line)
 
@@ -241,7 +251,7 @@ def _check_cover(scene: Scene, field: IndexField, line: LitLine) -> None:
         " (to_world of the integrator)"
     )
     raise InputError(
-        f"{_FIELD} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
+        f"{_air(scene)} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
         f" laser meets the part at {_point(points[np.argmax(short.max(axis=1))])} mm{frame},"
         f" {short[:, axis].max():.3g} mm beyond its end along {'xyz'[axis]}; {remedy}"
     )
@@ -257,23 +267,35 @@ def _check_solid(scene: Scene, line: LitLine) -> None:
         middle = np.median(height)
         off = f"; the laser's line lies {middle:.2g} mm above it" if middle > 0.0 else ""
         raise InputError(
-            f"{_FIELD} {fit.file.name} is not of this part: {fit.words}{off}; make one of this part"
+            f"{_air(scene)} is not of this part: {fit.words}{off}; make one of this part"
             f" ({scene.simulate_command}), or give none (field=)"
         )
 
 
-def _check_border(field: IndexField, sensor: SensorModel, line: LitLine) -> list[str]:
+def _air(scene: Scene) -> str:
+    """A scene's air, for messages: with its element, if it is the scene's own."""
+    own = '<integrator type="refractive">: ' if scene.air.path else ""
+    return own + scene.air_name
+
+
+def _check_border(scene: Scene, field: IndexField, line: LitLine) -> list[str]:
     """The field must fade where light enters it."""
-    notes = []
-    for name, crossing in border_crossings(field, sensor, line).items():
+    notes, border = [], border_of(field.nodes, field.mirror)
+    remedy = "give a field that reaches further out"
+    if np.ptp(border) <= _ALL_ROUND * abs(np.median(border) - field.ambient):
+        remedy = (
+            f"its border is {np.median(border):.3g} all round, its ambient {field.ambient:.3g}: was"
+            " the ambient forgotten?"
+        )
+    for name, crossing in border_crossings(field, scene.sensor, line).items():
         worst = int(np.argmax(crossing.shift_px))
         text = (
-            f"{_FIELD} does not fade to ambient where the {name}'s light enters it, at"
+            f"{_air(scene)} does not fade to ambient where the {name}'s light enters it, at"
             f" {_point(crossing.place_mm[worst])} mm: a jump of {crossing.jump[worst]:.1e} in"
             f" n - 1, which moves the image by about {crossing.shift_px[worst]:.2g} px"
         )
         if crossing.shift_px[worst] > JUMP_REFUSED_PX:
-            raise InputError(f"{text}; give a field that reaches further out")
+            raise InputError(f"{text}; {remedy}")
         if crossing.shift_px[worst] > JUMP_TOLD_PX:
             notes.append(text)
     return notes

@@ -21,14 +21,16 @@ _HOTTER, _COLDER = 0.03, 0.3  # of what the part has above the air: its hottest 
 
 
 def field_notes(
-    air: MediumDescription, fit: SolidFit | None, temperature: str, simulate: str
+    air: MediumDescription, name: str, fit: SolidFit | None, temperature: str, simulate: str
 ) -> list[str]:
     """Notes of a field that is not that of a scene's part, with the remedy.
 
     Parameters
     ----------
     air : MediumDescription
-        With the field's file.
+        With the field's file, if it is in one.
+    name : str
+        What the field is called.
     fit : SolidFit or None
         Of its solid; None if it marks none.
     temperature : str
@@ -36,11 +38,10 @@ def field_notes(
     simulate : str
         Command that makes the field of this part.
     """
-    if air.path is None:
-        return []
-    name, notes = f"the field {air.path.name}", []
+    notes = []
     if fit is None:
-        notes.append(f"{name} marks no solid: whether it is of this part can't be checked")
+        if air.path:
+            notes.append(f"{name} marks no solid: whether it is of this part can't be checked")
     elif not fit.alike:
         move = ""
         if fit.shift_mm is not None:
@@ -54,7 +55,7 @@ def field_notes(
             f"{name} is not of all that is in the scene: surfaces lie up to {fit.largest_mm:.2g} mm"
             f" beside its solid; make the field of them all: {simulate}"
         )
-    if temperature:
+    if temperature and air.path:
         notes += _temperature_notes(name, air, float(temperature), simulate)
     return notes
 

@@ -89,8 +89,8 @@ class SolidFit(Displayed):
 
     Attributes
     ----------
-    file : Path
-        The field's.
+    name : str
+        What the field is called.
     solid : Solid
     outside : float
         Share of the solid that lies outside the part.
@@ -105,7 +105,7 @@ class SolidFit(Displayed):
         What the part would have to be moved by; None if that would not do.
     """
 
-    file: Path
+    name: str
     solid: Solid
     outside: float
     beside: float
@@ -148,24 +148,27 @@ def wrong_scale(part: Any, field: IndexField) -> str:
     )
 
 
-def fit_of(part: Any, field: IndexField, file: Path, up: Array) -> SolidFit | None:
-    """Compare the solid in a field's file with a part.
+def fit_of(
+    part: Any, field: IndexField, solid: Solid | None, name: str, up: Array
+) -> SolidFit | None:
+    """Compare a field's solid with a part.
 
     Parameters
     ----------
     part : mitsuba.Scene
     field : IndexField
-        The file's, as it is placed.
-    file : Path
+        As it is placed.
+    solid : Solid or None
+    name : str
+        What the field is called.
     up : ndarray of shape (3,)
         Unit vector from the part to where it is seen from.
 
     Returns
     -------
     SolidFit or None
-        None where the file marks no solid.
+        None of a field that marks no solid.
     """
-    solid = _solid_of(file, file.stat().st_mtime_ns)
     if solid is None:
         return None
     box = np.array([part.bbox().min, part.bbox().max], float)
@@ -189,7 +192,7 @@ def fit_of(part: Any, field: IndexField, file: Path, up: Array) -> SolidFit | No
     far = [where, away] if beside > _OFF or outside > NOTED else [everywhere]
     largest_mm = max((float(np.percentile(each, 99.0)) for each in far if len(each)), default=0.0)
     shift_mm = _shift(box, solid) if field.pose is None else None
-    return SolidFit(file, solid, outside, beside, more, largest_mm, shift_mm)
+    return SolidFit(name, solid, outside, beside, more, largest_mm, shift_mm)
 
 
 def _share(mask: NDArray[np.bool_]) -> float:
@@ -256,41 +259,52 @@ def _in_front(part: Any, nodes_mm: Array, up: Array, cell_mm: float) -> NDArray[
 
 
 @lru_cache(maxsize=4)
-def _solid_of(file: Path, modified: int) -> Solid | None:
+def solid_in_file(file: Path, modified: int) -> Solid | None:
     """The solid that a field's file marks; None if it marks none."""
     air = read_field_file(file, 532.0)
-    if air.solid is None or not air.solid.any():
+    return _solid(air.solid, air.origin_mm, air.spacing_mm, tuple(air.mirror))
+
+
+def solid_of(field: IndexField) -> Solid | None:
+    """The solid that a field marks; None if it marks none."""
+    return _solid(field.solid, field.origin, field.spacing, field.mirror)
+
+
+def _solid(
+    marked: NDArray[np.bool_] | None, origin_mm: Array, spacing_mm: Array, mirror: tuple[bool, ...]
+) -> Solid | None:
+    if marked is None or not marked.any():
         return None
-    even = [(1, 0) if mirror else (0, 0) for mirror in air.mirror]
-    core = ndimage.binary_erosion(np.pad(air.solid, even, mode="reflect"), border_value=1)
+    even = [(1, 0) if each else (0, 0) for each in mirror]
+    core = ndimage.binary_erosion(np.pad(marked, even, mode="reflect"), border_value=1)
     core = core[tuple(slice(first, None) for first, _ in even)]
-    index = np.argwhere(core if core.any() else air.solid)
+    index = np.argwhere(core if core.any() else marked)
     index = index[:: -(-len(index) // _MOST_NODES)]
-    around = ndimage.find_objects(air.solid.astype(np.int8))[0]
-    margin = np.ceil(_AROUND_MM / air.spacing_mm).astype(int)
+    around = ndimage.find_objects(marked.astype(np.int8))[0]
+    margin = np.ceil(_AROUND_MM / spacing_mm).astype(int)
     cut = tuple(
         slice(max(s.start - more, 0), s.stop + more) for s, more in zip(around, margin, strict=True)
     )
-    near = air.solid[cut]
-    level = ndimage.distance_transform_edt(~near, sampling=air.spacing_mm)
+    near = marked[cut]
+    level = ndimage.distance_transform_edt(~near, sampling=spacing_mm)
     if not near.all():
-        level = level - ndimage.distance_transform_edt(near, sampling=air.spacing_mm)
+        level = level - ndimage.distance_transform_edt(near, sampling=spacing_mm)
     ends = np.array([[s.start - 0.5, s.stop - 0.5] for s in around]).T
-    known = air.origin_mm + ends * air.spacing_mm
-    for axis, (place, even_axis) in enumerate(zip(around, air.mirror, strict=True)):
-        if place.stop == air.solid.shape[axis]:
+    known = origin_mm + ends * spacing_mm
+    for axis, (place, even_axis) in enumerate(zip(around, mirror, strict=True)):
+        if place.stop == marked.shape[axis]:
             known[1, axis] = np.nan
         if even_axis:
-            known[0, axis] = 2.0 * air.origin_mm[axis] - known[1, axis]
+            known[0, axis] = 2.0 * origin_mm[axis] - known[1, axis]
         elif place.start == 0:
             known[0, axis] = np.nan
     return Solid(
-        air.origin_mm + index * air.spacing_mm,
+        origin_mm + index * spacing_mm,
         level,
-        np.array(np.gradient(level, *air.spacing_mm)),
-        air.origin_mm + np.array([s.start for s in cut]) * air.spacing_mm,
-        air.spacing_mm,
-        tuple(air.mirror),
-        air.origin_mm,
+        np.array(np.gradient(level, *spacing_mm)),
+        origin_mm + np.array([s.start for s in cut]) * spacing_mm,
+        spacing_mm,
+        mirror,
+        origin_mm,
         known,
     )

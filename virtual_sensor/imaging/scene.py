@@ -28,6 +28,7 @@ lengths                          in mm; a scene, or a part, that seems to be in 
 from __future__ import annotations
 
 import dataclasses
+import importlib
 import pickle
 import re
 import shlex
@@ -54,7 +55,13 @@ from virtual_sensor.errors import InputError, naming, nearest, short
 from virtual_sensor.files import exists, sha256_of
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.field_notes import field_notes
-from virtual_sensor.imaging.field_solid import SolidFit, fit_of, wrong_scale
+from virtual_sensor.imaging.field_solid import (
+    SolidFit,
+    fit_of,
+    solid_in_file,
+    solid_of,
+    wrong_scale,
+)
 from virtual_sensor.imaging.loading import Loaded, load
 from virtual_sensor.imaging.part_survey import scale_note
 from virtual_sensor.imaging.scene_file import (
@@ -244,26 +251,51 @@ class Scene(Displayed):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was ignored, converted or assumed when it was loaded."""
+        """What was ignored, converted or assumed, and what of its air does not suit it.
+
+        The air is looked at when this is asked for, whatever the medium is: its solid, its box, its
+        border.  How fine its grid is, `measure` tells.
+        """
+        checks = importlib.import_module("virtual_sensor.imaging.checks")  # which lies above
+        return tuple(dict.fromkeys([*self.loading_notes, *checks.air_notes(self)]))
+
+    @property
+    def loading_notes(self) -> tuple[str, ...]:
+        """Those of them that `check_scene` does not give."""
         notes = self._stage.notes + (self.medium.notes if self.medium else ())
-        if self.air.path is None or not exists(self.air.path):
+        if self.medium is None or not (self.air.path is None or exists(self.air.path)):
             return notes
         temperature = self.parameters.get("temperature", "")
-        of_field = field_notes(self.air, self.field_fit, temperature, self.simulate_command)
-        if self.medium and (hint := wrong_scale(self.mitsuba, self.medium)):
-            of_field = [f"the field {self.air.path.name}: {hint}"]
-        return (*notes, *(f"{self._stage.where}: {note}" for note in of_field))
+        of_field = field_notes(
+            self.air, self.air_name, self.field_fit, temperature, self.simulate_command
+        )
+        if hint := wrong_scale(self.mitsuba, self.medium):
+            of_field = [f"{self.air_name}: {hint}"]
+        where = self._stage.where if self.air.path else self.path
+        return (*notes, *(f"{where}: {note}" for note in of_field))
+
+    @property
+    def air_name(self) -> str:
+        """What its medium is called, for messages."""
+        return f"the field {self.air.path.name}" if self.air.path else "the given air"
 
     @property
     def field_fit(self) -> SolidFit | None:
-        """How its part and the solid in its field's file lie to each other; None if it has none."""
-        if self.air.path is None or self.medium is None or not exists(self.air.path):
+        """How its part and the solid of its field lie to each other; None if that marks none."""
+        if self.medium is None:
             return None
         own_variant(self.mitsuba)
-        up, fits = self.towards_sensors, self._stage.fits
-        key = replace(self.air, time_s=None), self.air.path.stat().st_mtime_ns, up.tobytes()
+        up, fits, file = self.towards_sensors, self._stage.fits, self.air.path
+        if file is None:
+            solid = solid_of(self.medium)
+            return fit_of(self.mitsuba, self.medium, solid, self.air_name, up)
+        if not exists(file):
+            return None
+        modified = file.stat().st_mtime_ns
+        key = replace(self.air, time_s=None), modified, up.tobytes()
         if key not in fits:
-            fits[key] = fit_of(self.mitsuba, self.medium, self.air.path, up)
+            solid = solid_in_file(file, modified)
+            fits[key] = fit_of(self.mitsuba, self.medium, solid, self.air_name, up)
         return fits[key]
 
     @property

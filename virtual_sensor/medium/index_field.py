@@ -403,15 +403,19 @@ class IndexField(Movable):
         return local, ((local >= low) & (local <= high)).all(axis=1)
 
 
+def border_of(nodes: np.ndarray, mirror: Sequence[bool]) -> np.ndarray:
+    """Values (N,) at the nodes (nx, ny, nz) of a field's border; a plane of symmetry is none."""
+    faces = [
+        nodes.take(node, axis).ravel()
+        for axis, even in enumerate(mirror)
+        for node in ([-1] if even else [0, -1])
+    ]
+    return np.concatenate(faces)
+
+
 def _ambient_of(nodes: np.ndarray, mirror: Sequence[bool]) -> float:
     """The one value of a field's border, where nobody says what surrounds it."""
-    border = np.concatenate(
-        [
-            nodes.take(node, axis).ravel()
-            for axis, even in enumerate(mirror)
-            for node in ([-1] if even else [0, -1])
-        ]
-    )
+    border = border_of(nodes, mirror)
     low, high = border.min(), border.max()
     if high - low > _SAME_BORDER * (nodes.max() - nodes.min()):
         raise InputError(

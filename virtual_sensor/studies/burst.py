@@ -563,7 +563,7 @@ def burst(
     stage_s = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
     lines, rays = [], []
     y = probe_rays(scene, y_mm)
-    notes = [*scene.notes, *unlit_rays(laser, y), *coarse_grid(scene)]
+    notes = [*scene.loading_notes, *unlit_rays(laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
     at_border: list[str] = []
     shown = np.linspace(0, frames - 1, _VIEWS).round()

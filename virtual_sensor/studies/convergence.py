@@ -267,7 +267,7 @@ def convergence(
         reference,
         change(longer, dataclasses.replace(reference, cell_mm=long[0])),
         made_with(scene),
-        scene.notes,
+        scene.loading_notes,
         tuple(change(setting, reference) for setting in settings),
     )
 

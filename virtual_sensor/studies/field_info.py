@@ -22,7 +22,6 @@ from virtual_sensor.imaging.checks import (
     lit_line,
 )
 from virtual_sensor.imaging.field_notes import field_notes
-from virtual_sensor.imaging.field_solid import fit_of
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
@@ -289,10 +288,9 @@ def field_info(
     in_it = loaded.with_medium(air)
     line, pixels, light, notes = None, None, None, [*air.notes]
     if scene or parameters:
-        fit = fit_of(loaded.mitsuba, air, path, loaded.towards_sensors)
-        temperature = loaded.parameters.get("temperature", "")
+        name, temperature = f"the field {path.name}", loaded.parameters.get("temperature", "")
         described = MediumDescription(path, time_s)
-        notes += field_notes(described, fit, temperature, loaded.simulate_command)
+        notes += field_notes(described, name, in_it.field_fit, temperature, loaded.simulate_command)
     if air.pose:
         notes.append("the scene moves the field (to_world): boxes and cuts are of its own frame")
     try:

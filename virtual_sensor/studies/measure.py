@@ -246,7 +246,7 @@ def measure(
     started = time.perf_counter()
     report("checking the scene", 0.0)
     laser = scene.sensor.laser
-    notes, caveats = [*scene.notes, *check_scene(scene)], []
+    notes, caveats = [*scene.loading_notes, *check_scene(scene)], []
     probe_y = probe_rays(scene, y_mm)
     coarse = coarse_grid(scene)
     notes += [*unlit_rays(laser, probe_y), *coarse]

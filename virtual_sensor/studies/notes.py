@@ -62,8 +62,8 @@ def beside_solid(scene: Scene, points_mm: Array) -> list[str]:
         return []
     where = "above" if middle > 0.0 else "inside"
     return [
-        f"the laser's line lies {abs(middle):.2g} mm {where} the solid of its field"
-        f" {fit.file.name}: what the air does to this line is not known"
+        f"the laser's line lies {abs(middle):.2g} mm {where} the solid of"
+        f" {fit.name}: what the air does to this line is not known"
     ]
 
 

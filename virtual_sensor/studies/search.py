@@ -96,7 +96,7 @@ def search(
     if rays:
         y_mm = np.linspace(-0.5, 0.5, rays) * sensor.laser.length_mm
     report("checking the scene", 0.0)
-    notes = (*scene.notes, *check_scene(scene))
+    notes = (*scene.loading_notes, *check_scene(scene))
     y = probe_rays(scene, y_mm)
     found = ray_search(
         scene, y, method, progress=lambda part: report("searching, ray by ray", 0.1 + 0.9 * part)

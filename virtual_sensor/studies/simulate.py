@@ -222,7 +222,7 @@ def simulate(
     cells = wall_cells(flow, nusselt) if part_cells is None else part_cells
     made = Simulation(
         *(end, balance, nusselt, cells, steadiness.drift_px_per_s, flow.cell_mm, flow.quick),
-        notes=(*scene.notes, *air.notes),
+        notes=(*scene.loading_notes, *air.notes),
     )
     attributes = _provenance(flow, made, foam.version) | {
         "parameters": json.dumps(setup_of(case)),

@@ -287,7 +287,7 @@ def _tried(
             lines = {pair: SeenLine.of(scene.only(*pair)) for pair in pairs}
             if not any(line.seen for line in lines.values()):
                 raise InputError(f"{path}: {_remedy(next(iter(lines.values())))}")
-            notes = [*scene.notes, *check_scene(scene, facets=False), *close_lines(scene)]
+            notes = [*scene.loading_notes, *check_scene(scene, facets=False), *close_lines(scene)]
         except InputError as error:
             raise InputError(f"{error}".replace(f"{folder}", f"{path.parent}")) from None
     told = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
