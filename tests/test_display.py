@@ -14,7 +14,9 @@ from matplotlib.figure import Figure
 import virtual_sensor
 from virtual_sensor.display import LONGEST_LINE, Displayed
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres
+from virtual_sensor.poses import Pose
 from virtual_sensor.reporting import objects
 
 ROW = np.array([1021.0, np.nan, 1279.0, 1100.0])
@@ -138,3 +140,22 @@ def test_a_data_frame_has_a_row_for_each_centre(line):
     frame = line.to_dataframe()
     assert frame["status"].tolist() == ["ok", "no_peak", "ok", "ok"]
     assert frame["row"].iloc[2] == 1279.0
+
+
+def test_objects_are_equal_by_their_fields_and_have_a_hash(line):
+    """Rationale: == of line centres raised "truth value is ambiguous"; that of fields was False."""
+    same, other = LineCentres.of_rows(ROW.copy()), LineCentres.of_rows(ROW + 1.0)
+    assert line == same
+    assert hash(line) == hash(same)
+    assert line != other
+    assert line != "line"
+    assert {line, same, other} == {line, other}
+    nodes = np.linspace(1e-4, 2e-4, 125).reshape(5, 5, 5)
+    make = IndexField.from_arrays
+    one, two = (make(nodes.copy(), (0, 0, 0), (1, 1, 1), ambient=2e-4) for _ in range(2))
+    one.refractivity([[1.0, 2.0, 3.0]])  # what it keeps for lookups is none of it
+    assert one == two
+    assert hash(one) == hash(two)
+    assert one != two.moved(Pose.shift((1.0, 0.0, 0.0)))
+    for kind in dataclasses_of_users():
+        assert kind.__hash__ is not None, kind

@@ -44,6 +44,9 @@ class Displayed:
         super().__init_subclass__(**kwargs)
         if "__repr__" not in vars(cls):  # a dataclass would write its own over an inherited one
             cls.__repr__ = Displayed.__repr__  # type: ignore[method-assign]
+        if cls.__eq__ is Displayed.__eq__:  # likewise
+            cls.__eq__ = Displayed.__eq__  # type: ignore[method-assign]
+            cls.__hash__ = Displayed.__hash__  # type: ignore[method-assign]
 
     def _line(self) -> str:
         """What a person wants to know of it, in a line behind its class's name."""
@@ -59,6 +62,19 @@ class Displayed:
             return name
         line = f"{name}: {words}" if words else name
         return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 3].rstrip()}..."
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is of the same class and all its fields are equal; NaN is equal to NaN."""
+        if self is other:
+            return True
+        if type(self) is not type(other) or not dataclasses.is_dataclass(self):
+            return NotImplemented
+        return all(equal(one, getattr(other, name)) for name, one in _compared(self))
+
+    def __hash__(self) -> int:
+        if not dataclasses.is_dataclass(self):
+            return object.__hash__(self)
+        return hash((type(self), *(_hash(value) for _, value in _compared(self))))
 
     def _repr_html_(self) -> str:
         html: str = _reporting("notebook").html_of(self)
@@ -102,6 +118,42 @@ class Displayed:
 def _reporting(module: str) -> Any:
     """A module that lies above: it is only known to whoever asks an object for its picture."""
     return importlib.import_module(f"virtual_sensor.reporting.{module}")
+
+
+def equal(one: Any, other: Any) -> bool:
+    """Whether two values are equal: arrays element by element, NaN equal to NaN."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        numbers = np.result_type(one, other).kind in "fc" if _numeric(one, other) else False
+        return np.array_equal(one, other, equal_nan=numbers)
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(equal(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple) and type(one) is type(other):
+        return len(one) == len(other) and all(map(equal, one, other))
+    return bool(one == other) or (one != one and other != other)
+
+
+def _numeric(*values: Any) -> bool:
+    return all(isinstance(v, np.ndarray) and v.dtype.kind in "bufic" for v in values)
+
+
+def _hash(value: Any) -> int:
+    """Equal for equal values, and quick: of an array only its shape."""
+    if isinstance(value, np.ndarray):
+        return hash(value.shape)
+    if isinstance(value, Mapping):
+        return hash(frozenset(value))
+    if isinstance(value, list | tuple):
+        return hash(tuple(map(_hash, value)))
+    return 0 if value != value else hash(value)
+
+
+def _compared(thing: Any) -> Iterator[tuple[str, Any]]:
+    """The fields that make an object what it is; private ones are caches."""
+    for each in dataclasses.fields(thing):
+        if each.compare and not each.name.startswith("_"):
+            yield each.name, getattr(thing, each.name)
 
 
 def names_of(thing: object) -> Iterator[str]:

@@ -221,7 +221,9 @@ class Scene(Displayed):
     cameras: Mapping[str, Pinhole]
     sources: Mapping[str, LaserLine]
     transport: Transport
-    hot: bool
+    hot: bool = dataclasses.field(
+        metadata={"internal": True}
+    )  # of a part without glow it says nothing
     _stage: _Stage
 
     def __post_init__(self) -> None:
@@ -534,7 +536,7 @@ class Scene(Displayed):
             tuple(sorted(self.parameters.items())),
             tuple((name, matrix.tobytes()) for name, matrix in sorted(stage.poses.items())),
             self.air,
-            self.medium if self.air.path is None else None,  # equal if it is the same
+            id(self.medium) if self.air.path is None else None,  # equal if it is the same
             tuple(self.cameras),
             tuple(self.sources),
             self.transport,
