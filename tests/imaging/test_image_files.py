@@ -64,6 +64,16 @@ def test_bits_at_the_top_of_sixteen_are_brought_down(tmp_path):
     same(clipped, np.minimum(2 * GREY12, 4095) << 4, "clipped from 65520", largest=65520)
 
 
+def test_a_file_of_sixteen_bits_that_ends_where_a_camera_clips_is_asked_about(tmp_path):
+    """Rationale: rewritten by OpenCV a 12-bit image has no text of its bits."""
+    for bits in (10, 12, 14):
+        values = np.array([[0, 2**bits - 2, 2**bits - 1]], np.uint16)
+        question = f"no value above {2**bits - 1}: is it of a camera of {bits} bits?"
+        same(png(tmp_path / "a.png", values), values, question, largest=65535)
+        same(tmp_path / "a.png", values, largest=2**bits - 1, bits=bits)
+        same(png(tmp_path / "b.png", values - (values > 0)), values - (values > 0), largest=65535)
+
+
 def test_grey_values_beyond_the_bits_that_are_said_are_noted(tmp_path):
     """Values that no camera of so many bits can give count as clipped; fewer bits stay fewer."""
     same(tiff(tmp_path / "a.tif", GREY16), GREY16, "above 4095", largest=4095, bits=12)

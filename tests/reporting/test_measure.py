@@ -89,6 +89,19 @@ def test_the_page_begins_with_how_wrong_the_section_is(measured):
         assert f"y = {section.largest_y_mm:.3g} mm".replace("-", "\N{MINUS SIGN}") in lead
 
 
+def test_a_shift_along_the_section_is_told_from_one_across_it(measured):
+    """Rationale: "up to 615 um" beside an error of 18 um baffles."""
+    for largest_um, along in ((1.0, True), (-90.0, False)):
+        figures = measured["hot"][1]
+        hot = figures.states["hot"]
+        hot = replace(hot, section=replace(hot.section, largest_um=largest_um))
+        rays = replace(figures.probe_rays, largest_measured_shift_um=100.0)
+        figures = replace(figures, states={"hot": hot}, probe_rays=rays)
+        assert (
+            "100 µm: mostly along the section, where it does no harm (" in reporting.why(figures)[1]
+        ) == along
+
+
 def test_a_measurement_that_is_worth_little_says_so_beside_the_result(measured):
     """Rationale: of a film of 256 px 8 of 108 columns had a centre, and the lead was their rms."""
     result, good, folder = measured["hot"]

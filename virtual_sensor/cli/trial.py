@@ -65,6 +65,7 @@ def trial(
         report("drawing and writing", 0.9)
         save(result, output, shared.command_line(), overwrite)
     scores = table(result.of("task"), described(task), narrow=True)
-    bold = "Bold: no other detector is both faster and more accurate."
-    shared.print_results([scores, bold, lead(result)])
+    bold = ["Bold: no other detector is both faster and more accurate."]
+    key = bold if shared.console.is_terminal else []  # a pipe has no bold
+    shared.print_results([scores, *key, lead(result)])
     shared.print_end(output)

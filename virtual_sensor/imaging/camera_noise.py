@@ -168,7 +168,8 @@ def record(
     ----------
     photons : array_like of shape (H, W)
         Mean number of photons on each pixel; with `peak_e` an image in any unit, such as `render`
-        gives.
+        gives, or a `Frame`.  A frame without noise is stored by ``vs.save_png(frame.radiance,
+        "frame.png")``.
     camera : CameraNoise, optional
         By default the 12-bit one that `CameraNoise()` is.
     seed : int or numpy.random.Generator

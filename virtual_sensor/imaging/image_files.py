@@ -57,6 +57,7 @@ ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 
 _MOST_NAMES = 5  # of files in a note
 _FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
+_TOPS = {2.0**bits - 1.0: bits for bits in (10, 12, 14)}  # where cameras clip, in files of 16
 _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, unless a white is given
 _PNG_HEADER = 33  # bytes before the first chunk that may describe the image
 _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
@@ -335,6 +336,12 @@ def _levelled(stored: StoredImage, bits: int | None) -> tuple[StoredImage, float
         remarks.append(
             f"has grey values above {largest:.0f}, the largest of {said} bits: they count as"
             " clipped"
+        )
+    elif bits is None and has == 16 and brightest in _TOPS:
+        likely = _TOPS[brightest]
+        remarks.append(
+            f"has no value above {brightest:.0f}: is it of a camera of {likely} bits? Then say"
+            f" bits={likely} (--bits {likely}); now {largest:.0f} counts as clipped"
         )
     elif values.dtype == np.uint16 and brightest:
         low = _bits_unused(values)

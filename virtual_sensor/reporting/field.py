@@ -97,7 +97,8 @@ def lead(info: FieldInfo) -> str:
         angle = max(light.laser_angle_mrad, light.camera_angle_mrad)
         said += (
             f" turns the light of {light.scene.stem} by up to {angle:.2g} mrad, which shifts what"
-            f" the camera sees by up to {_pixels(light.largest_shift_px)} px"
+            f" the camera sees of a ray by up to {_pixels(light.largest_shift_px)} px, along the"
+            " line and across it"
         )
     grid = _UNJUDGED.get(info.grid) or f"the grid is {_FINE_ENOUGH[info.grid]}"
     if info.border == Border.UNKNOWN:

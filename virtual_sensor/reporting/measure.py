@@ -230,12 +230,14 @@ def why(figures: Summary) -> list[str]:
     if hot is None or hot.paths is None:
         return []
     rays, paths = figures.probe_rays, hot.paths
+    shift_um, across_um = rays.largest_measured_shift_um, abs(hot.section.largest_um)
+    along = ": mostly along the section, where it does no harm" * (across_um < 0.5 * shift_um)
     return [
         f"Hot air bends both light paths: the laser's makes {micrometres(paths.laser_rms_um)} rms"
         f" of the section's error, the camera's {micrometres(paths.camera_rms_um)} rms.",
         f"Hot air moves the lit point by up to {micrometres(rays.largest_incidence_shift_um)}, the"
-        f" measured one by up to {micrometres(rays.largest_measured_shift_um)} ({rays.lit} of"
-        f" {rays.rays} probe rays are lit).",
+        f" measured one by up to {micrometres(shift_um)}{along} ({rays.lit} of {rays.rays} probe"
+        " rays are lit).",
     ]
 
 

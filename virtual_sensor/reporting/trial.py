@@ -202,7 +202,11 @@ def lead(trial: Trial) -> str:
 
     def about(score: Score) -> str:
         time = time_in_words(1e-6 * score.time_us)
-        return f"{score.ratio:.2f} times the Cramér-Rao bound of one column, {time} a column"
+        # Of an rms by chance, where columns err by themselves: others' errors are correlated.
+        chance = score.ratio / np.sqrt(2.0 * max(score.right_share * score.columns, 1.0))
+        alone = score.detector in NAMES and score.detector != STEGER
+        ratio = f"{score.ratio:.2f}" + f" ± {chance:.2f}" * alone
+        return f"{ratio} times the Cramér-Rao bound of one column, {time} a column"
 
     task = trial.of("task")
     words = [

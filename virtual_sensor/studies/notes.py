@@ -107,7 +107,7 @@ def coarse_grid(scene: Scene) -> dict[str, bool]:
     note = (
         f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
         f" {loss.present:.2g} px of the line's place, some {error_um:.2g} um of the part, where the"
-        f" air moves the line by {moved_px:.2g} px; make it with closer nodes (field"
+        f" air moves the line by {moved_px:.2g} px across itself; make it with closer nodes (field"
         " simulate --grid, field import --spacing); `field info` shows along which axis"
     )
     return {note: loss.present > max(COARSE_PX, _MANY * moved_px)}
