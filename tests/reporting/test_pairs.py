@@ -1,9 +1,13 @@
 """Several cameras and lasers, measured pair by pair by one command."""
 
 import json
+from types import SimpleNamespace
 
 from command_line import command
 from several import two_by_two
+
+from virtual_sensor.imaging.checks import FACETS_LIE
+from virtual_sensor.reporting.pairs import pair_notes
 
 
 def test_each_pair_has_a_folder_and_the_page_leads_to_all(tmp_path, monkeypatch, unpainted_test):
@@ -22,3 +26,11 @@ def test_each_pair_has_a_folder_and_the_page_leads_to_all(tmp_path, monkeypatch,
         assert own == figures["pairs"][name]
         assert f'href="{name}/report.html"' in page
         assert name in said
+
+
+def test_what_facets_cost_is_said_of_one_pair():
+    """Each pair sees them at another angle, so that in pixels their notes differ."""
+    notes = {name: (f"{FACETS_LIE} up to {name} px", f"dark {name}") for name in ("1", "2")}
+    made = SimpleNamespace(pairs={n: SimpleNamespace(notes=each) for n, each in notes.items()})
+    said = [*pair_notes(made)]
+    assert said == [f"1: {FACETS_LIE} up to 1 px", "1: dark 1", "2: dark 2"]

@@ -98,12 +98,18 @@ def _run() -> int:
             raise
         if status is None:
             # One line for a user's slip, whatever the names in it.
-            text = str(error) if isinstance(error, EngineError) else one_line(str(error))
+            text = str(error) if isinstance(error, EngineError) else one_line(_with_names(error))
             errors.print(f"Error: {text}", style="red")
             return NOTHING_FOUND if isinstance(error, NothingFoundError) else 2
         text = f"{error}" if isinstance(error, Interrupted) else interrupts.line(status)
         errors.print(text, style="yellow")
         return status
+
+
+def _with_names(error: BaseException) -> str:
+    from virtual_sensor.imaging.scene_file import with_names  # few commands fail
+
+    return with_names(f"{error}")
 
 
 def _plainly(command: Any) -> None:

@@ -301,8 +301,10 @@ def check_folder_name(path: Path) -> None:
 
 def print_notes(notes: Iterable[str]) -> None:
     """Print what a reader ignored, converted or assumed, each once."""
+    from virtual_sensor.imaging.scene_file import with_names
+
     for note in dict.fromkeys(notes):
-        console.print(f"Note: {note}", style="yellow")
+        console.print(f"Note: {with_names(note)}", style="yellow")
 
 
 def see_own_modules() -> None:

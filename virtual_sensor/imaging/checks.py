@@ -29,6 +29,9 @@ JUMP_REFUSED_PX = 0.1
 FACETS_TOLD_PX = 0.03
 """Facets that lie beside their surface by more than this are noted."""
 
+FACETS_LIE = "the part's facets lie"
+"""How the note of facets begins."""
+
 FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """Of a field's box, in the order of `IndexField.border_jump`."""
 
@@ -155,7 +158,7 @@ def _facet_note(scene: Scene, line: LitLine) -> list[str]:
         return []
     tolerance_um = 1e3 * FACETS_TOLD_PX * pixel_mm
     return [
-        f"the part's facets lie up to {1e3 * error_mm:.2g} um ({error_mm / pixel_mm:.2g} px) beside"
+        f"{FACETS_LIE} up to {1e3 * error_mm:.2g} um ({error_mm / pixel_mm:.2g} px) beside"
         " the curved surface, where the line meets them (estimated from the angles between them);"
         f" export the part finer, with a chord tolerance of {tolerance_um:.1g} um"
     ]

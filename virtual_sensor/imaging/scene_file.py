@@ -88,6 +88,11 @@ def shipped_scenes() -> Path:
     return Path(str(resources.files("virtual_sensor_scenes")))
 
 
+def with_names(text: str) -> str:
+    """A text for a terminal: scenes that come with the program by their names, not their paths."""
+    return re.sub(rf"{re.escape(f'{shipped_scenes()}')}[/\\\\](\w+)\.xml", r"\1", text)
+
+
 def find_scene(name: str | Path) -> Path:
     """A scene's file: a path, or the name of one that comes with the program.
 

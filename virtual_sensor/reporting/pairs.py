@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.imaging.checks import FACETS_LIE
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import Record
 from virtual_sensor.reporting.files import FileOf, write_results
@@ -96,10 +97,15 @@ def pairs_table(made: PairsSummary) -> TextTable:
 
 
 def pair_notes(made: PairsSummary) -> Iterable[str]:
-    """Notes that all pairs have are said once."""
+    """Notes that all pairs have are said once, and what facets cost of the first pair only."""
+    faceted = False
     for name, figures in made.pairs.items():
         others = [other.notes for other in made.pairs.values()]
         for note in figures.notes:
+            if FACETS_LIE in note:
+                if faceted:
+                    continue
+                faceted = True
             yield note if all(note in each for each in others) else f"{name}: {note}"
 
 
