@@ -271,17 +271,29 @@ def vectors(name: str, values: NDArray[np.floating], axes: Sequence[str]) -> dic
     return {f"{name}_{axis}": values[:, i] for i, axis in enumerate(axes)}
 
 
-def write_ply(path: Path, points_mm: NDArray[np.floating], intensity: NDArray[np.floating]) -> None:
-    """Write the finite points (N, 3) in mm, world frame, with an intensity (N,) as binary PLY."""
+def write_ply(
+    path: Path,
+    points_mm: NDArray[np.floating],
+    intensity: NDArray[np.floating],
+    **whole: NDArray[np.integer],
+) -> None:
+    """Write the finite points (N, 3) in mm, world frame, with an intensity (N,) as binary PLY.
+
+    `whole` are further properties (N,) of whole numbers.
+    """
     finite = np.isfinite(points_mm).all(axis=1)
-    vertex = np.zeros(int(finite.sum()), [(n, "<f4") for n in ("x", "y", "z", "intensity")])
+    floats = [(name, "<f4") for name in ("x", "y", "z", "intensity")]
+    vertex = np.zeros(int(finite.sum()), [*floats, *((name, "<i4") for name in whole)])
     for i, name in enumerate("xyz"):
         vertex[name] = points_mm[finite, i]
     vertex["intensity"] = intensity[finite]
+    for name, numbers in whole.items():
+        vertex[name] = numbers[finite]
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment points in mm, world frame\n"
         f"element vertex {len(vertex)}\n"
-        + "".join(f"property float {name}\n" for name in vertex.dtype.names or ())
+        + "".join(f"property float {name}\n" for name, _ in floats)
+        + "".join(f"property int {name}\n" for name in whole)
         + "end_header\n"
     )
     with written_whole(path) as temporary:

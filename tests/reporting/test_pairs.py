@@ -3,6 +3,7 @@
 import json
 from types import SimpleNamespace
 
+import numpy as np
 from command_line import command
 from several import two_by_two
 
@@ -21,6 +22,18 @@ def test_each_pair_has_a_folder_and_the_page_leads_to_all(tmp_path, monkeypatch,
     figures = json.loads((tmp_path / "out/summary.json").read_text(encoding="utf-8"))
     assert set(figures["pairs"]) == pairs
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
+    points = tmp_path / "out/points_cold.ply"
+    joined = points.read_bytes()
+    head, _, body = joined.partition(b"end_header\n")
+    assert b"property int pair" in head
+    rows = np.frombuffer(body, [*((name, "<f4") for name in "xyzi"), ("pair", "<i4")])
+    for number, name in enumerate(figures["pairs"], start=1):
+        _, _, own = (tmp_path / "out" / name / points.name).read_bytes().partition(b"end_header\n")
+        alone = np.frombuffer(own, "<f4").reshape(-1, 4)
+        there = rows[rows["pair"] == number]
+        assert len(alone) > 0
+        np.testing.assert_array_equal(np.stack([there[each] for each in "xyzi"], axis=1), alone)
+    assert "The points that each pair measures in cold air" in page
     for name in pairs:
         own = json.loads((tmp_path / "out" / name / "summary.json").read_text(encoding="utf-8"))
         assert own == figures["pairs"][name]

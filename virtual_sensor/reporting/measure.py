@@ -140,8 +140,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             tables[f"line_{name}.csv"] = line_table(state)
             if state.dots:
                 tables[f"dots_{name}.csv"] = dot_table(state)
-            brightness = state.dots.flux if state.dots else state.line.amplitude
-            write_ply(place / f"points_{name}.ply", state.points_mm, brightness)
+            write_ply(place / f"points_{name}.ply", state.points_mm, state.brightness)
         sensor = calibration_of(result.cold.scene.sensor)
         whole, panels = picture(result, figures)
         contents = {

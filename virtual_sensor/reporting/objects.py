@@ -255,16 +255,16 @@ def _points(axes: Axes, found: Any) -> None:
     """Points from the side from which most is seen of them."""
     points = np.asarray(found.point_mm, float).reshape(-1, 3)
     points = points[np.isfinite(points).all(axis=1)][:: max(1, len(points) // _MOST_DOTS)]
-    across, up = _side(points)
+    across, up = side_of(points)
     axes.plot(points[:, across], points[:, up], ".", ms=2.5, color=BLUE)
-    _from_side(axes, across, up)
+    from_side(axes, across, up)
 
 
 @draws("imaging.checks.LitLine")
 def _lit_line(axes: Axes, line: Any) -> None:
-    across, up = _side(line.points_mm)
+    across, up = side_of(line.points_mm)
     axes.plot(*line.points_mm[:, [across, up]].T, color=colour("laser"))
-    _from_side(axes, across, up)
+    from_side(axes, across, up)
 
 
 @draws("optics.trace.Rays")
@@ -276,11 +276,11 @@ def _rays(axes: Axes, rays: Rays) -> None:
     size = float(np.ptp(end, axis=0).max()) if len(end) else 0.0
     size = size or 1.0  # of a single ray
     start = end - 0.5 * size * direction
-    across, up = _side(np.concatenate([start, end]))
+    across, up = side_of(np.concatenate([start, end]))
     both = np.stack([start, end])[..., [across, up]]
     axes.plot(both[..., 0], both[..., 1], color=BLUE, lw=0.8)
     axes.plot(*both[1].T, ".", ms=5.0, color=VERMILION)
-    _from_side(axes, across, up)
+    from_side(axes, across, up)
 
 
 @draws("imaging.parts.Part")
@@ -342,7 +342,7 @@ def _pose(axes: Axes, pose: Pose) -> None:
     origin = np.asarray(pose.origin_mm, float)
     size = 0.3 * float(np.linalg.norm(origin)) or 1.0
     ends = origin + size * np.asarray(pose.rotation, float).T
-    across, up = _side(np.stack([np.zeros(3), *ends, origin]))
+    across, up = side_of(np.stack([np.zeros(3), *ends, origin]))
     axes.plot(0.0, 0.0, "+", color=GREY, ms=9.0)
     write_beside(axes, "world's origin", (0.0, 0.0), (6.0, 6.0), color=GREY)
     for axis, end in zip("xyz", ends, strict=True):
@@ -350,7 +350,7 @@ def _pose(axes: Axes, pose: Pose) -> None:
         axes.plot(*line.T, color=colour(axis), lw=2.0)
         if np.ptp(line, axis=0).max() > 0.02 * size:
             write_beside(axes, axis, tuple(line[1]), (5.0, 5.0), color=colour(axis))
-    _from_side(axes, across, up)
+    from_side(axes, across, up)
 
 
 def _devices(
@@ -380,7 +380,7 @@ def _devices(
         lines = camera.lines_of_sight(corners)
         sights[name] = camera.pose.origin_mm, camera.pose.origin_mm + reach * np.nan_to_num(lines)
     seen = [*lights.values(), *(np.stack([o, *far]) for o, far in sights.values())]
-    across, up = _side(np.concatenate(seen))
+    across, up = side_of(np.concatenate(seen))
     flat = [across, up]
     if medium is not None:
         corners = medium.to_world(np.array(list(product(*np.asarray(medium.box).T))))
@@ -395,7 +395,7 @@ def _devices(
         _hull(axes, np.stack([origin, *far])[:, flat], facecolor=(colour("camera"), 0.3))
         _name(axes, name, origin[flat], colour("camera"), "o")
     axes.autoscale_view()
-    _from_side(axes, across, up)
+    from_side(axes, across, up)
     axes.margins(0.12)
     return across, up
 
@@ -483,7 +483,7 @@ def _hull(axes: Axes, points: Array, **style: Any) -> None:
     axes.fill(*_hull_of(points).T, **style)
 
 
-def _side(points: Array) -> tuple[int, int]:
+def side_of(points: Array) -> tuple[int, int]:
     """The two of the axes x, y, z along which points extend farthest, z upwards if it is one."""
     known = points[np.isfinite(points).all(axis=1)] if len(points) else np.zeros((1, 3))
     extent = np.ptp(known, axis=0) if len(known) else np.zeros(3)
@@ -491,7 +491,8 @@ def _side(points: Array) -> tuple[int, int]:
     return across, up
 
 
-def _from_side(axes: Axes, across: int, up: int) -> None:
+def from_side(axes: Axes, across: int, up: int) -> None:
+    """The words of axes that show two of x, y, z, with one scale."""
     axes.set(xlabel=f"{'xyz'[across]} in mm", ylabel=f"{'xyz'[up]} in mm")
     axes.set_aspect("equal", adjustable="datalim")
 

@@ -122,6 +122,11 @@ class State(Displayed):
         return self.dots.pixel if self.dots else self.line.pixel
 
     @property
+    def brightness(self) -> Array:
+        """How bright the line is there, or the dots; (N,)."""
+        return self.dots.flux if self.dots else self.line.amplitude
+
+    @property
     def centres(self) -> int:
         """How many of them were found."""
         return int(np.isfinite(self.centres_px[:, 1]).sum())
