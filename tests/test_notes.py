@@ -20,8 +20,8 @@ FILM = ["-D", "width=256", "-D", "height=256", "-D", "spp=1"]
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder of one's own, and scenes of which something is to be noted."""
-    noted = vars(Scene)["notes"].fget
-    monkeypatch.setattr(Scene, "notes", property(lambda scene: (*noted(scene), NOTE)))
+    noted = vars(Scene)["loading_notes"].fget
+    monkeypatch.setattr(Scene, "loading_notes", property(lambda scene: (*noted(scene), NOTE)))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -11,6 +11,7 @@ import pytest
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.imaging.scene_file import find_scene
+from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import GriddedQuantity, write_quantity
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import triangulate
@@ -18,7 +19,7 @@ from virtual_sensor.metrology.truth import DotErrors, TrueLine, TruthStatus, com
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.reporting.measure import save
 from virtual_sensor.studies.measure import measure, probe_deviations, summary
-from virtual_sensor.studies.notes import beside_solid, centre_notes, coarse_grid
+from virtual_sensor.studies.notes import _closer_nodes, beside_solid, centre_notes, coarse_grid
 from virtual_sensor.studies.probes import PROBES, probe_rays
 from virtual_sensor.studies.reproduction.settings import NINE_RAYS_MM
 from virtual_sensor.studies.search import search
@@ -246,13 +247,38 @@ def test_a_field_whose_grid_is_too_coarse_is_noted(tmp_path):
         u, v = ray_search(each, np.linspace(-10.5, 10.5, 401), "newton").pixel.T
         rows.append(np.interp(np.linspace(600.0, 1400.0, 81), u, v))
     lost_px = np.abs(rows[1] - rows[0]).max()
-    said = re.search(r"air.nc: .*loses about ([\d.]+) px of the .* some ([\d.]+) um", note)
+    said = re.search(r"air.nc: .*loses about ([\d.]+) px of the .* \(([\d.]+) um\)", note)
     said_px, said_um = map(float, said.groups())
     assert 0.5 < said_px / lost_px < 2.0
     assert said_um == pytest.approx(said_px * 22.0 / np.sin(np.radians(60.0)), rel=0.1)
-    moved_px = float(re.search(r"moves the line by ([\d.]+) px", note)[1])
+    moved_px = float(re.search(r"air moves it by ([\d.]+) px", note)[1])
     assert caveat == (said_px > 0.1 * moved_px)
+    assert note.endswith(
+        "make it with closer nodes (field simulate --grid, field import --spacing)"
+    )
     assert coarse_grid(fine) == {}
+
+
+def test_closer_nodes_of_a_simulation_are_made_by_the_command_that_is_told(tmp_path, monkeypatch):
+    """Rationale: without the case's name the flow is solved again, for minutes."""
+    monkeypatch.chdir(tmp_path)
+    history = (
+        "2026-01-01T00:00:00+00:00 virtual-sensor field simulate --scene 'my a' -o b.nc --quick"
+    )
+    said = {"history": history, "parameters": '{"cell_mm": 3.1}'}
+    air = GriddedQuantity(
+        "temperature", np.full((4, 4, 4), 300.0), [0.0] * 3, [1.05, 1.5, 2.1], attributes=said
+    )
+    write_quantity(tmp_path / "b.nc", air)
+    field = IndexField.read("b.nc")
+    assert "`" not in _closer_nodes(tmp_path / "b.nc", field)  # its case is gone
+    (tmp_path / "b.case").mkdir()
+    told = _closer_nodes(tmp_path / "b.nc", field)
+    assert "its cells, 3.1 mm, are coarser" in told
+    assert told.split("`")[1] == (
+        "virtual-sensor field simulate --scene 'my a' --quick --grid 0.7,1,1.4 --case b.case -o"
+        " finer.nc"
+    )
 
 
 def test_a_line_beside_the_solid_of_its_field_is_told():

@@ -96,3 +96,5 @@ def test_the_longest_gap_is_between_points_or_at_an_end():
     assert longest_gap(line[::-1], line[line > 2.05]) == pytest.approx((-10.0, 2.1))
     assert longest_gap(line, np.full(3, np.nan)) == (-10.0, 10.0)
     assert np.isnan(longest_gap(np.full(3, np.nan), line)).all()
+    bored = np.where(abs(line) < 5.0, np.nan, line)  # where there is no line none can be measured
+    assert longest_gap(bored, line[line < -6.0]) == (5.0, 10.0)

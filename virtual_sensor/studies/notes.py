@@ -1,5 +1,9 @@
 """What a reader of a study's figures should know: parts left out, and what is too coarse."""
 
+import json
+import shlex
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,6 +12,7 @@ from virtual_sensor.imaging.render import RenderReport
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.netcdf import read_field_file
+from virtual_sensor.medium.netcdf_elements import open_netcdf
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import (
@@ -28,11 +33,9 @@ BESIDE_MM = 1.0
 """Of a line from the solid of its field: a fifth of the layer of hot air on a hot part."""
 
 _MANY = 0.1  # of what is expected: that so much is missing or wrong is a caveat
+_CLOSER = 2.0 / 3.0  # of the nodes' distance: half a minute's work
 _HARDLY = 0.25  # of the centres: that no more are compared is one
 _FINER = "; a finer film (width, height) or a wider line (line_radius) has more"
-
-WRONG = f"off by over {WRONG_PX:g} px or {WRONG_SIGMAS:g} sigmas"
-"""What makes a centre that is ok a wrong one (see `truth.LineErrors.wrong`)."""
 
 
 def unlit_rays(laser: LaserLine, y_mm: Array) -> list[str]:
@@ -104,13 +107,52 @@ def coarse_grid(scene: Scene) -> dict[str, bool]:
     beside = hot + np.array([0.0, loss.present])
     error_um = 1e3 * furthest(triangulate(scene.sensor, beside) - triangulate(scene.sensor, hot))
     moved_px = furthest(places(None))
+    lost_px, lost_um, air_px = map(_two_digits, (loss.present, error_um, moved_px))
     note = (
-        f"{name}: its grid is not fine enough for {FINE_PX:g} px: between its nodes it loses about"
-        f" {loss.present:.2g} px of the line's place, some {error_um:.2g} um of the part, where the"
-        f" air moves the line by {moved_px:.2g} px across itself; make it with closer nodes (field"
-        " simulate --grid, field import --spacing); `field info` shows along which axis"
+        f"{name}: its grid is not fine enough: it loses about {lost_px} px of the line's place"
+        f" ({lost_um} um), where the air moves it by {air_px} px across itself;"
+        f" {_closer_nodes(file, field)}"
     )
     return {note: loss.present > max(COARSE_PX, _MANY * moved_px)}
+
+
+def _two_digits(number: float) -> str:
+    return np.format_float_positional(number, 2, fractional=False, trim="-")
+
+
+def _closer_nodes(file: Path | None, field: IndexField) -> str:
+    """How to make a field with a finer grid: a command, if its simulation lies beside it."""
+    remedy = "make it with closer nodes (field simulate --grid, field import --spacing)"
+    if file is None or not (case := file.with_suffix(".case")).is_dir():
+        return remedy
+    attributes = open_netcdf(file).attributes
+    try:
+        command = shlex.split(f"{attributes['history']}")[1:]  # behind the date
+        cell_mm = float(json.loads(f"{attributes['parameters']}")["cell_mm"])
+    except (ValueError, TypeError, KeyError):
+        return remedy
+    if command[:3] != ["virtual-sensor", "field", "simulate"]:
+        return remedy
+    here = Path.cwd()
+    case = case.relative_to(here) if case.is_relative_to(here) else case
+    grid = ",".join(map(_two_digits, _CLOSER * field.spacing))
+    again = [*_without(command, "-o", "--output", "--grid", "--case"), "--grid", grid]
+    again += ["--case", f"{case}", "-o", f"{case.with_name('finer.nc')}"]
+    wider = bool(cell_mm > field.spacing.max())
+    return f"closer nodes, without solving the flow again: `{shlex.join(again)}`" + (
+        f"; they don't help where its cells, {cell_mm:g} mm, are coarser (--cell)" * wider
+    )
+
+
+def _without(command: list[str], *options: str) -> list[str]:
+    """A command's words without some options and their values."""
+    kept, words = [], iter(command)
+    for word in words:
+        if word in options:
+            next(words, None)
+        elif word.partition("=")[0] not in (*options, "--overwrite"):
+            kept.append(word)
+    return kept
 
 
 def _tangents(pixel: Array) -> Array:
@@ -204,9 +246,14 @@ def centre_notes(
             compared.count < _HARDLY * centres
         )
     if wrong := int(by_frame.wrong().sum()):
+        far, are = (
+            f"{WRONG_PX:g} px or " * bool(by_frame.largest_px > WRONG_PX),
+            "are" if wrong > 1 else "is",
+        )
         notes[
-            f"{wrong} of {by_frame.count} centres that are ok and whose truth is known are"
-            f" {WRONG}, at most by {by_frame.largest_px:.2g} px"
+            f"{wrong} of {by_frame.count} ok centres {are} off the frame's"
+            f" truth by more than {far}{WRONG_SIGMAS:g} of their sigmas, at most by"
+            f" {by_frame.largest_px:.2g} px"
         ] = wrong > _MANY * by_frame.count
     return notes
 

@@ -111,15 +111,18 @@ def true_section(scene: Scene) -> Section:
 def longest_gap(line_mm: Array, measured_mm: Array) -> tuple[float, float]:
     """Ends of the longest stretch of a line, through places on it, on which none is measured.
 
-    NaN where no place on the line is known.
+    The places are in their order along the line; NaN where there is no line: no stretch leads over
+    that. NaN where no place on the line is known.
     """
-    line, measured = (each[np.isfinite(each)] for each in (line_mm, measured_mm))
-    if not line.size:
-        return np.nan, np.nan
-    first, last = line.min(), line.max()
-    ends = np.sort(np.concatenate([measured.clip(first, last), [first, last]]))
-    at = int(np.diff(ends).argmax())
-    return float(ends[at]), float(ends[at + 1])
+    measured = measured_mm[np.isfinite(measured_mm)]
+    longest = np.nan, np.nan
+    for run in np.ma.clump_unmasked(np.ma.masked_invalid(line_mm)):
+        first, last = line_mm[run].min(), line_mm[run].max()
+        ends = np.sort(np.concatenate([measured.clip(first, last), [first, last]]))
+        at = int(np.diff(ends).argmax())
+        if not ends[at + 1] - ends[at] <= longest[1] - longest[0]:
+            longest = float(ends[at]), float(ends[at + 1])
+    return longest
 
 
 @dataclass(frozen=True)
