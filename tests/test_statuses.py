@@ -60,6 +60,7 @@ def test_numbers_become_members():
     assert Status.of([]).shape == (0,)
     assert Status.of(2) == Status.SATURATED
     assert Status.counts([]) == {}
+    assert repr(Status.counts([1, 0, 0])) == "{Status.OK: 2, Status.NO_PEAK: 1}"
     with pytest.raises(ValueError, match="99 is not a valid Status"):
         Status.of([99])
     for again in (copy.deepcopy(Status.CUT), pickle.loads(pickle.dumps(Status.CUT))):

@@ -110,7 +110,7 @@ class Displayed:
         Raises
         ------
         InputError
-            If pandas is not installed.
+            If pandas is not installed, or it has no table.
         """
         return _reporting("object_files").data_frame(self)
 

@@ -31,12 +31,17 @@ def few(names: Sequence[str], most: int) -> str:
     return f"{', '.join(names[:most])}{more}"
 
 
+def a(noun: str) -> str:
+    """A noun with its article: "a Frame", "an IndexField"."""
+    return f"{'an' if noun[:1].lower() in 'aeiou' else 'a'} {noun}"
+
+
 def short(value: Any) -> str:
     """How a value is written in a message, however long it is."""
     try:
         text = " ".join(repr(value).split())
     except ValueError:  # of an integer with too many digits
-        text = f"a {type(value).__name__}"
+        text = a(type(value).__name__)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 

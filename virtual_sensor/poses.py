@@ -47,7 +47,8 @@ class Pose(Displayed):
             object.__setattr__(self, name, numbers)
 
     def _line(self) -> str:
-        return listed(f"at {place(self.origin_mm)} mm", f"z axis {place(self.rotation[:, 2])}")
+        x, _, z = self.rotation.T
+        return listed(f"at {place(self.origin_mm)} mm", f"x axis {place(x)}", f"z axis {place(z)}")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Pose) and all(

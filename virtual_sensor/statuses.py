@@ -29,6 +29,9 @@ class StatusEnum(IntEnum):
         member.message = message
         return member
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}.{self.name}"
+
     @classmethod
     def of(cls, status: ArrayLike) -> NDArray[np.object_]:
         """The members of status numbers, in an array of the same shape."""

@@ -20,6 +20,7 @@ from virtual_sensor.metrology.calibration import calibration_of, read_calibratio
 from virtual_sensor.metrology.cylinder_fit import fit_cylinder
 from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
+from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.reporting.objects import drawing_of
 from virtual_sensor.studies.measure import SearchedRays
 from virtual_sensor.studies.search import SearchTable
@@ -70,6 +71,22 @@ def test_all_are_shown_drawn_and_described(made):
         axes = thing.plot(Figure().add_subplot())
         assert axes.lines or axes.collections or axes.images or axes.patches, name
         assert thing.to_dataframe().columns.is_unique, name
+
+
+def test_rays_are_drawn_from_where_they_started(made):
+    """Rationale: two rays of 200 mm, 5 mm apart, were shown as stubs of 2.6 mm."""
+    start = made["rays"].plot(Figure().add_subplot()).lines[0].get_xydata()[0]
+    assert start == pytest.approx([-5.0, 200.0], abs=1.0)
+
+
+def test_what_can_not_be_shown_is_told_with_its_article(made):
+    """Rationale: "a IndexField", and an empty table, without a word."""
+    with pytest.raises(InputError, match=r"\.xlsx: an IndexField is written as"):
+        made["field"].save("field.xlsx")
+    with pytest.raises(InputError, match="a SceneSurface has no table"):
+        SceneSurface(None).to_dataframe()
+    twenty, ninety = (vs.Pose.turn(angle, (0, 0, 1)) for angle in (20.0, 90.0))
+    assert repr(twenty) != repr(ninety)
 
 
 def test_a_line_of_one_pixel_is_seen_in_the_picture_of_a_large_image():

@@ -20,6 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from virtual_sensor.display import Displayed, brief
+from virtual_sensor.errors import a
 from virtual_sensor.records import unit_of
 from virtual_sensor.reporting.objects import drawing_of
 from virtual_sensor.reporting.style import style
@@ -137,7 +138,7 @@ def _picture(thing: Displayed) -> str:
         file = io.BytesIO()
         figure.savefig(file, format="png", transparent=True)
     coded = base64.b64encode(file.getvalue()).decode("ascii")
-    name = escape(f"picture of a {type(thing).__name__}")
+    name = escape(f"picture of {a(type(thing).__name__)}")
     return (
         f'<img alt="{name}" style="width:{_SHOWN_PX}px; max-width:100%; background:none"'
         f' src="data:image/png;base64,{coded}">'

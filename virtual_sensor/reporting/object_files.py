@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, names_of
-from virtual_sensor.errors import InputError, naming
+from virtual_sensor.errors import InputError, a, naming
 from virtual_sensor.files import path_of, written_whole
 from virtual_sensor.records import Table, plain, status_names, write_csv, write_json, write_ply
 
@@ -30,7 +30,7 @@ def data_frame(thing: Displayed) -> Any:
     Raises
     ------
     InputError
-        If pandas is not installed.
+        If pandas is not installed, or the object has no table.
     """
     try:
         import pandas
@@ -38,7 +38,12 @@ def data_frame(thing: Displayed) -> Any:
         raise InputError(
             'to_dataframe: pandas is missing; pip install "virtual-sensor[dataframe]"'
         ) from None
-    return pandas.DataFrame(columns_of(thing))
+    columns = columns_of(thing)
+    if not columns:
+        raise InputError(
+            f"to_dataframe: {a(type(thing).__name__)} has no table: it holds no numbers"
+        )
+    return pandas.DataFrame(columns)
 
 
 def save(thing: Displayed, path: str | Path) -> Path:
@@ -49,7 +54,7 @@ def save(thing: Displayed, path: str | Path) -> Path:
     if write is None:
         *others, last = sorted(writers)
         raise InputError(
-            f"{path}: a {type(thing).__name__} is written as {', '.join(others)} or {last}, as the"
+            f"{path}: {a(type(thing).__name__)} is written as {', '.join(others)} or {last}, as the"
             " file's suffix says"
         )
     write(path, thing)

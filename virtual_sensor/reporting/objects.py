@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from virtual_sensor.display import names_of
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, a
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
 from virtual_sensor.reporting.pictures import coarser
@@ -54,6 +54,7 @@ Draw = Callable[[Axes, Any], object]
 
 _U, _V = "u in px", "v in px"
 _DRAWINGS: dict[str, Draw] = {}
+_BESIDE_IN = 2.0  # of axes: their numbers, and a colour bar
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
 _MOST_TRIANGLES = 10_000
@@ -93,7 +94,7 @@ def plot(thing: object, axes: Axes | None = None) -> Axes:
     draw = drawing_of(thing)
     kind = type(thing).__name__
     if draw is None:
-        raise InputError(f"plot: a {kind} has no picture; to_dataframe() gives its numbers")
+        raise InputError(f"plot: {a(kind)} has no picture; to_dataframe() gives its numbers")
     if axes is None:
         from matplotlib import pyplot
 
@@ -102,10 +103,15 @@ def plot(thing: object, axes: Axes | None = None) -> Axes:
         with style():
             axes = figure.add_subplot()
             draw(axes, thing)
+        if axes.get_aspect() != "auto" and axes.get_adjustable() == "box":  # no blank beside it
+            (left, right), (low, high) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
+            wide, tall = figure.get_size_inches()
+            width = _BESIDE_IN + (tall - 1.0) * (right - left) / (high - low)
+            figure.set_size_inches(float(np.clip(width, 0.5 * wide, wide)), tall)
         return axes
     if not isinstance(axes, Axes):
         given = type(axes).__name__
-        raise InputError(f"plot: ax is a {given}; give an Axes of matplotlib, or none")
+        raise InputError(f"plot: ax is {a(given)}; give an Axes of matplotlib, or none")
     draw(axes, thing)
     return axes
 
@@ -269,13 +275,12 @@ def _lit_line(axes: Axes, line: Any) -> None:
 
 @draws("optics.trace.Rays")
 def _rays(axes: Axes, rays: Rays) -> None:
-    """Where rays ended, and whence they came."""
+    """Where rays ended, and the straight paths there in the direction in which they ended."""
     known = np.isfinite(rays.position).all(axis=1)
     step = max(1, int(known.sum()) // 500)
     end, direction = rays.position[known][::step], rays.direction[known][::step]
-    size = float(np.ptp(end, axis=0).max()) if len(end) else 0.0
-    size = size or 1.0  # of a single ray
-    start = end - 0.5 * size * direction
+    path = rays.optical_path_mm[known][::step, None]  # as long as they are, but for 3e-4
+    start = end - np.where(path > 0.0, path, 1.0) * direction
     across, up = side_of(np.concatenate([start, end]))
     both = np.stack([start, end])[..., [across, up]]
     axes.plot(both[..., 0], both[..., 1], color=BLUE, lw=0.8)
@@ -385,6 +390,8 @@ def _devices(
     if medium is not None:
         corners = medium.to_world(np.array(list(product(*np.asarray(medium.box).T))))
         _hull(axes, corners[:, flat], facecolor="none", edgecolor=GREY, ls=":", lw=1.0)
+        top = corners[corners[:, up] == corners[:, up].max()]
+        write_beside(axes, "air", tuple(top[:, flat].min(axis=0)), (4.0, -8.0), color=GREY)
     for outline in outlines:
         polygons = [_hull_of(each[:, flat]) for each in outline]
         axes.add_collection(PolyCollection(polygons, facecolor=GREY, edgecolor=GREY, lw=0.4))
@@ -601,7 +608,7 @@ def _table(axes: Axes, table: Table) -> None:
     (first, x), *others = columns.items()
     measured = [name for name, y in others if np.asarray(y).dtype.kind == "f"]
     if not measured:
-        raise InputError(f"plot: a {type(table).__name__} has no column of measured numbers")
+        raise InputError(f"plot: {a(type(table).__name__)} has no column of measured numbers")
     stem, _, axis = measured[0].rpartition("_")
     vector = [f"{stem}_{each}" for each in ("xyz" if axis in "xyz" else "uv")]
     names = [name for name in vector if name in columns] if axis in [*"xyzuv"] else measured[:1]
