@@ -131,6 +131,10 @@ def named_file(
     raise _not_found(f"{name}", kind, suffix, looked_in, installed, remedy)
 
 
+def _same_but_numbers(name: str, other: str) -> bool:
+    return re.sub(r"\d+", "0", name) == re.sub(r"\d+", "0", other)
+
+
 def _not_found(
     name: str, kind: str, suffix: str, looked_in: list[Path], installed: Sequence[Path], remedy: str
 ) -> InputError:
@@ -150,7 +154,8 @@ def _not_found(
     if there:
         said.append(f"{'there is' if len(there) == 1 else 'there are'} {few(there, _MOST_NAMES)}")
     said.append(f"installed {kind}s: {', '.join(shipped)}")
-    ends = [f"did you mean {known[near[0]]}?"] if near else []
+    misspelt = near and not _same_but_numbers(near[0], Path(name).name.removesuffix(suffix))
+    ends = [f"did you mean {known[near[0]]}?"] if misspelt else []
     return InputError("; ".join([*said, *([remedy] if remedy else []), *ends]))
 
 

@@ -70,7 +70,8 @@ def test_a_mistyped_name_is_answered_with_places_names_and_the_nearest(here):
     """In a line: where it was looked for, what there is, and what may be meant."""
     shutil.copy(SHIPPED, here / "bracket_air.nc")
     for asked, words in {
-        "hot_cylinder_1050C_quarter": ("1100C_quarter, hot_cylinder_1250C", "did you mean hot_"),
+        "hot_cylinder_1050C_quarter": ("with a field: 900, 1100, 1250; virtual-sensor",),
+        "hot_cilinder_900C_quarter": ("1100C_quarter, hot_cylinder_1250C", "did you mean hot_"),
         "braket_air.nc": (f"looked in {here};", "there is bracket_air.nc", "did you mean bracket_"),
         "air/x.nc": (f"looked in {here}/air (no folder)", "simulate makes one"),
     }.items():

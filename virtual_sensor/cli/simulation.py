@@ -1,5 +1,6 @@
 """The commands `virtual-sensor field simulate` and `field convergence`, which need OpenFOAM."""
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -113,6 +114,7 @@ def simulate(
     Stopped by Ctrl-C or killed, the same command goes on where it was.
     """
     from virtual_sensor.reporting.new_fields import simulated, written
+    from virtual_sensor.studies.notes import without_options
     from virtual_sensor.studies.scene_air import scene_air
     from virtual_sensor.studies.simulate import simulate as run
 
@@ -144,7 +146,8 @@ def simulate(
             history=shared.command_line(),
             report=report,
         )
-    shared.print_results([f"  {line}" for line in simulated(result)], result.notes)
+    own = without_options(["virtual-sensor", *sys.argv[1:]], "-o", "--output", "--case", "--cell")
+    shared.print_results([f"  {line}" for line in simulated(result, own)], result.notes)
     measured = None
     if scene:
         there = {} if field == air.field else {"field": f"{field}"}

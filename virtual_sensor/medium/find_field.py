@@ -1,5 +1,6 @@
 """A field's file by its path, or by the name of one that comes with the program."""
 
+import re
 from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
@@ -38,9 +39,19 @@ def find_field(name: str | Path, folders: Iterable[Path] = (Path(),)) -> Path:
         ".nc",
         places,
         [installed, installed / FIELDS],
-        "virtual-sensor field simulate makes one of another part or temperature, and field import"
-        " one of another solver's results",
+        f"{_temperatures(name)}virtual-sensor field simulate makes one of another part or"
+        " temperature, and field import one of another solver's results",
     )
+
+
+def _temperatures(name: str | Path) -> str:
+    """Of a heated cylinder: the temperatures of which there is a field; else ""."""
+    cylinders = re.compile(r"hot_cylinder_(\d+)C")
+    if not cylinders.match(Path(f"{name}").name):
+        return ""
+    stems = [file.stem for file in (_installed() / FIELDS).glob("*.nc")]
+    known = sorted(int(found[1]) for stem in stems if (found := cylinders.match(stem)))
+    return f"temperatures with a field: {', '.join(map(str, known))}; "
 
 
 def is_installed(path: Path) -> bool:

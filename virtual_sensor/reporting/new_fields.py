@@ -16,11 +16,17 @@ if TYPE_CHECKING:
     from virtual_sensor.studies.simulate import Simulation
 
 
-def simulated(result: Simulation) -> list[str]:
-    """When it ended, and how sound it is: heat balance, Nusselt number, wall layer."""
+def simulated(result: Simulation, command: list[str] | None = None) -> list[str]:
+    """When it ended, and how sound it is: heat balance, Nusselt number, wall layer.
+
+    `command` is the one that simulated it, its output left out: that of a second look is made of
+    it.
+    """
     end = f"ended at {result.end.time_s:g} s of flow"
     if np.isfinite(result.drift_px_per_s):
         end += f", when the probe rays moved by {result.drift_px_per_s:.2g} px per s of flow"
+    if result.quick:
+        end += ": --quick ends there, steady or not"
     balance = result.balance
     lines = [
         end,
@@ -31,10 +37,10 @@ def simulated(result: Simulation) -> list[str]:
         lines.append(f"mean Nusselt number {result.nusselt:.3g}, by air of film temperature")
     lines.append(f"cells of {result.cell_mm:g} mm, {result.wall_layer_cells} in the wall layer")
     if result.quick:
-        lines.append(
-            "a first look: what it does to light is right to a factor of two or three; --cell"
-            f" {result.cell_mm / 1.5:.2g} shows how much still changes"
-        )
+        words = [*(command or []), "--cell", f"{result.cell_mm / 1.5:.2g}", "-o", "finer.nc"]
+        lines.append("a first look: what it does to light is right to a factor of two or three")
+        if command:
+            lines.append(f"`{shlex.join(words)}` shows how much still changes")
     return lines
 
 

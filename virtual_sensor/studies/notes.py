@@ -136,7 +136,7 @@ def _closer_nodes(file: Path | None, field: IndexField) -> str:
     here = Path.cwd()
     case = case.relative_to(here) if case.is_relative_to(here) else case
     grid = ",".join(map(_two_digits, _CLOSER * field.spacing))
-    again = [*_without(command, "-o", "--output", "--grid", "--case"), "--grid", grid]
+    again = [*without_options(command, "-o", "--output", "--grid", "--case"), "--grid", grid]
     again += ["--case", f"{case}", "-o", f"{case.with_name('finer.nc')}"]
     wider = bool(cell_mm > field.spacing.max())
     return f"closer nodes, without solving the flow again: `{shlex.join(again)}`" + (
@@ -144,7 +144,7 @@ def _closer_nodes(file: Path | None, field: IndexField) -> str:
     )
 
 
-def _without(command: list[str], *options: str) -> list[str]:
+def without_options(command: list[str], *options: str) -> list[str]:
     """A command's words without some options and their values."""
     kept, words = [], iter(command)
     for word in words:

@@ -210,7 +210,7 @@ def simulate(
         report=solving,
         stop=(lambda time_s: False) if moving else steadiness,
     )
-    report("sampling the field", 0.95)
+    report("writing the field", 0.95)
     times = [s.time_s for s in saved.times(case)]
     if not moving:
         steadiness.look_back(times)
