@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 import tifffile
 import trimesh
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
 
 import virtual_sensor as vs
 from virtual_sensor.display import LONGEST_LINE
@@ -21,7 +23,7 @@ from virtual_sensor.metrology.cylinder_fit import fit_cylinder
 from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.optics.surfaces import SceneSurface
-from virtual_sensor.reporting.objects import drawing_of
+from virtual_sensor.reporting.objects import _silhouette, drawing_of
 from virtual_sensor.studies.measure import SearchedRays
 from virtual_sensor.studies.search import SearchTable
 
@@ -218,3 +220,24 @@ def test_of_a_part_its_faces_are_drawn_that_look_at_the_viewer():
     ends = [np.concatenate([path.vertices for path in c.get_paths()]) for c in (drawn, alone)]
     np.testing.assert_allclose(ends[0].max(axis=0), ends[1].max(axis=0))
     np.testing.assert_allclose(ends[0].min(axis=0), ends[1].min(axis=0))
+
+
+def test_a_fine_mesh_is_drawn_whole_with_its_bore():
+    """Rationale: of 309,440 triangles some were left out, and a plate looked like a comb."""
+    x, y = np.meshgrid(np.arange(100.0), np.arange(60.0), indexing="ij")
+    low = np.stack([x, y], -1)[:-1, :-1].reshape(-1, 1, 2)
+    halves = [[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]
+    triangles = np.concatenate([low + np.array(half) for half in halves])
+    bored = triangles[np.linalg.norm(triangles.mean(axis=1) - [50.0, 30.0], axis=1) > 10.0]
+    axes = Figure(dpi=100).add_subplot()
+    canvas = FigureCanvasAgg(axes.figure)
+    axes.add_patch(PathPatch(_silhouette(bored), fc="k", ec="k"))
+    axes.set(xlim=(0, 99), ylim=(0, 59))
+    axes.set_position((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.figure.set_size_inches(0.99, 0.59)
+    canvas.draw()
+    black = np.asarray(canvas.buffer_rgba())[..., 0] < 128
+    away = np.hypot(*(np.indices(black.shape) - np.array([[[29.0]], [[49.5]]])))
+    assert black[away > 13.0].all()
+    assert not black[away < 7.0].any()

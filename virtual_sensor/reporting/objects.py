@@ -16,6 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
 from virtual_sensor.display import names_of
@@ -58,6 +60,7 @@ _BESIDE_IN = 2.0  # of axes: their numbers, and a colour bar
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
 _MOST_TRIANGLES = 10_000
+_SILHOUETTE_PX = 300  # of a fine mesh, along its longer side
 _EDGE_ON = 0.95  # of a plane's normal that lies in the picture
 _MARGIN_PX = 20  # about what is lit
 _TURN = np.linspace(0.0, 2.0 * np.pi, 60)
@@ -363,7 +366,7 @@ def _devices(
     cameras: Mapping[str, Pinhole],
     families: Mapping[str, RayFamily] | None = None,
     sources: Mapping[str, Any] | None = None,
-    outlines: Sequence[Sequence[Array]] = (),
+    outlines: Sequence[Sequence[Array] | Array] = (),
     medium: Any = None,
     towards: Array | None = None,
 ) -> tuple[int, int]:
@@ -393,6 +396,10 @@ def _devices(
         top = corners[corners[:, up] == corners[:, up].max()]
         write_beside(axes, "air", tuple(top[:, flat].min(axis=0)), (4.0, -8.0), color=GREY)
     for outline in outlines:
+        if len(outline) > _MOST_TRIANGLES:
+            shadow = _silhouette(np.asarray(outline)[..., flat])
+            axes.add_patch(PathPatch(shadow, color=GREY, lw=0.4))
+            continue
         polygons = [_hull_of(each[:, flat]) for each in outline]
         axes.add_collection(PolyCollection(polygons, facecolor=GREY, edgecolor=GREY, lw=0.4))
     for name, corners in lights.items():
@@ -420,7 +427,26 @@ def _name(axes: Axes, name: str, at: Array, paint: str, marker: str) -> None:
     write_beside(axes, drawable(name), tuple(at), (0.0, 10.0))
 
 
-def _outline(shape: Any) -> list[Array]:
+def _silhouette(triangles: Array) -> Outline:
+    """The outline of triangles (N, 3, 2), holes and all, within a three hundredth of its size.
+
+    They are painted on pixels, where most of a fine mesh are as one another.
+    """
+    low = triangles.min(axis=(0, 1))
+    pixel = max(float(np.ptp(triangles, axis=(0, 1)).max()) / _SILHOUETTE_PX, 1e-9)
+    places = np.rint((triangles - low) / pixel).astype(np.int64)
+    corners = np.sort(places[..., 0] * (_SILHOUETTE_PX + 1) + places[..., 1], axis=1)
+    base = (_SILHOUETTE_PX + 1) ** 2
+    once = np.unique(corners @ [base**2, base, 1], return_index=True)[1]
+    mask = np.zeros((_SILHOUETTE_PX + 1,) * 2, np.uint8)
+    for triangle in places[once].astype(np.int32):
+        cv2.fillConvexPoly(mask, triangle, 1)
+    found, _ = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    closed = [np.append(each, each[:1], axis=0)[:, 0] * pixel + low for each in found]
+    return Outline.make_compound_path(*(Outline(each, closed=True) for each in closed))
+
+
+def _outline(shape: Any) -> Sequence[Array] | Array:
     """Convex pieces (N, 3) of a shape of Mitsuba's, world, mm: its triangles, or one hull."""
     from virtual_sensor.engine import mi
 
@@ -428,7 +454,8 @@ def _outline(shape: Any) -> list[Array]:
     if shape.is_mesh():
         vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
         faces = np.array(held["faces"]).reshape(-1, 3)
-        return list(vertices[faces[:: -(-len(faces) // _MOST_TRIANGLES)]])
+        found: Array = vertices[faces]
+        return found
     box = shape.bbox()
     low, high = np.array(box.min, float), np.array(box.max, float)
     if (local := _ROUND_SHAPES.get(shape.class_name())) is None:
