@@ -108,14 +108,14 @@ def test_a_measurement_that_is_worth_little_says_so_beside_the_result(measured):
     assert good.caveats == ()
     assert reporting.findings(good) == reporting.headline(good)
     poor = replace(good, caveats=("hot: few",), notes=("hot: few", "cold: another"))
-    told = f"{reporting.headline(good)}. These figures are worth little: hot: few"
+    told = f"{reporting.headline(good)}. What limits these figures: hot: few"
     assert reporting.findings(poor) == told
     page = reporting.page(result, poor, {}, "virtual-sensor measure")
     assert page.lead.startswith("In hot air the measured section")
     assert (page.caveats, page.notes) == (("hot: few",), ("cold: another",))
     box = re.search(r'<ul class="notes">.*?</ul>', page_html(page))[0]
     assert box.startswith(
-        '<ul class="notes"><li><strong>These figures are worth little:</strong><ul><li>hot: few'
+        '<ul class="notes"><li><strong>What limits these figures:</strong><ul><li>hot: few'
     )
     many = replace(good, caveats=(f"my_air.nc: {'long ' * 90}; remedy",) * 3)
     drawn, _ = reporting.picture(result, many)

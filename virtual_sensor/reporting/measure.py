@@ -25,7 +25,7 @@ from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import PAGE, WORTH_LITTLE, Details, Page, Section
+from virtual_sensor.reporting.page import LIMITS, PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture, key_above
 from virtual_sensor.reporting.style import ALONG, LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
@@ -373,11 +373,11 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
 
 
 def findings(figures: Summary) -> str:
-    """How wrong the measured section is, and in short why that figure is worth little."""
+    """How wrong the measured section is, and in short what limits that figure."""
     short = [caveat.split(";")[0] for caveat in figures.caveats]  # without the remedy
     short = [shorten(words, _CLAUSE, placeholder=" ...") for words in short]
-    little = f". {WORTH_LITTLE}: {'; '.join(short)}" if short else ""
-    return headline(figures) + little
+    limits = f". {LIMITS}: {'; '.join(short)}" if short else ""
+    return headline(figures) + limits
 
 
 def headline(figures: Summary) -> str:

@@ -38,7 +38,10 @@ def simulated(result: Simulation, command: list[str] | None = None) -> list[str]
     lines.append(f"cells of {result.cell_mm:g} mm, {result.wall_layer_cells} in the wall layer")
     if result.quick:
         words = [*(command or []), "--cell", f"{result.cell_mm / 1.5:.2g}", "-o", "finer.nc"]
-        lines.append("a first look: what it does to light is right to a factor of two or three")
+        lines.append(
+            "a first look: what it does to light is right to some tenths, and wrong where bent"
+            " paths cancel"
+        )
         if command:
             lines.append(f"`{shlex.join(words)}` shows how much still changes")
     return lines

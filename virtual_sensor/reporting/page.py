@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 PAGE = "report.html"
 """Name of the page of a folder of results."""
 
-WORTH_LITTLE = "These figures are worth little"
+LIMITS = "What limits these figures"
 """What stands before their caveats."""
 
 
@@ -104,7 +104,7 @@ class Page:
         What the reader should know besides; shown below the lead. What stands between backticks is
         code.
     caveats : tuple of str
-        Why the figures are worth little; shown before the notes, and marked so.
+        What limits the figures; shown before the notes, and marked so.
     """
 
     title: str
@@ -166,7 +166,7 @@ def _environment() -> Environment:
         "prose": _prose,
         "base64": lambda data: base64.b64encode(data).decode("ascii"),
     }
-    environment.globals["WORTH_LITTLE"] = WORTH_LITTLE
+    environment.globals["LIMITS"] = LIMITS
     return environment
 
 

@@ -58,7 +58,7 @@ class HeatFlow(Displayed):
         Width of a mesh cell across the plume, mm; all others scale with it.
     quick : bool
         A first look at the air in a minute or two: wide cells, long steps, little flow time. What
-        it does to light is right in kind, and to a factor of two or three.
+        it does to light is right to some tenths, and wrong where bent paths cancel.
     time_step_s : float or None
         Longest time step, s; None is one that suits parts hotter than the air by hundreds of K.
         Slower flows take longer ones.
