@@ -29,7 +29,7 @@ def test_a_simulation_says_when_it_ended_and_how_sound_it_is(known):
     assert f"cells of 0.8 mm, {figures[1]} in the wall layer" in said
     if not known:
         assert "a first look" in said[-2]
-        again = "virtual-sensor field simulate --scene 'my a' --quick --cell 0.53 -o finer.nc"
+        again = "virtual-sensor field simulate --scene 'my a' --quick --cell 0.53 -o finer_cells.nc"
         assert said[-1] == f"`{again}` shows how much still changes"
 
 

@@ -274,10 +274,15 @@ def test_closer_nodes_of_a_simulation_are_made_by_the_command_that_is_told(tmp_p
     assert "`" not in _closer_nodes(tmp_path / "b.nc", field)  # its case is gone
     (tmp_path / "b.case").mkdir()
     told = _closer_nodes(tmp_path / "b.nc", field)
-    assert "its cells, 3.1 mm, are coarser" in told
+    assert "the flow's cells, 3.1 mm, are wider" in told
     assert told.split("`")[1] == (
+        "virtual-sensor field simulate --scene 'my a' --quick --cell 2.1 -o finer_cells.nc"
+    )
+    air = replace(air, attributes=said | {"parameters": '{"cell_mm": 2}'})
+    write_quantity(tmp_path / "b.nc", air)
+    assert _closer_nodes(tmp_path / "b.nc", field).split("`")[1] == (
         "virtual-sensor field simulate --scene 'my a' --quick --grid 0.7,1,1.4 --case b.case -o"
-        " finer.nc"
+        " closer_nodes.nc"
     )
 
 

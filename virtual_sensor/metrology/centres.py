@@ -21,7 +21,8 @@ class Status(StatusEnum):
     OK = 0, "The centre was found."
     NO_PEAK = (
         1,
-        "No line stands out of the noise: if there is one, expose longer or lower min_amplitude.",
+        "No line stands out of the noise: expose longer, lower min_amplitude, or turn the sensor "
+        "if the surface reflects the laser past the camera.",
     )
     SATURATED = (
         2,

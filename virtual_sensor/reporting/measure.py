@@ -149,7 +149,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             "dense_search.csv": dense_table(result),
             CALIBRATION: calibration_text(sensor, CALIBRATION),
             "report.png": whole,
-            "table.md": _table_page(result, figures),
+            "table.md": _table_page(result, figures, command),
             PAGE: page(result, figures, panels, command),
             RESULTS_SIGN: figures,
         }
@@ -181,11 +181,11 @@ def _cell(value: Any, shape: str) -> str:
     return micrometres(value) if shape == _UM else in_words(value, shape)
 
 
-def _table_page(result: Measurement, figures: Summary) -> str:
+def _table_page(result: Measurement, figures: Summary, command: str) -> str:
     made = figures.made_with
     return (
-        f"{table(result, figures).markdown()}\nMade by `virtual-sensor measure"
-        f" {result.scene.path.stem}` in {figures.time_s:.0f} s, with"
+        f"{table(result, figures).markdown()}\nMade by `{command}` in"
+        f" {figures.time_s:.0f} s, with"
         f" {counted(made.threads, 'thread')} ({made.variant}); the frames' march: {made.march}.\n"
     )
 
@@ -276,7 +276,7 @@ def page(
     each = figures.states.items()
     sections += [
         Section(
-            "Check: renderer and ray search agree",
+            "Check: rendered line against ray search",
             "The line's centres in the rendered frames stand beside a search by rays, without any"
             " image: what separates them is the error of rendering and detecting.",
             _beside(panels, "check"),
@@ -419,7 +419,10 @@ def _number(value: float, digits: int = 3) -> str:
 def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:
     """A curve in the colour of a thing that has a name; lengths that are rounding are zero."""
     y = np.where(np.abs(y_um) < NIL_UM, 0.0, y_um)
-    return x, y, {"color": colour(name), "label": label} | style
+    known = np.concatenate([[False], np.isfinite(y), [False]])
+    alone = np.flatnonzero(known[1:-1] & ~known[:-2] & ~known[2:])  # no line goes through them
+    dots = {"marker": ".", "ms": 3, "markevery": alone.tolist()} if alone.size else {}
+    return x, y, {"color": colour(name), "label": label} | dots | style
 
 
 def _style(state: State, number: int = 0) -> dict[str, Any]:

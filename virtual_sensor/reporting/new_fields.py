@@ -37,7 +37,7 @@ def simulated(result: Simulation, command: list[str] | None = None) -> list[str]
         lines.append(f"mean Nusselt number {result.nusselt:.3g}, by air of film temperature")
     lines.append(f"cells of {result.cell_mm:g} mm, {result.wall_layer_cells} in the wall layer")
     if result.quick:
-        words = [*(command or []), "--cell", f"{result.cell_mm / 1.5:.2g}", "-o", "finer.nc"]
+        words = [*(command or []), "--cell", f"{result.cell_mm / 1.5:.2g}", "-o", "finer_cells.nc"]
         lines.append(
             "a first look: what it does to light is right to some tenths, and wrong where bent"
             " paths cancel"

@@ -87,11 +87,13 @@ def next_steps(written: WrittenScene, said: NewScene) -> list[str]:
     scene = _quoted(written.path.with_suffix(""))
     if said.temperature_c is None or written.parameters.get("field"):
         return [f"virtual-sensor measure {scene}"]
-    air = _quoted(written.path.with_name(f"{written.path.stem}_air.nc"))
+    stem = written.path.stem
+    air = _quoted(written.path.with_name(f"{stem}_air.nc"))
+    cold, hot = (_quoted(Path(f"{stem}_{state}")) for state in ("cold", "hot"))
     return [
-        f"virtual-sensor measure {scene}    # cold, as long as there is no air",
+        f"virtual-sensor measure {scene} -o {cold}    # as long as there is no air",
         f"virtual-sensor field simulate --scene {scene} --quick",
-        f"virtual-sensor measure {scene} -D field={air}",
+        f"virtual-sensor measure {scene} -D field={air} -o {hot}",
     ]
 
 

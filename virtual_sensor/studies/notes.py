@@ -121,7 +121,7 @@ def _two_digits(number: float) -> str:
 
 
 def _closer_nodes(file: Path | None, field: IndexField) -> str:
-    """How to make a field with a finer grid: a command, if its simulation lies beside it."""
+    """How to make a finer field: a command, if its simulation lies beside it."""
     remedy = "make it with closer nodes (field simulate --grid, field import --spacing)"
     if file is None or not (case := file.with_suffix(".case")).is_dir():
         return remedy
@@ -133,15 +133,19 @@ def _closer_nodes(file: Path | None, field: IndexField) -> str:
         return remedy
     if command[:3] != ["virtual-sensor", "field", "simulate"]:
         return remedy
+    kept = without_options(command, "-o", "--output", "--case", "--grid")
     here = Path.cwd()
-    case = case.relative_to(here) if case.is_relative_to(here) else case
-    grid = ",".join(map(_two_digits, _CLOSER * field.spacing))
-    again = [*without_options(command, "-o", "--output", "--grid", "--case"), "--grid", grid]
-    again += ["--case", f"{case}", "-o", f"{case.with_name('finer.nc')}"]
-    wider = bool(cell_mm > field.spacing.max())
-    return f"closer nodes, without solving the flow again: `{shlex.join(again)}`" + (
-        f"; they don't help where its cells, {cell_mm:g} mm, are coarser (--cell)" * wider
-    )
+    folder = file.parent.relative_to(here) if file.is_relative_to(here) else file.parent
+    if cell_mm > field.spacing.max():
+        finer = [*without_options(kept, "--cell"), "--cell", _two_digits(_CLOSER * cell_mm)]
+        finer += ["-o", f"{folder / 'finer_cells.nc'}"]
+        return (
+            f"closer nodes don't help, since the flow's cells, {cell_mm:g} mm, are wider; finer"
+            f" cells: `{shlex.join(finer)}`"
+        )
+    kept += ["--grid", ",".join(map(_two_digits, _CLOSER * field.spacing))]
+    kept += ["--case", f"{folder / case.name}", "-o", f"{folder / 'closer_nodes.nc'}"]
+    return f"closer nodes, without solving the flow again: `{shlex.join(kept)}`"
 
 
 def without_options(command: list[str], *options: str) -> list[str]:
@@ -180,8 +184,9 @@ def frame_notes(report: RenderReport) -> list[str]:
     notes = []
     if report.reason:
         notes.append(
-            f"the frame was {report.transport}: {report.reason}; {report.folded_pixels} pixels of"
-            " folded light are black"
+            f"the frame was {report.transport}: {report.reason}"
+            + f"; {report.folded_pixels} pixels of folded light are black"
+            * bool(report.folded_pixels)
         )
     if report.march_px > FINE_PX:
         notes.append(
