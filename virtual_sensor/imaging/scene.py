@@ -72,6 +72,7 @@ from virtual_sensor.imaging.scene_file import (
     read_scene_file,
     shipped_scenes,
     shortened,
+    with_names,
 )
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
@@ -274,7 +275,7 @@ class Scene(Displayed):
         if hint := wrong_scale(self.mitsuba, self.medium):
             of_field = [f"{self.air_name}: {hint}"]
         where = self._stage.where if self.air.path else self.path
-        return (*notes, *(f"{where}: {note}" for note in of_field))
+        return (*notes, *(with_names(f"{where}: {note}") for note in of_field))
 
     @property
     def air_name(self) -> str:

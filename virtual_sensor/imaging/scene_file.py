@@ -89,7 +89,7 @@ def shipped_scenes() -> Path:
 
 
 def with_names(text: str) -> str:
-    """A text for a terminal: scenes that come with the program by their names, not their paths."""
+    """A text for people: scenes that come with the program by their names, not their paths."""
     return re.sub(rf"{re.escape(f'{shipped_scenes()}')}[/\\\\](\w+)\.xml", r"\1", text)
 
 

@@ -13,6 +13,7 @@ from virtual_sensor.arrays import number_within, numbers_of, points_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import LineErrors
 from virtual_sensor.optics.crossing_status import CrossingStatus
@@ -51,7 +52,7 @@ class TriangulatedPoints(Displayed):
 @public
 def triangulate(
     sensor: Any,
-    pixel: ArrayLike,
+    pixel: ArrayLike | LineCentres,
     *,
     medium: Any = None,
     camera: str | None = None,
@@ -102,7 +103,7 @@ def triangulate(
 @public
 def triangulated_points(
     sensor: Any,
-    pixel: ArrayLike,
+    pixel: ArrayLike | LineCentres,
     *,
     medium: Any = None,
     camera: str | None = None,
@@ -131,7 +132,8 @@ def triangulated_points(
             medium = scene.with_medium(medium).medium
         sensor = scene.only(camera, source).sensor
     _check_size(pixel, sensor.camera.size, scene)
-    pixel = points_of("triangulate: pixel", getattr(pixel, "pixel", pixel), 2)
+    places: Any = pixel.pixel if hasattr(pixel, "pixel") else pixel
+    pixel = points_of("triangulate: pixel", places, 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
     shape, s = pixel.shape[:-1], numbers_of("triangulate: coordinate", coordinate)
