@@ -64,7 +64,7 @@ def five_lines(summary: dict[str, Any]) -> None:
     """Put the README's table of accuracy and speed together."""
     states = [summary["states"][name] for name in ("cold", "hot")]
     width, height = (summary["parameters"][name] for name in ("width", "height"))
-    rays = sum(states[0]["search_status"].values())
+    rays = sum(states[0]["search_status"].values()) + 2 * summary["probe_rays"]["rays"]
     lines = {
         "Measured minus true section, rms": [f"{s['section']['rms_um']:.3g} µm" for s in states],
         "Rendered line minus ray search, rms": [
