@@ -19,8 +19,7 @@ from virtual_sensor_plugins import glow, laser_line, refractive
 
 import virtual_sensor as vs
 from virtual_sensor import cli
-from virtual_sensor.imaging.scene import shipped_scenes
-from virtual_sensor.imaging.scene_file import parameter_words, read_scene_file
+from virtual_sensor.imaging.scene_file import parameter_words, read_scene_file, shipped_scenes
 from virtual_sensor.reporting.sweep import unit_of
 from virtual_sensor.statuses import StatusEnum
 from virtual_sensor.studies.sweep_table import SweptParameter

@@ -17,7 +17,7 @@ from artificial import line_image
 from command_line import command
 
 import virtual_sensor as vs
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.calibration import read_calibration
 from virtual_sensor.metrology.centres import Status
 

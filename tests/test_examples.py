@@ -15,7 +15,7 @@ import trimesh
 from scipy.integrate import quad
 
 import virtual_sensor as vs
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.studies.measure import measure
 
 ROOT = Path(__file__).parents[1]

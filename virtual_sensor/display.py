@@ -12,13 +12,12 @@ import importlib
 from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, ClassVar
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from virtual_sensor.errors import printable
-from virtual_sensor.statuses import StatusEnum
+
+if TYPE_CHECKING:  # NumPy takes a third of the time that `--help` does: functions load it
+    from numpy.typing import ArrayLike
 
 LONGEST_LINE = 200
 """No object's repr has more characters."""
@@ -35,7 +34,7 @@ class Displayed:
 
     _field_units: ClassVar[Mapping[str, str]] = {}
     """Of fields whose names don't end in their unit."""
-    _statuses: ClassVar[Mapping[str, type[StatusEnum]]] = {}
+    _statuses: ClassVar[Mapping[str, Any]] = {}
     """What the numbers of these fields stand for."""
     _by_row: ClassVar[bool] = False
     """Whether the arrays have a row for each of many things, so that they are a table's columns."""
@@ -122,6 +121,8 @@ def _reporting(module: str) -> Any:
 
 def equal(one: Any, other: Any) -> bool:
     """Whether two values are equal: arrays element by element, NaN equal to NaN."""
+    import numpy as np
+
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -135,11 +136,15 @@ def equal(one: Any, other: Any) -> bool:
 
 
 def _numeric(*values: Any) -> bool:
+    import numpy as np
+
     return all(isinstance(v, np.ndarray) and v.dtype.kind in "bufic" for v in values)
 
 
 def _hash(value: Any) -> int:
     """Equal for equal values, and quick: of an array only its shape."""
+    import numpy as np
+
     if isinstance(value, np.ndarray):
         return hash(value.shape)
     if isinstance(value, Mapping):
@@ -164,6 +169,8 @@ def names_of(thing: object) -> Iterator[str]:
 
 def brief(value: Any) -> str:
     """A value in a few characters: an array by its shape, a mapping by its keys."""
+    import numpy as np
+
     if isinstance(value, np.ndarray) and value.ndim:
         return f"({', '.join(map(str, value.shape))}{',' if value.ndim == 1 else ''})"
     if isinstance(value, IntEnum):
@@ -197,12 +204,16 @@ def _few(names: Mapping[Any, Any]) -> str:
 
 def tally(status: ArrayLike, good: IntEnum) -> str:
     """How many of them are good: "972 of 2048 ok"."""
+    import numpy as np
+
     status = np.asarray(status)
     return f"{np.sum(status == good)} of {status.size} {good.name.lower()}"
 
 
 def span(name: str, values: ArrayLike, unit: str = "") -> str:
     """From the least to the largest finite one: "rows 1021 to 1279"; "" where none is finite."""
+    import numpy as np
+
     values = np.asarray(values, float)
     finite = values[np.isfinite(values)]
     if not finite.size:
@@ -218,6 +229,8 @@ def _rounded(number: float) -> str:
 
 def place(vector: ArrayLike) -> str:
     """A point or a direction: "(0, -12.5, 400)"."""
+    import numpy as np
+
     return f"({', '.join(f'{x + 0.0:.5g}' for x in np.round(np.asarray(vector, float), 6))})"
 
 

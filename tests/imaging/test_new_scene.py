@@ -88,7 +88,7 @@ def test_measured_points_lie_on_the_part(tmp_path):
 
 
 def test_a_camera_sees_what_its_laser_lights(tmp_path):
-    """Whatever is told of lens, distance and film, what is chosen suits it."""
+    """What is chosen suits the lens, the distance and the film that are given."""
     part = tmp_path / "part.stl"
     bracket().export(part)
     for said in (

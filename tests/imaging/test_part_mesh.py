@@ -6,7 +6,8 @@ import trimesh
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.part_mesh import part_mesh
-from virtual_sensor.imaging.scene import load_scene, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import shipped_scenes
 
 INCH = '<scale value="25.4"/>'
 

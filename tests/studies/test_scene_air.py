@@ -8,7 +8,7 @@ import trimesh
 from command_line import command
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import shipped_scenes
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.heat_flow.mesh import cylinder_mesh
 from virtual_sensor.medium.heat_flow.quick import CELLS, quick_cell_mm, quick_time_s
 from virtual_sensor.medium.heat_flow.setup import HeatFlow

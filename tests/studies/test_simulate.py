@@ -12,7 +12,8 @@ import pytest
 import trimesh
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.scene import load_scene, shipped_scenes
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.heat_flow.openfoam import find_openfoam
 from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.setup import HeatFlow, Until

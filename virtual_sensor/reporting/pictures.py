@@ -272,7 +272,7 @@ def _title(title: str, width_px: int) -> Image8:
 
 
 def _lines(title: str, width_px: int) -> list[str]:
-    """A title in lines; backticks, which mark code elsewhere, are left out."""
+    """A title in lines, without the backticks that mark code in other texts."""
     return textwrap.wrap(title.replace("`", ""), max(round(width_px / _LETTER_PX), 20))
 
 

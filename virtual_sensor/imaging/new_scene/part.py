@@ -21,10 +21,8 @@ Array = NDArray[np.float64]
 
 _DIAMETER_MM, _LENGTH_MM = 27.0, 170.0
 _CORNERS = 720  # of a cylinder, as it is cut here
-_FAR_MM, _FAR = (
-    1000.0,
-    10.0,
-)  # from the origin, mm and sizes: float32 leaves a doubt of 0.1 um there
+_FAR_MM = 1000.0  # from the origin: float32 leaves a doubt of 0.1 um there
+_FAR = 10.0  # sizes of the part
 
 
 @dataclass(frozen=True)
