@@ -37,7 +37,7 @@ from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
 from virtual_sensor.medium.netcdf_elements import check_box
-from virtual_sensor.medium.quantities import AMBIENT_LIMITS, LIMITS
+from virtual_sensor.medium.quantities import AMBIENT_LIMITS, check_limits
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
 from virtual_sensor.poses import Movable, Pose
@@ -161,14 +161,11 @@ class IndexField(Movable):
                 f"{np.argwhere(missing)[0].tolist()}; give them one, or mark those that lie in the "
                 "solid (`solid`, 1 there and 0 in the air)"
             )
-        low, high, _ = LIMITS["refractivity"]
-        unfit = (nodes <= low) | (nodes >= high)
-        if unfit.any():
-            raise InputError(
-                f"refractivity is {nodes[unfit][0]:g} at node {np.argwhere(unfit)[0].tolist()},"
-                f" outside {low:g} to {high:g}; give n - 1, some 2.7e-4 of air, not n, and no"
-                " temperature (vs.air_refractivity makes n - 1 of it)"
-            )
+        remedy = (
+            "give n - 1, some 2.7e-4 of air, not n, and no temperature (vs.air_refractivity makes"
+            " n - 1 of it)"
+        )
+        check_limits("refractivity", nodes, "refractivity", remedy)
         even = tuple(bool(m) for m in mirror)
         if ambient is None:
             ambient = _ambient_of(nodes, even)

@@ -27,16 +27,21 @@ AMBIENT_LIMITS = {
 }
 
 
-def check_limits(kind: str, values: np.ndarray) -> None:
-    """Refuse values that can't be such a field's; NaN passes."""
+def check_limits(kind: str, values: np.ndarray, name: str = "", remedy: str = "") -> None:
+    """Refuse values that can't be such a field's; NaN passes.
+
+    `name` and `remedy` are for messages: by default those of a file's variable.
+    """
     low, high, unit = LIMITS[kind]
     wrong = (values <= low) | (values >= high)
     if wrong.any():
+        of_file = "check its units and packing"
+        if kind == "refractivity":
+            of_file += " (n - 1 is wanted, not n)"
+        name = name or f"variable '{kind}'"
         raise InputError(
-            f"variable '{kind}' is {values[wrong][0]:g}{unit} at node "
-            f"{np.argwhere(wrong)[0].tolist()}, outside {low:g} to {high:g}{unit}; "
-            "check its units and packing"
-            + (" (n - 1 is wanted, not n)" if kind == "refractivity" else "")
+            f"{name} is {values[wrong][0]:g}{unit} at node {np.argwhere(wrong)[0].tolist()},"
+            f" outside {low:g} to {high:g}{unit}; {remedy or of_file}"
         )
 
 
