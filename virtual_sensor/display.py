@@ -142,10 +142,11 @@ def _numeric(*values: Any) -> bool:
 
 
 def _hash(value: Any) -> int:
-    """Equal for equal values, and quick: of an array only its shape."""
-    import numpy as np
+    """Equal for equal values, and quick: of an array only its shape.
 
-    if isinstance(value, np.ndarray):
+    Nothing is imported: weak references to an object are dropped, by its hash, at shutdown too.
+    """
+    if type(value).__hash__ is None and hasattr(value, "shape"):  # an array
         return hash(value.shape)
     if isinstance(value, Mapping):
         return hash(frozenset(value))
