@@ -124,6 +124,19 @@ def objects_say_what_the_page_shows(names):
     plt.close(names["figure"])
 
 
+def the_air_is_corrected_for(names):
+    """The true air leaves nothing, and that of 1100 degC what the page's table says."""
+    page = (DOCS / "how_to" / "correct.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"1100 °C \| ([\d.]+) µm", page)
+    rms_um = []
+    for points_mm in (names["corrected"].point_mm, names["points_mm"]):
+        _, y, z = points_mm[np.abs(points_mm[:, 1]) <= 10.0].T
+        error_um = 1e3 * (np.hypot(y, z + 13.5) - 13.5)
+        rms_um.append(np.sqrt(np.mean(error_um**2)))
+    assert rms_um[0] < 0.05
+    np.testing.assert_allclose(rms_um[1], float(stated), rtol=0.05)
+
+
 def points_are_of_the_line(names):
     """Each centre is a point near the part, and the files are there."""
     ok = names["line"].status == Status.OK
@@ -135,6 +148,7 @@ def points_are_of_the_line(names):
 
 
 AFTER = {
+    "how_to/correct.md": the_air_is_corrected_for,
     "how_to/objects.md": objects_say_what_the_page_shows,
     "explanation/detectors.md": lines_are_where_they_are,
     "how_to/own_images.md": points_are_of_the_line,
