@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.optics.carried_rays import Motion, RayStarts
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily, Sheet
-from virtual_sensor.optics.sensitivity import Motion, RayStarts
 from virtual_sensor.optics.trace import to_numpy
 from virtual_sensor.poses import Pose
 

@@ -1,9 +1,8 @@
 """How the laser line's place in the image answers to the sensor's pose and to the air.
 
-Exact derivatives in forward mode: a march carries, beside its ray, how the ray would move if its
-start were shifted or turned along each of the world's axes, or if the field changed.  Any motion of
-camera and laser is a sum of these, so that two marches, one of the laser ray and one of the line of
-sight, give the derivatives by all parameters at once:
+Exact derivatives in forward mode: two marches that carry how their rays would move
+(`carried_rays`), one of the laser ray and one of the line of sight, give the derivatives by all
+parameters at once:
 
 - the laser ray's incidence point P moves by dP = w - T (N.w)/(N.T), with w the ray's derivative,
   T its tangent and N the surface's normal;
@@ -19,90 +18,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from virtual_sensor.arrays import by_rows, to_numpy, to_scalars, to_vectors
+from virtual_sensor.arrays import by_rows
 from virtual_sensor.display import Displayed, listed, tally
-from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, few
-from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
-from virtual_sensor.optics.family_frames import FamilyFrame
-from virtual_sensor.optics.ray_families import RayFamily
+from virtual_sensor.optics.carried_rays import (
+    CarriedRays,
+    Motion,
+    RayStarts,
+    carry,
+    parameters_of,
+)
+from virtual_sensor.optics.eikonal import LAST_PIECE_MM
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.optics.ray_status import RayStatus
-from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.rays import Field, March
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
 Array = NDArray[np.float64]
-
-_BODIES = {"camera": ("camera",), "laser": ("laser",), "sensor": ("camera", "laser")}
-
-
-@dataclass(frozen=True)
-class Motion(Displayed):
-    """Rate at which parts of the sensor, as one rigid body, move with a parameter.
-
-    Attributes
-    ----------
-    parts : tuple of str
-        "camera", "laser" or both.
-    shift_mm : ndarray of shape (3,)
-        Of the pivot, along the world's axes, per unit of the parameter.
-    turn_rad : ndarray of shape (3,)
-        About axes through the pivot, along the world's, per unit of the parameter.
-    pivot_mm : ndarray of shape (3,)
-        World.
-    """
-
-    parts: tuple[str, ...]
-    shift_mm: Array
-    turn_rad: Array
-    pivot_mm: Array
-
-
-@dataclass(frozen=True)
-class RayStarts(Displayed):
-    """Rays as they start, and how they change with their coordinates and with their device's pose.
-
-    Attributes
-    ----------
-    origin, direction : ndarray of shape (N, 3)
-        In mm, and unit vectors, world.
-    by_coordinate : tuple of two (ndarray of shape (N, 3), ndarray of shape (N, 3))
-        Derivatives of both by s and by t.
-    """
-
-    origin: Array
-    direction: Array
-    by_coordinate: tuple[tuple[Array, Array], tuple[Array, Array]]
-
-    @staticmethod
-    def of(family: RayFamily, s: ArrayLike, t: ArrayLike) -> "RayStarts":
-        """Rays of coordinates (N,)."""
-        s, t = np.broadcast_arrays(np.asarray(s, float), np.asarray(t, float))
-        frame = FamilyFrame.of(family, mi.Array3f64)
-        _, _, by = frame.rays(to_scalars(s), to_scalars(t))
-        by_s, by_t = ((to_numpy(shift), to_numpy(turn)) for shift, turn in by)
-        return RayStarts(*family.rays(s, t), (by_s, by_t))
-
-    def by_motion(self, motion: Motion) -> tuple[Array, Array]:
-        """Derivatives (N, 3) of origins and directions by a motion of their device."""
-        moved = motion.shift_mm + np.cross(motion.turn_rad, self.origin - motion.pivot_mm)
-        return moved, np.cross(motion.turn_rad, self.direction)
-
-
-def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, Motion]:
-    """The pose parameters by name.
-
-    ``camera_x``, ``camera_y``, ``camera_z`` are shifts along the world's axes in mm, and
-    ``camera_turn_x`` ... turns in degrees about axes through the pivot, along the world's, as
-    Mitsuba's <rotate> counts them; likewise ``laser_...`` and, for both together, ``sensor_...``.
-    """
-    named, none, pivot = {}, np.zeros(3), np.array(pivot_mm, float)
-    for body, parts in _BODIES.items():
-        for axis, unit in zip("xyz", np.eye(3), strict=True):
-            named[f"{body}_{axis}"] = Motion(parts, unit, none, pivot)
-            named[f"{body}_turn_{axis}"] = Motion(parts, none, np.radians(unit), pivot)
-    return named
 
 
 @dataclass(frozen=True)
@@ -189,22 +121,7 @@ def line_sensitivity(
     """
     scene = chosen(scene, camera, source)
     b = np.atleast_1d(np.asarray(laser_y_mm, float))
-    known = _known_parameters(scene, pivot_mm)
-    asked = [*known, "field_scale"] if parameters is None else list(parameters)
-    air = dict(variations or {})
-    unknown = [name for name in asked if name not in (*known, "field_scale", *air)]
-    if unknown:
-        names = ", ".join([*known, "field_scale", *air])
-        raise InputError(f"line_sensitivity: no parameter '{unknown[0]}'; there are: {names}")
-    taken = [name for name in air if name in (*known, "field_scale")]
-    if taken:
-        raise InputError(f"line_sensitivity: '{taken[0]}' has a meaning; choose another name")
-    asked = list(dict.fromkeys([*asked, *air]))
-    if air and scene.medium is None:
-        raise InputError("line_sensitivity: the scene has no field that could vary; give it one")
-    if "field_scale" in asked and scene.medium is not None:
-        air["field_scale"] = scene.medium
-
+    known, asked, air = parameters_of("line_sensitivity", scene, parameters, variations, pivot_mm)
     return by_rows(lambda b: _sensitivity(scene, b, asked, known, air, march), b)
 
 
@@ -218,15 +135,18 @@ def _sensitivity(
 ) -> Sensitivity:
     """The derivatives asked for, of laser rays at b (N,)."""
     found = ray_search(scene, b, "newton", march=march)
-    camera, laser = scene.camera, scene.source
-    lit = _carry(scene, "laser", RayStarts.of(laser.family, 0.0, b), air, march)
+    camera, laser, surface = scene.camera, scene.source, scene.surface
+    lit = carry(
+        scene.medium, "laser", RayStarts.of(laser.family, 0.0, b), air, march, surface=surface
+    )
     p, q = camera.of_pixels(np.nan_to_num(found.pixel))
-    seen = _carry(scene, "camera", RayStarts.of(camera, p, q), air, march)
+    sight = RayStarts.of(camera, p, q)
+    seen = carry(scene.medium, "camera", sight, air, march, surface=surface)
     by_pq = camera.pixel_slopes(p, q)
     normal = _normals(scene, lit)
     columns = np.stack([*seen.by_coordinate(), seen.tangent], axis=-1)  # of p, q and t
     inverse = np.full_like(columns, np.nan)
-    good = (found.status == SearchStatus.FOUND) & seen.hit & lit.hit
+    good = (found.status == SearchStatus.FOUND) & seen.arrived & lit.arrived
     lost = (found.status == SearchStatus.FOUND) & ~good
     inverse[good] = np.linalg.inv(columns[good])
 
@@ -273,117 +193,7 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
     return y
 
 
-def _known_parameters(scene: SearchScene, pivot_mm: ArrayLike) -> dict[str, Motion]:
-    """All pose parameters that the scene has."""
-    known = pose_parameters(pivot_mm)
-    part = scene.surface
-    if isinstance(part, Cylinder):
-        axis = (0.0, part.axis_y_mm, part.axis_z_mm)
-        known["beta"] = pose_parameters(axis)["sensor_turn_x"]
-    return known
-
-
-@dataclass(frozen=True)
-class _Carried:
-    """Rays where they meet the surface, and how they would move there, at the same t.
-
-    Attributes
-    ----------
-    part : str
-        What sends them: "camera" or "laser".
-    rays : RayStarts
-    point, tangent : ndarray of shape (N, 3)
-    by_start : ndarray of shape (N, 3, 6)
-        By shifts of the start along x, y, z and by additions to the direction along x, y, z.
-    by_air : dict from str to ndarray of shape (N, 3)
-        By the field's parameters.
-    hit : ndarray of shape (N,)
-    """
-
-    part: str
-    rays: RayStarts
-    point: Array
-    tangent: Array
-    by_start: Array
-    by_air: dict[str, Array]
-    hit: NDArray[np.bool_]
-
-    def by(self, name: str, known: Mapping[str, Motion]) -> Array:
-        """Derivatives (N, 3) of the points by a parameter: of the pose, or one of the field."""
-        motion = known.get(name)
-        if motion is None:
-            return self.by_air.get(name, np.zeros_like(self.point))
-        if self.part not in motion.parts:
-            return np.zeros_like(self.point)
-        return self._follow(*self.rays.by_motion(motion))
-
-    def by_coordinate(self) -> list[Array]:
-        """Derivatives (N, 3) of the points by the coordinates that name the rays."""
-        return [self._follow(*change) for change in self.rays.by_coordinate]
-
-    def _follow(self, shift: Array, turn: Array) -> Array:
-        """Derivatives of the points, given those of starts and unit directions."""
-        start = np.concatenate([shift, turn], axis=1)
-        return np.einsum("ijk,ik->ij", self.by_start, start)
-
-
-def _carry(
-    scene: SearchScene, part: str, rays: RayStarts, air: Mapping[str, Field], march: March
-) -> _Carried:
-    """March rays to the surface with all derivatives; one kernel for laser and camera."""
-    line = Straight.through(to_vectors(rays.origin), to_vectors(rays.direction), march)
-    none = dr.zeros(march.vector, len(rays.origin))
-    axes = [none + march.vector(*axis) for axis in np.eye(3).tolist()]
-    ray = bend(
-        scene.medium,
-        scene.surface,
-        line,
-        march,
-        tangents=(*((axis, none) for axis in axes), *((none, axis) for axis in axes)),
-        variations=tuple(air.values()),
-    )
-    dr.eval(ray)
-    carried = [to_numpy(w) for w in ray.offset[1:]]
-    by_start = np.stack(carried[:6], axis=-1)
-    if scene.medium is not None:
-        by_start += _at_the_border(scene.medium, rays, by_start)
-    return _Carried(
-        part,
-        rays,
-        to_numpy(ray.position(line)),
-        to_numpy(ray.tangent(line)),
-        by_start,
-        dict(zip(air, carried[6:], strict=True)),
-        np.array(ray.status) == RayStatus.HIT,
-    )
-
-
-def _at_the_border(field: Field, rays: RayStarts, by_start: Array) -> Array:
-    """What `by_start` (N, 3, 6) lacks: rays shifted at their start enter it later or earlier.
-
-    Where it has not quite faded at its border, they miss some of its pull, as if they were kicked
-    there.  The march itself knows nothing of it: it carries derivatives through smooth fields.
-    """
-    origin, direction = field.to_local(rays.origin), rays.direction @ field.axes()
-    steep = np.where(direction == 0.0, 1e-30, direction)
-    crossings = (field.box[:, None] - origin) / steep
-    near, far = crossings.min(axis=0), crossings.max(axis=0)
-    distance = near.max(axis=1, keepdims=True)
-    enters = (distance > 0.0) & (distance < far.min(axis=1, keepdims=True))
-    distance = np.where(enters, distance, 0.0)
-    sooner = np.where(enters & (near == distance), 1.0 / steep, 0.0)  # by which shift of the start
-    entry = np.clip(origin + distance * direction, *field.box)
-    delta, gradient = field.lookup("double").delta_and_gradient(to_vectors(entry))
-    n = 1.0 + np.array(delta)[:, None] / (1.0 + field.ambient)
-    pull = n * to_numpy(gradient) / (1.0 + field.ambient)
-    sooner, pull = sooner @ field.axes().T, pull @ field.axes().T
-    # A kick there is a turn at the start together with a shift back.
-    by_kick = by_start[:, :, 3:] - distance[:, :, None] * by_start[:, :, :3]
-    moves = (by_kick @ pull[:, :, None]) * sooner[:, None]
-    return np.concatenate([moves, moves * distance[:, :, None]], axis=2)
-
-
-def _normals(scene: SearchScene, rays: _Carried) -> Array:
+def _normals(scene: SearchScene, rays: CarriedRays) -> Array:
     """Normals (N, 3) of the surface where rays have met it, of any length and sign."""
     surface = scene.surface
     if isinstance(surface, Cylinder):
