@@ -66,6 +66,8 @@ Light through air
     trace                March rays through a field for a given length of arc.
     IndexField           Refractivity on a regular grid, in surroundings of uniform air.
     air_refractivity     Refractivity n - 1 of air: Ciddor's equation, continued above 100 degC.
+    AirModel             Air with free parameters: fields of a family, and what makes others of
+                         them.
     Pose                 Where a frame stands in the world: ``world = rotation @ local +
                          origin_mm``.
 
@@ -106,6 +108,7 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.speckle import Aperture as Aperture
     from virtual_sensor.imaging.speckle import speckled as speckled
     from virtual_sensor.medium.air import air_refractivity as air_refractivity
+    from virtual_sensor.medium.air_model import AirModel as AirModel
     from virtual_sensor.medium.index_field import IndexField as IndexField
     from virtual_sensor.metrology.calibration import Calibration as Calibration
     from virtual_sensor.metrology.calibration import read_calibration as read_calibration
@@ -130,6 +133,7 @@ if TYPE_CHECKING:
     from virtual_sensor.studies.lines_by_source import lines_by_source as lines_by_source
 
 _HOME = {
+    "AirModel": "medium.air_model",
     "Aperture": "imaging.speckle",
     "Calibration": "metrology.calibration",
     "CameraNoise": "imaging.camera_noise",

@@ -22,8 +22,6 @@ from virtual_sensor.arrays import (
     number_within,
     numbers_of,
     one_of,
-    points_of,
-    to_numpy,
     to_vectors,
     unmasked,
     whole_number,
@@ -33,6 +31,7 @@ from virtual_sensor.display import listed, place, span
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming, short
 from virtual_sensor.files import path_of
+from virtual_sensor.medium.evaluated import Evaluated
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.lookups import SPLINES, GridLookup
 from virtual_sensor.medium.netcdf import GriddedQuantity, read_field_file, write_quantity
@@ -40,7 +39,7 @@ from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.quantities import AMBIENT_LIMITS, check_limits
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
-from virtual_sensor.poses import Movable, Pose
+from virtual_sensor.poses import Pose
 from virtual_sensor.records import vectors
 
 _SAME_BORDER = 0.01  # of the field's range: so much a border may vary that is the ambient air's
@@ -48,7 +47,7 @@ _SAME_BORDER = 0.01  # of the field's range: so much a border may vary that is t
 
 @public
 @dataclass(frozen=True, eq=False)
-class IndexField(Movable):
+class IndexField(Evaluated):
     """Refractivity on a regular grid, in surroundings of uniform air.
 
     Build one with `from_arrays` or `read`.
@@ -320,48 +319,6 @@ class IndexField(Movable):
         size = (np.array(self.shape) - 1) * self.spacing
         return np.array([self.origin - np.where(self.mirror, size, 0.0), self.origin + size])
 
-    @public
-    def refractivity(self, points_mm: ArrayLike) -> np.ndarray:
-        """Refractivity n - 1 at world positions.
-
-        Parameters
-        ----------
-        points_mm : array_like of shape (N, 3)
-            World positions, mm.
-
-        Returns
-        -------
-        ndarray of shape (N,)
-            n - 1; that of the surrounding air outside the box, NaN at NaN positions.
-        """
-        local, inside = self._locate(points_mm)
-        result = np.where(np.isnan(local).any(axis=1), np.nan, self.ambient)
-        if inside.any():
-            delta = self.lookup("double").delta(to_vectors(local[inside]))
-            result[inside] += delta.numpy()
-        return result
-
-    @public
-    def gradient(self, points_mm: ArrayLike) -> np.ndarray:
-        """Gradient of n at world positions.
-
-        Parameters
-        ----------
-        points_mm : array_like of shape (N, 3)
-            World positions, mm.
-
-        Returns
-        -------
-        ndarray of shape (N, 3)
-            Gradient, 1/mm; zero outside the box, NaN at NaN positions.
-        """
-        local, inside = self._locate(points_mm)
-        result = np.where(np.isnan(local).any(axis=1, keepdims=True), np.nan, np.zeros((1, 3)))
-        if inside.any():
-            _, gradient = self.lookup("double").delta_and_gradient(to_vectors(local[inside]))
-            result[inside] = to_numpy(gradient) @ self.axes().T
-        return result
-
     def border_jump(self) -> np.ndarray:
         """Largest jump of n across each face of the box, where it should have faded to zero.
 
@@ -389,15 +346,6 @@ class IndexField(Movable):
             where = self.origin, self.spacing, self.mirror, axes
             self._lookups[key] = GridLookup(delta, *where, self.interpolation, precision)
         return self._lookups[key]
-
-    def _locate(self, points_mm: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """World points (N, 3) in the field's frame, and which of them are in the box."""
-        points = np.atleast_2d(points_of("points_mm", points_mm))
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise InputError(f"points_mm must have the shape (N, 3), not {points.shape}")
-        low, high = self.box
-        local = self.to_local(points)
-        return local, ((local >= low) & (local <= high)).all(axis=1)
 
 
 def border_of(nodes: np.ndarray, mirror: Sequence[bool]) -> np.ndarray:

@@ -1,0 +1,156 @@
+"""Air with free parameters: transforms of fields, and their derivatives."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor.errors import InputError
+from virtual_sensor.medium.broadening import blurred, widened
+from virtual_sensor.poses import Pose
+
+AMBIENT = 2.7e-4
+SIZE = np.array([9.0, 4.0, 6.0])  # standard deviations of the plume, mm
+HOTTEST_MM = 5.0
+TURNED = Pose.turn(40.0, (1.0, 2.0, -1.0), (3.0, 0.0, 7.0))
+VALUES = {
+    "scale": 1.1,
+    "width": 1.3,
+    "offset": 1.7,
+    "height": -2.3,
+    "blur": 1.9,
+    "pressure": 930.0,
+    "temperature": 1010.0,
+}
+
+
+def contrast(temperature):
+    """What the hottest air lacks of the surrounding n - 1."""
+    return 1e-4 * (1.0 + (temperature - 900.0) / 500.0 - ((temperature - 900.0) / 900.0) ** 2)
+
+
+def plume(temperature=900.0):
+    """A Gaussian plume, of which a quarter is held."""
+    axes = np.meshgrid(np.arange(21), np.arange(41), np.arange(81), indexing="ij")
+    spacing, origin = np.array([2.0, 0.75, 0.75]), np.array([0.0, 0.0, HOTTEST_MM - 30.0])
+    places = origin + spacing * np.stack(axes, axis=-1) - [0.0, 0.0, HOTTEST_MM]
+    hot = np.exp(-0.5 * np.sum((places / SIZE) ** 2, axis=-1))
+    return vs.IndexField.from_arrays(
+        AMBIENT - contrast(temperature) * hot,
+        origin,
+        spacing,
+        ambient=AMBIENT,
+        mirror=(True, True, False),
+    )
+
+
+@pytest.fixture(scope="module")
+def model():
+    return vs.AirModel.of({t: plume(t) for t in (900.0, 1000.0, 1250.0)})
+
+
+@pytest.fixture(scope="module")
+def points():
+    """Also beyond y = 0, and none at the border, where the field jumps in and out."""
+    return np.random.default_rng(3).uniform([-15, -10, -8], [15, 10, 20], (500, 3))
+
+
+def expected(points, scale, width, offset, height, blur, pressure, temperature):
+    """Refractivity by convolved Gaussians."""
+    x, y, z = (points - [0.0, offset, height + HOTTEST_MM]).T
+    before = SIZE * [1.0, width, 1.0]
+    after = np.sqrt(before**2 + [0.0, blur**2, blur**2])
+    hot = np.exp(-0.5 * ((x / after[0]) ** 2 + (y / after[1]) ** 2 + (z / after[2]) ** 2))
+    hot *= np.prod(before / after)
+    return pressure / 1013.25 * (AMBIENT - scale * contrast(temperature) * hot)
+
+
+def test_the_transforms_make_the_plume_that_a_formula_gives(model, points):
+    """Rationale: order and sense of all seven, of a field whose convolution is known."""
+    found = model.at(**VALUES)
+    atol = 3e-5 * contrast(1000.0)  # of the spline between nodes
+    np.testing.assert_allclose(
+        found.refractivity(points), expected(points, **VALUES), rtol=0, atol=atol
+    )
+    assert found.ambient == pytest.approx(AMBIENT * 930.0 / 1013.25, rel=1e-12)
+
+
+def test_every_derivative_is_that_of_a_difference(model, points):
+    """Of n - 1 and of its gradient, within 1e-5 of the largest; of one moved and turned too."""
+    steps = {"temperature": 1.0, "pressure": 1.0, "width": 1e-4, "scale": 1e-3}
+    turned = vs.AirModel.of({t: each.moved(TURNED) for t, each in model.fields.fields.items()})
+    for each, places in ((model, points), (turned, TURNED.to_world(points))):
+        found = each.derivatives(VALUES, **VALUES)
+        assert list(found) == list(VALUES)
+        for name, by in found.items():
+            e = steps.get(name, 1e-3)
+            plus, minus = (each.at(**{**VALUES, name: VALUES[name] + s * e}) for s in (1, -1))
+            for what in ("refractivity", "gradient"):
+                high, low, here = (getattr(air, what)(places) for air in (plus, minus, by))
+                difference = (high - low) / (2.0 * e)
+                atol = 1e-5 * abs(difference).max()
+                np.testing.assert_allclose(here, difference, rtol=0, atol=atol, err_msg=name)
+                assert atol > 0.0
+            assert by.pose == plus.pose or name in ("offset", "height")
+
+
+def test_at_its_defaults_it_is_the_field_itself(model):
+    one = plume()
+    assert vs.AirModel.of(one).at() is one
+    assert vs.AirModel.of(one).at(**vs.AirModel.of(one).defaults) is one
+    assert model.defaults["temperature"] == 1075.0
+    assert model.at(temperature=1000.0) is model.fields.fields[1000.0]
+    assert vs.AirModel.of(model.fields, temperature_c=900.0).at() is model.fields.fields[900.0]
+
+
+def test_it_widens_and_blurs_as_a_scene_does():
+    """`-D widen=1.4 -D blur=2`: but for the tail that is cut off four sigmas out."""
+    one = plume()
+    found = vs.AirModel.of(one).at(width=1.4, blur=2.0)
+    scenes = blurred(widened(one, 1.4), 2.0)
+    places = np.random.default_rng(1).uniform(-8, 12, (50, 3))
+    n = scenes.refractivity(places)
+    np.testing.assert_allclose(found.refractivity(places), n, rtol=0, atol=1e-7)
+
+
+def test_a_simplified_field_stays_simple(points):
+    """Linear between nodes, or its section alone, after all transforms; derivatives likewise."""
+    values = {name: value for name, value in VALUES.items() if name != "temperature"}
+    for kind in (("linear", 3), ("cubic", 2)):
+        flat = vs.AirModel.of(plume().simplified(*kind))
+        air = flat.at(**values)
+        assert (air.interpolation, air.dimensions) == kind
+        by = flat.derivatives(["blur"], **values)["blur"]
+        plus, minus = (flat.at(**{**values, "blur": 1.9 + e}) for e in (1e-3, -1e-3))
+        difference = (plus.refractivity(points) - minus.refractivity(points)) / 2e-3
+        atol = 1e-5 * abs(difference).max()
+        np.testing.assert_allclose(by.refractivity(points), difference, rtol=0, atol=atol)
+
+
+def test_what_it_does_not_have_is_refused(model):
+    one = vs.AirModel.of(plume())
+    for call, match in (
+        (lambda: one.at(temperature=900.0), "temperature.*needs fields of several"),
+        (lambda: one.at(widht=2.0), "no parameter 'widht'.*width"),
+        (lambda: one.derivatives(["scales"]), "no parameter 'scales'.*scale"),
+        (lambda: one.at(width=np.nan), "width is nan; give 0.1 to 10"),
+        (lambda: one.at(scale="big"), "scale is 'big'"),
+        (lambda: model.at(temperature=1300.0), "temperature is 1300.*900 to 1250 degC"),
+        (lambda: vs.AirModel.of(None), "give an IndexField"),
+        (lambda: vs.AirModel.of({900.0: plume()}), "two wall temperatures"),
+        (lambda: vs.AirModel.of(plume(), temperature_c=900.0), "there is one field"),
+        (lambda: vs.AirModel.of(model.fields, temperature_c=800.0), "from 900 to 1250 degC"),
+    ):
+        with pytest.raises(InputError, match=match):
+            call()
+
+
+def test_it_says_what_it_is_and_travels(model):
+    assert repr(model).startswith("AirModel: fields at 900, 1000, 1250 degC, scale, width, offset")
+    again = pickle.loads(pickle.dumps(model))
+    assert again == model
+    units = {name: each.unit for name, each in model.parameters.items()}
+    assert units["pressure"] == "hPa"
+    assert units["offset"] == "mm"
+    assert all(each.low <= each.start <= each.high for each in model.parameters.values())
