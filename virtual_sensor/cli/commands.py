@@ -9,6 +9,7 @@ from virtual_sensor import engine, interrupts
 from virtual_sensor.cli import (
     burst,
     chart,
+    correct,
     detect,
     doctor,
     measure,
@@ -63,6 +64,7 @@ def before_the_command(
 app.command(epilog=new.EPILOG)(new.new)
 app.command(epilog=measure.EPILOG)(measure.measure)
 app.command(epilog=search.EPILOG)(search.search)
+app.command(epilog=correct.EPILOG)(correct.correct)
 app.command(epilog=burst.EPILOG)(burst.burst)
 app.command(epilog=sweep.EPILOG)(sweep.sweep)
 app.command(epilog=reproduce.EPILOG)(reproduce.reproduce)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,7 +151,17 @@ class SectionErrors(Record):
     largest_y_mm: float
 
 
-def section_errors(section: Section, points_mm: Array) -> SectionErrors:
+class Known(Protocol):
+    """What points can be compared with: a `Section`, say."""
+
+    def distance_um(self, points_mm: Array) -> Array:
+        """Distances (N,) of world points, positive outside; NaN where there are none."""
+
+    def along_mm(self, points_mm: Array) -> Array:
+        """Their positions (N,) along the line."""
+
+
+def section_errors(section: Known, points_mm: Array) -> SectionErrors:
     """The figures of measured points (N, 3); those that are NaN don't count."""
     measured = points_mm[np.isfinite(points_mm).all(axis=1)]
     distance = section.distance_um(measured)

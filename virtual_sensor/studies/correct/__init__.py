@@ -1,0 +1,1 @@
+"""The error removed: points measured through hot air, corrected through known or estimated air."""

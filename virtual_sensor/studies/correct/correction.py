@@ -1,0 +1,383 @@
+"""What a correction gives: points with their uncertainty, and the figures that judge it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.display import Displayed, listed, tally
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.truth import largest, rms
+from virtual_sensor.optics.crossing_status import CrossingStatus
+from virtual_sensor.records import Record, Table, counts_of, status_names
+from virtual_sensor.studies.correct.scene_part import ScenePart
+from virtual_sensor.studies.provenance import MadeWith, made_with
+from virtual_sensor.studies.section import SectionErrors, section_errors
+
+Array = NDArray[np.float64]
+
+_PAIRS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
+
+
+@dataclass(frozen=True)
+class CorrectedTable(Table):
+    """Corrected points, a row for each line centre or dot that was given.
+
+    Attributes
+    ----------
+    column_px, row_px : ndarray of shape (N,)
+        (u, v) of the centre; empty where there is none.
+    sigma_px : ndarray of shape (N,)
+        Its standard deviation, across the line.
+    centre_status : ndarray of str of shape (N,)
+        "ok", or why there is no centre.
+    status : ndarray of str of shape (N,)
+        "ok", or why there is no corrected point.
+    point_mm : ndarray of shape (N, 3)
+        Corrected, world.
+    uncorrected_mm : ndarray of shape (N, 3)
+        As if light ran straight, world.
+    moved_um : ndarray of shape (N, 3)
+        Corrected minus uncorrected.
+    cov_xx_um2, cov_yy_um2, cov_zz_um2, cov_xy_um2, cov_xz_um2, cov_yz_um2 : ndarray of shape (N,)
+        Covariance of the corrected point, world.
+    sigma_um : ndarray of shape (N,)
+        Standard deviation of the corrected point along the normal of the scene's part.
+    distance_um : ndarray of shape (N,)
+        Of the corrected point from the scene's part, positive outside; empty at edges.
+    distance_uncorrected_um : ndarray of shape (N,)
+        The same of the uncorrected point.
+    """
+
+    column_px: Array
+    row_px: Array
+    sigma_px: Array
+    centre_status: NDArray[np.str_]
+    status: NDArray[np.str_]
+    point_mm: Array
+    uncorrected_mm: Array
+    moved_um: Array
+    cov_xx_um2: Array
+    cov_yy_um2: Array
+    cov_zz_um2: Array
+    cov_xy_um2: Array
+    cov_xz_um2: Array
+    cov_yz_um2: Array
+    sigma_um: Array
+    distance_um: Array
+    distance_uncorrected_um: Array
+
+
+@dataclass(frozen=True)
+class Corrected(Displayed):
+    """One measurement, corrected; N line centres or dots, as they were given.
+
+    Attributes
+    ----------
+    name : str
+        Of the folder or file.
+    scene : Scene
+        With the air that the correction took.
+    pixel : ndarray of shape (N, 2)
+        (u, v) in px; NaN where there is no centre.
+    sigma_px : ndarray of shape (N,)
+        Standard deviation across the line.
+    centre_status : ndarray of shape (N,)
+        `metrology.centres.Status`.
+    status : ndarray of shape (N,)
+        `CrossingStatus` of the corrected points.
+    point_uncorrected_mm : ndarray of shape (N, 3)
+        As if light ran straight, world.
+    point_mm : ndarray of shape (N, 3)
+        Through the air, world; NaN unless OK.
+    covariance_mm2 : ndarray of shape (N, 3, 3)
+        Of the corrected points: from the noise of detection, and from the estimate of the air.
+    residual_px : ndarray of shape (N,) or None
+        What an estimate leaves: distance from the shape, or along the light, in px.
+    part : ScenePart
+        The scene's part, where its file has it.
+    estimate : AirEstimate or None
+        That its air comes from.
+    budget : Any
+        Error budget; None where there is none yet.
+    """
+
+    _statuses: ClassVar = {"centre_status": Status, "status": CrossingStatus}
+
+    name: str
+    scene: Scene
+    pixel: Array
+    sigma_px: Array
+    centre_status: NDArray[np.uint8]
+    status: NDArray[np.uint8]
+    point_uncorrected_mm: Array
+    point_mm: Array
+    covariance_mm2: Array
+    residual_px: Array | None
+    part: ScenePart
+    estimate: Any = None
+    budget: Any = None
+
+    def _line(self) -> str:
+        moved = f"moved by {rms(euclidean(self.moved_um)):.3g} µm rms"
+        return listed(self.name, tally(self.status, CrossingStatus.OK), moved)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self.table.columns()
+
+    @property
+    def points(self) -> int:
+        """How many corrected points there are."""
+        return int(np.isfinite(self.point_mm).all(axis=1).sum())
+
+    @cached_property
+    def moved_um(self) -> Array:
+        """By how much (N, 3) the correction moves each point, world."""
+        return UM_PER_MM * (self.point_mm - self.point_uncorrected_mm)
+
+    @cached_property
+    def along_mm(self) -> Array:
+        """Position (N,) of the corrected points along the line."""
+        return self.part.along_mm(self.point_mm)
+
+    @cached_property
+    def distance_um(self) -> Array:
+        """Distances (N,) of the corrected points from the scene's part: positive outside."""
+        return self.part.distance_um(self.point_mm)
+
+    @cached_property
+    def distance_uncorrected_um(self) -> Array:
+        """Distances (N,) of the uncorrected points from the scene's part."""
+        return self.part.distance_um(self.point_uncorrected_mm)
+
+    @cached_property
+    def sigma_um(self) -> Array:
+        """Standard deviation (N,) of the corrected points along the normal of the scene's part."""
+        normal = self.part.normals(self.point_mm)
+        variance = np.einsum("ni,nij,nj->n", normal, self.covariance_mm2, normal)
+        sigma: Array = UM_PER_MM * np.sqrt(variance)
+        return sigma
+
+    @cached_property
+    def table(self) -> CorrectedTable:
+        """All of it, a row for each centre."""
+        covariance = {
+            f"cov_{name}_um2": UM_PER_MM**2 * self.covariance_mm2[:, i, j] for name, i, j in _PAIRS
+        }
+        return CorrectedTable(
+            column_px=self.pixel[:, 0],
+            row_px=self.pixel[:, 1],
+            sigma_px=self.sigma_px,
+            centre_status=status_names(self.centre_status, Status),
+            status=status_names(self.status, CrossingStatus),
+            point_mm=self.point_mm,
+            uncorrected_mm=self.point_uncorrected_mm,
+            moved_um=self.moved_um,
+            **covariance,
+            sigma_um=self.sigma_um,
+            distance_um=self.distance_um,
+            distance_uncorrected_um=self.distance_uncorrected_um,
+        )
+
+    @cached_property
+    def summary(self) -> CorrectedSummary:
+        """Its figures."""
+        moved, sigma = euclidean(self.moved_um), self.sigma_um[np.isfinite(self.sigma_um)]
+        return CorrectedSummary(
+            scene=str(self.scene.path),
+            parameters=dict(self.scene.parameters),
+            points=self.points,
+            moved_rms_um=rms(moved),
+            moved_largest_um=largest(moved),
+            median_sigma_um=float(np.median(sigma)) if sigma.size else np.nan,
+            distance=section_errors(self.part, self.point_mm),
+            distance_uncorrected=section_errors(self.part, self.point_uncorrected_mm),
+            centre_status=counts_of(self.centre_status, Status),
+            status=counts_of(self.status, CrossingStatus),
+        )
+
+
+@dataclass(frozen=True)
+class CorrectedSummary(Record):
+    """The figures of one corrected measurement.
+
+    Attributes
+    ----------
+    scene : str
+        Its file.
+    parameters : dict
+        The scene's parameters as they were used.
+    points : int
+        Corrected points.
+    moved_rms_um, moved_largest_um : float
+        By how much the correction moves them.
+    median_sigma_um : float
+        Of the points' standard deviations along the normal of the scene's part.
+    distance, distance_uncorrected : SectionErrors
+        Of corrected and uncorrected points from the scene's part.
+    centre_status, status : dict
+        How many centres, and corrected points, have each status.
+    """
+
+    scene: str
+    parameters: dict[str, str]
+    points: int
+    moved_rms_um: float
+    moved_largest_um: float
+    median_sigma_um: float
+    distance: SectionErrors
+    distance_uncorrected: SectionErrors
+    centre_status: dict[str, int]
+    status: dict[str, int]
+
+
+@dataclass(frozen=True)
+class RadiusFit(Record):
+    """A circle through the points of all measurements of a cylinder along x.
+
+    Attributes
+    ----------
+    radius_mm, y_mm, z_mm : float
+        The circle's radius and its centre, world.
+    true_radius_mm : float
+        Of the scene's part.
+    radius_error_um : float
+        Radius minus that.
+    rms_um : float
+        Of the points' distances from the circle.
+    points : int
+    """
+
+    radius_mm: float
+    y_mm: float
+    z_mm: float
+    true_radius_mm: float
+    radius_error_um: float
+    rms_um: float
+    points: int
+
+
+@dataclass(frozen=True)
+class AirFacts(Record):
+    """The air that the correction took.
+
+    Attributes
+    ----------
+    origin : str
+        "scene", "medium" (a file), "temperature", "estimate", or "none" where light runs straight.
+    source : str
+        File or description of the field.
+    estimated : dict of float
+        Values of the parameters that were estimated.
+    sigma : dict of float
+        Their standard deviations.
+    """
+
+    origin: str
+    source: str
+    estimated: dict[str, float]
+    sigma: dict[str, float]
+
+
+@dataclass(frozen=True)
+class CorrectionSummary(Record):
+    """What shows whether a correction is sound, and how good it is.
+
+    Attributes
+    ----------
+    air : AirFacts
+        That the correction took.
+    measurements : dict of CorrectedSummary
+        By name.
+    circle, circle_uncorrected : RadiusFit or None
+        Through all corrected, and uncorrected, points; None where the part is no cylinder.
+    notes : tuple of str
+        What the user should know.
+    caveats : tuple of str
+        Those of the notes that make the figures worth little.
+    made_with : MadeWith
+        Engine and versions.
+    time_s : float
+        Of the correction, without the writing of results.
+    """
+
+    air: AirFacts
+    measurements: dict[str, CorrectedSummary]
+    circle: RadiusFit | None
+    circle_uncorrected: RadiusFit | None
+    notes: tuple[str, ...]
+    caveats: tuple[str, ...]
+    made_with: MadeWith
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Correction(Displayed):
+    """Measurements, corrected through known or estimated air.
+
+    Attributes
+    ----------
+    measurements : tuple of Corrected
+    air : AirFacts
+    medium : IndexField or None
+        The air, where all measurements share one; None where light runs straight, and of a burst.
+    model : AirModel or None
+        The family of airs that was estimated in.
+    estimate : AirEstimate or None
+        Where all measurements share one; of a burst each frame has its own.
+    circle, circle_uncorrected : RadiusFit or None
+        Through all corrected, and uncorrected, points; None where the part is no cylinder.
+    notes : tuple of str
+        What the user should know.
+    caveats : tuple of str
+        Those of the notes that make the figures worth little.
+    time_s : float
+    """
+
+    measurements: tuple[Corrected, ...]
+    air: AirFacts
+    medium: IndexField | None
+    model: Any
+    estimate: Any
+    circle: RadiusFit | None
+    circle_uncorrected: RadiusFit | None
+    notes: tuple[str, ...]
+    caveats: tuple[str, ...]
+    time_s: float
+
+    def _line(self) -> str:
+        names = f"{len(self.measurements)} measurements, air from {self.air.origin}"
+        moved = rms(euclidean(np.concatenate([each.moved_um for each in self.measurements])))
+        return listed(names, f"{self.points} points", f"moved by {moved:.3g} µm rms")
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns = [each._columns() for each in self.measurements]
+        lengths = [len(each.pixel) for each in self.measurements]
+        named = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+        return {"name": np.repeat([each.name for each in self.measurements], lengths), **named}
+
+    @property
+    def points(self) -> int:
+        """Corrected points of all measurements."""
+        return sum(each.points for each in self.measurements)
+
+    @cached_property
+    def summary(self) -> CorrectionSummary:
+        """The figures, for ``summary.json``."""
+        return CorrectionSummary(
+            air=self.air,
+            measurements={each.name: each.summary for each in self.measurements},
+            circle=self.circle,
+            circle_uncorrected=self.circle_uncorrected,
+            notes=self.notes,
+            caveats=self.caveats,
+            made_with=made_with(self.measurements[0].scene),
+            time_s=round(self.time_s, 3),
+        )

@@ -1,0 +1,438 @@
+"""What a sensor measured: line centres from folders of results, tables or images, with a scene.
+
+=========================  =======================================================================
+What is given              What is taken of it
+=========================  =======================================================================
+folder of `measure`        hot line centres, or dots; the scene and its parameters, as it says;
+                           of several cameras or lasers each pair
+folder of `burst`          the line centres of each frame; the scene at that instant
+CSV of `measure`, `detect`  pixels, their sigma and status; the scene is said by --scene
+other CSV                  columns u, v (or x, y; column, row), sigma where there is one; without a
+                           header the first two columns are u and v
+image                      detected here (`line_centres`)
+=========================  =======================================================================
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.display import Displayed, listed, tally
+from virtual_sensor.errors import InputError, few, naming
+from virtual_sensor.files import RESULTS_SIGN, exists, readable
+from virtual_sensor.imaging.image_files import ENDINGS, read_image
+from virtual_sensor.imaging.scene import (
+    Scene,
+    find_scene,
+    load_scene,
+    scene_parameters,
+    shipped_scenes,
+)
+from virtual_sensor.metrology.calibration import Calibration
+from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.line_peaks import line_centres
+
+Array = NDArray[np.float64]
+
+USUAL_SIGMA_PX = 0.02
+"""Of a centre whose standard deviation nobody says."""
+
+_TABLES = (".csv", ".txt", ".tsv")
+_NAMES = {  # of a table's columns, ours first
+    "u": ("column_px", "pixel_u", "column", "u", "u_px", "x", "x_px", "col"),
+    "v": ("row_px", "pixel_v", "row", "v", "v_px", "y", "y_px"),
+    "sigma": ("sigma_px", "sigma", "std_px", "std", "uncertainty"),
+    "normal": ("normal_deg",),
+    "status": ("status",),
+    "along": ("y_mm",),  # of dots
+    "time": ("time_s",),  # of a burst
+}
+_DERIVED = ("film_width", "pixel", "fov")  # parameters that follow from others unless given
+
+
+@dataclass(frozen=True)
+class Measured(Displayed):
+    """Line centres, or dots, and the scene in which they were seen.
+
+    Attributes
+    ----------
+    name : str
+        Of the folder or file; all of a command differ.
+    scene : Scene
+        With one camera, one source, and the air that it says.
+    pixel : ndarray of shape (N, 2)
+        (u, v) in px; NaN where there is no centre.
+    sigma_px : ndarray of shape (N,)
+        Standard deviation across the line.
+    normal_deg : ndarray of shape (N,)
+        Direction that it holds in, from +u towards +v; NaN: in every direction, of dots.
+    centre_status : ndarray of shape (N,)
+        `Status` of the centres.
+    along_mm : ndarray of shape (N,) or None
+        Of dots, whose light it is: their positions along the line; None of a line.
+    one_of_many : bool
+        Whether it is a frame of a burst, whose air is another in each.
+    notes : tuple of str
+    """
+
+    name: str
+    scene: Scene
+    pixel: Array
+    sigma_px: Array
+    normal_deg: Array
+    centre_status: NDArray[np.uint8]
+    along_mm: Array | None = None
+    one_of_many: bool = False
+    notes: tuple[str, ...] = ()
+
+    def _line(self) -> str:
+        return listed(self.name, tally(self.centre_status, Status.OK), self.scene.path.name)
+
+
+@dataclass
+class Scenes:
+    """Loads the scenes that measurements are of, each once.
+
+    Attributes
+    ----------
+    name : str or None
+        The scene for all that name none; in place of those that folders name.
+    given : Mapping
+        Parameters set on top of those that folders name.
+    camera, source : str or None
+        Names, where a scene has several.
+    """
+
+    name: str | None = None
+    given: Mapping[str, str] = field(default_factory=dict)
+    camera: str | None = None
+    source: str | None = None
+    loaded: dict[Any, Scene] = field(default_factory=dict)
+
+    def of(self, what: Path, own: Mapping[str, str]) -> Scene:
+        """The scene of a table or an image; `own` are parameters of it alone."""
+        if self.name is None:
+            raise InputError(
+                f"{what}: names no scene; say in which it was measured: --scene hot_cylinder, or"
+                " give the folder of `measure`"
+            )
+        return self._load(find_scene(self.name), {**self.given, **own}, self.camera, self.source)
+
+    def of_results(self, folder: Path, facts: Mapping[str, Any], own: Mapping[str, str]) -> Scene:
+        """The scene that a folder of results names."""
+        if self.name is not None:
+            return self.of(folder, own)
+        path = _scene_file(folder, str(facts["scene"]))
+        with naming(folder / RESULTS_SIGN):
+            given = given_parameters(path, facts["parameters"])
+        camera, source = self.camera or facts.get("camera"), self.source or facts.get("source")
+        return self._load(path, {**given, **self.given, **own}, camera, source)
+
+    def _load(
+        self, path: Path, given: dict[str, str], camera: str | None, source: str | None
+    ) -> Scene:
+        key = path, tuple(sorted(given.items())), camera, source
+        if key not in self.loaded:
+            self.loaded[key] = load_scene(path, **given).only(camera, source)
+            _ = self.loaded[key].sensor  # of one camera and one source, or it says which to choose
+        return self.loaded[key]
+
+
+def _scene_file(folder: Path, name: str) -> Path:
+    """The scene that results name: there, beside them, or one that comes with the program."""
+    path = Path(name)
+    shipped = shipped_scenes() / path.name
+    places = [path, folder / path, folder.parent / path, folder.parent / path.name]
+    if path.parent.name == "scenes" or path.parent.name == shipped.parent.name:
+        places.append(shipped)
+    for place in places:
+        if exists(place):
+            return place
+    raise InputError(
+        f"{folder / RESULTS_SIGN}: its scene {name} is gone; say where it is now: --scene FILE"
+    )
+
+
+def given_parameters(path: Path, used: Mapping[str, str]) -> dict[str, str]:
+    """Those of a scene's parameters, as they were used, that its own defaults do not give.
+
+    Others on top of them then have their usual effect, such as a temperature that chooses the air.
+
+    Raises
+    ------
+    InputError
+        If the scene has no such parameters (any more).
+    """
+    given: dict[str, str] = {}
+    order = sorted(used, key=lambda name: name in _DERIVED)
+    for name in order:
+        if scene_parameters(path, given).get(name) != used[name]:
+            given[name] = used[name]
+    return given
+
+
+def read_measured(
+    texts: Sequence[str], scenes: Scenes, calibration: Calibration | None = None
+) -> list[Measured]:
+    """Read measurements, each a path, or a path with parameters: ``line.csv:beta=30,along=2``.
+
+    Raises
+    ------
+    InputError
+        Naming what can't be read, or does not go together, and the remedy.
+    """
+    found: list[Measured] = []
+    for text in texts:
+        path, own = _path_and_parameters(text)
+        found += [_calibrated(each, calibration) for each in _read(path, own, scenes)]
+    if not found:
+        raise InputError("nothing is given to correct; name a folder of `measure`, say")
+    return _with_names(found)
+
+
+def _path_and_parameters(text: str) -> tuple[Path, dict[str, str]]:
+    """A path and the parameters behind its last colon."""
+    if exists(Path(text)):
+        return Path(text), {}
+    path, colon, behind = text.rpartition(":")
+    pairs = [part.partition("=") for part in behind.split(",")]
+    if not (colon and path and all(name and equals for name, equals, _ in pairs)):
+        readable(Path(text))  # which says why not
+        return Path(text), {}
+    return Path(path), {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def _read(path: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Measured]:
+    """The measurements of one path."""
+    if path.is_dir():
+        yield from _of_folder(path, own, scenes)
+    elif path.suffix.lower() in ENDINGS:
+        yield _of_image(path, scenes.of(path, own))
+    elif path.suffix.lower() in _TABLES:
+        yield _of_columns(path, read_centres(path), scenes.of(path, own))
+    elif path.name == RESULTS_SIGN:
+        yield from _of_folder(path.parent, own, scenes)
+    else:
+        readable(path)
+        raise InputError(
+            f"{path}: is no measurement; give a folder of `measure` or `burst`, a table of line"
+            f" centres (CSV), or an image ({', '.join(ENDINGS)})"
+        )
+
+
+def _of_folder(folder: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Measured]:
+    facts = _facts(folder)
+    if "pairs" in facts:
+        for name in facts["pairs"]:
+            yield from _of_folder(folder / name, own, scenes)
+    elif "states" in facts:
+        state = "hot" if "hot" in facts["states"] else "cold"
+        dots = folder / f"dots_{state}.csv"
+        table = dots if dots.exists() else folder / f"line_{state}.csv"
+        scene = scenes.of_results(folder, facts, own)
+        cold = f"{folder}: was measured only cold; its line is taken as seen through the air"
+        notes = (cold,) if state == "cold" and scene.medium else ()
+        yield replace(_of_columns(table, read_centres(table), scene), name=folder.name, notes=notes)
+    elif "columns_in_every_frame" in facts:
+        yield from _of_burst(folder, scenes.of_results(folder, facts, own))
+    elif "images" in facts:
+        for name in facts["images"]:
+            table = folder / f"{name}.csv"
+            yield _of_columns(table, read_centres(table), scenes.of(table, own))
+    else:
+        raise InputError(
+            f"{folder}: holds results of another kind; give a folder of `measure`, `burst` or"
+            " `detect`"
+        )
+
+
+def _facts(folder: Path) -> dict[str, Any]:
+    sign = folder / RESULTS_SIGN
+    if not exists(sign):
+        inside = sorted(each.name for each in folder.iterdir() if exists(each / RESULTS_SIGN))
+        hint = f"; give those within it: {few(inside, 4)}" if inside else ""
+        raise InputError(
+            f"{folder}: holds no results (there is no {RESULTS_SIGN}){hint or '; give a folder of'}"
+            f"{'' if hint else ' `measure`, or the table of line centres or the image itself'}"
+        )
+    try:
+        facts = json.loads(readable(sign).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{sign}: can't be read ({error}); measure again") from None
+    if not isinstance(facts, dict):
+        raise InputError(f"{sign}: is no summary of results; measure again")
+    return facts
+
+
+def _of_burst(folder: Path, scene: Scene) -> Iterator[Measured]:
+    """Each frame of a burst, in the air of its instant."""
+    columns = read_centres(folder / "frames.csv")
+    times = columns["time"]
+    for number, instant in enumerate(np.unique(times)):
+        here = {name: values[times == instant] for name, values in columns.items()}
+        frame = _of_columns(folder / "frames.csv", here, scene.at(float(instant)))
+        name = f"{folder.name}_{number:04d}"
+        yield replace(frame, name=name, one_of_many=True)
+
+
+def _of_image(path: Path, scene: Scene) -> Measured:
+    image = read_image(path)
+    width, height = scene.sensor.camera.size
+    if image.pixels.shape != (height, width):
+        raise InputError(
+            f"{path}: is {image.pixels.shape[1]} x {image.pixels.shape[0]} px, but the camera of"
+            f" {scene.path} has {width} x {height}; give the scene's width and height (-D), or the"
+            " scene of this camera"
+        )
+    line = line_centres(image.pixels, saturation=image.largest)
+    return replace(_of_line(path.stem, line, scene), notes=tuple(image.notes))
+
+
+def _of_line(name: str, line: LineCentres, scene: Scene) -> Measured:
+    sigma, notes = _known_sigma(np.ravel(line.sigma), np.ravel(line.pixel[..., 0]))
+    return Measured(
+        name,
+        scene,
+        line.pixel.reshape(-1, 2),
+        sigma,
+        np.ravel(line.normal_deg),
+        np.ravel(line.status),
+        notes=notes,
+    )
+
+
+def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -> Measured:
+    """Centres as a table has them."""
+    pixel = np.stack([columns["u"], columns["v"]], axis=1)
+    status = _statuses(path, columns.get("status"), pixel)
+    pixel[status != Status.OK] = np.nan
+    blank = np.full(len(pixel), np.nan)
+    sigma, notes = _known_sigma(columns.get("sigma", blank), pixel[:, 0])
+    along = columns.get("along")
+    normal = columns.get("normal", np.full(len(pixel), 90.0 if along is None else np.nan))
+    notes = tuple(f"{path}: {note}" for note in notes)
+    return Measured(path.stem, scene, pixel, sigma, normal, status, along, notes=notes)
+
+
+def _known_sigma(sigma: Array, u: Array) -> tuple[Array, tuple[str, ...]]:
+    """Standard deviations, the usual one where none is known."""
+    known = np.isfinite(sigma) & (sigma > 0.0)
+    missing = int(np.sum(np.isfinite(u) & ~known))
+    note = f"{missing} centres have no standard deviation: {USUAL_SIGMA_PX:g} px is taken"
+    return np.where(known, sigma, USUAL_SIGMA_PX), (note,) if missing else ()
+
+
+def _statuses(path: Path, names: NDArray[Any] | None, pixel: Array) -> NDArray[np.uint8]:
+    """`Status` of centres, by its names in lower case; "found" is a search's."""
+    there = np.isfinite(pixel).all(axis=1)
+    status = np.where(there, Status.OK, Status.NO_PEAK).astype(np.uint8)
+    if names is None:
+        return status
+    known = {each.name.lower(): int(each) for each in Status}
+    known |= {"": int(Status.OK), "found": int(Status.OK), "not_found": int(Status.NO_PEAK)}
+    unknown = sorted({f"{name}" for name in names} - known.keys())
+    if unknown:
+        raise InputError(
+            f"{path}: knows a status {few([repr(n) for n in unknown], 3)}; there are"
+            f" {few(list(known), 20)}, or leave the column out"
+        )
+    said = np.array([known[f"{name}"] for name in names], np.uint8)
+    return np.where(said == Status.OK, status, said).astype(np.uint8)
+
+
+def read_centres(path: Path) -> dict[str, NDArray[Any]]:
+    """Columns of a table of line centres: ``u``, ``v`` and what else it has of `_NAMES`.
+
+    Delimiters are comma, semicolon, tab or blanks; lines that begin with # are comments.
+
+    Raises
+    ------
+    InputError
+        Naming the file, the row and the remedy.
+    """
+    try:
+        text = readable(path).read_text(encoding="utf-8-sig", errors="replace")
+    except OSError as error:
+        raise InputError(f"{path}: can't be read ({error.strerror})") from None
+    lines = [line.strip() for line in text.splitlines()]
+    numbered = [(n, line) for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
+    if not numbered:
+        raise InputError(f"{path}: is empty; give a table with columns u and v, px")
+    mark = next((each for each in ",;\t" if each in numbered[0][1]), None)
+    rows = [
+        (n, next(csv.reader([line], delimiter=mark)) if mark else line.split())
+        for n, line in numbered
+    ]
+    first = [cell.strip().strip('"').lower() for cell in rows[0][1]]
+    if all(_number(cell) is not None for cell in first):
+        places = {"u": 0, "v": 1} | ({"sigma": 2} if len(first) > 2 else {})
+        if len(first) < 2:
+            raise InputError(f"{path}: has one column; give u and v, px, in a row")
+    else:
+        rows, bare = rows[1:], [re.sub(r"\s*[\[(].*", "", name) for name in first]
+        places = {
+            kind: bare.index(next(name for name in names if name in bare))
+            for kind, names in _NAMES.items()
+            if any(name in bare for name in names)
+        }
+        if not {"u", "v"} <= places.keys():
+            raise InputError(
+                f"{path}: has the columns {few(first, 8)}; name those of the line's centres u and v"
+                " (px, integers at pixel centres)"
+            )
+    widest = max(places.values())
+    short = next((n for n, cells in rows if len(cells) <= widest), None)
+    if short is not None:
+        raise InputError(f"{path}, line {short}: has too few columns; give {widest + 1}, or none")
+    return {kind: _column(path, kind, rows, place) for kind, place in places.items()}
+
+
+def _column(
+    path: Path, kind: str, rows: Sequence[tuple[int, Sequence[str]]], place: int
+) -> NDArray[Any]:
+    cells = [(n, cells[place].strip()) for n, cells in rows]
+    if kind == "status":
+        return np.array([cell.lower() for _, cell in cells], np.str_)
+    values = [_number(cell) for _, cell in cells]
+    wrong = next((i for i, value in enumerate(values) if value is None), None)
+    if wrong is not None:
+        raise InputError(
+            f"{path}, line {cells[wrong][0]}: {cells[wrong][1]!r} is no number; leave the cell"
+            " empty where there is none"
+        )
+    return np.array(values, float)
+
+
+def _number(cell: str) -> float | None:
+    """A cell's number, NaN if it is empty; None if it is none."""
+    if not cell:
+        return np.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else np.nan
+
+
+def _calibrated(measured: Measured, calibration: Calibration | None) -> Measured:
+    return measured
+
+
+def _with_names(found: list[Measured]) -> list[Measured]:
+    """The same with names that all differ."""
+    names: list[str] = []
+    for each in found:
+        name, number = each.name or "measured", 2
+        while name in names:
+            name, number = f"{each.name}_{number}", number + 1
+        names.append(name)
+    return [replace(each, name=name) for each, name in zip(found, names, strict=True)]
