@@ -273,8 +273,7 @@ class AirModel(Displayed):
         if (v["scale"], thinner) == (1.0, 1.0):
             return air
         ambient = thinner * air.ambient
-        nodes = ambient + v["scale"] * thinner * (air.nodes - air.ambient)
-        return replace(air.with_nodes(nodes, source=air.source), ambient=ambient)
+        return IndexField.sum_of([(v["scale"] * thinner, air)], ambient=ambient, source=air.source)
 
     def _derivative(self, name: str, here: IndexField, v: Mapping[str, float]) -> FieldDerivative:
         self._check_name(name)

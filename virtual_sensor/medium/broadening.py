@@ -133,11 +133,8 @@ def widened(field: IndexField, factor: float) -> IndexField:
         return field
     if not 0.0 < factor < math.inf:
         raise InputError(f"widen: the factor is {factor:g}; give a positive one, 1 for none")
-    stretch = np.array([1.0, factor, 1.0])
     source = _told(field.source, f"widened {factor:g} times along y")
-    return field.with_nodes(
-        field.nodes, field.origin * stretch, field.spacing * stretch, source=source
-    )
+    return IndexField.sum_of([(1.0, field)], stretch=(1.0, factor, 1.0), source=source)
 
 
 def _told(source: str, what: str) -> str:

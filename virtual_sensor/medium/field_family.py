@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
@@ -67,12 +66,11 @@ class FieldFamily(Displayed):
         InputError
             If it is not between those of the family.
         """
-        first = next(iter(self.fields.values()))
-        nodes = self._blend([float(p(temperature_c)) for p in self._weights(temperature_c)])
+        weights = [float(p(temperature_c)) for p in self._weights(temperature_c)]
         between = ", ".join(f"{t:g}" for t in self.fields)
-        return first.with_nodes(
-            first.ambient + nodes, source=f"between {between} degC: {temperature_c:g}"
-        )
+        source = f"between {between} degC: {temperature_c:g}"
+        parts = [*zip(weights, self.fields.values(), strict=True)]
+        return IndexField.sum_of(parts, source=source)
 
     def derivative(self, temperature_c: float) -> IndexField:
         """The derivative of n - 1 by the wall temperature, 1/K, there, as a field.
@@ -82,9 +80,8 @@ class FieldFamily(Displayed):
         InputError
             If the temperature is not between those of the family.
         """
-        first = next(iter(self.fields.values()))
         weights = [float(p.deriv()(temperature_c)) for p in self._weights(temperature_c)]
-        return replace(first.with_nodes(self._blend(weights)), ambient=0.0)
+        return IndexField.sum_of([*zip(weights, self.fields.values(), strict=True)], ambient=0.0)
 
     def _weights(self, temperature_c: float) -> list[Polynomial]:
         """Lagrange's polynomials, one for each of the family's temperatures."""
@@ -97,10 +94,3 @@ class FieldFamily(Displayed):
         others = {t: [other for other in self.fields if other != t] for t in self.fields}
         roots = {t: Polynomial.fromroots(each) for t, each in others.items()}
         return [roots[t] / roots[t](t) for t in self.fields]
-
-    def _blend(self, weights: list[float]) -> NDArray[np.float64]:
-        """The fields' weighted sum: differences from the surroundings (nx, ny, nz)."""
-        blend = np.zeros(next(iter(self.fields.values())).shape)
-        for weight, field in zip(weights, self.fields.values(), strict=True):
-            blend += weight * (field.nodes - field.ambient)
-        return blend

@@ -88,6 +88,7 @@ class IndexField(Evaluated):
     pose: Pose | None = None
     solid: np.ndarray | None = None
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
+    _parts: tuple[tuple[float, IndexField], ...] = field(default=(), repr=False)
 
     def _line(self) -> str:
         low, high = self.box
@@ -218,7 +219,7 @@ class IndexField(Evaluated):
 
     def __getstate__(self) -> dict[str, object]:
         """What is pickled: all but Dr.Jit's memory."""
-        return vars(self) | {"_lookups": {}}
+        return vars(self) | {"_lookups": {}, "_parts": ()}
 
     @public
     def write(self, path: str | Path) -> None:
@@ -271,6 +272,48 @@ class IndexField(Evaluated):
         )
         return replace(made, pose=self.pose)
 
+    @staticmethod
+    def sum_of(
+        parts: Sequence[tuple[float, IndexField]],
+        *,
+        ambient: float | None = None,
+        stretch: ArrayLike = (1.0, 1.0, 1.0),
+        source: str = "",
+    ) -> IndexField:
+        """Weighted sum of what fields on one grid differ by from their surroundings.
+
+        It has mirror planes and pose of the first. A ray finds its way in it at once: the sum of
+        the splines is that of their coefficients.
+
+        Parameters
+        ----------
+        parts : sequence of (float, IndexField)
+            Weights and fields.
+        ambient : float, optional
+            n - 1 of the surroundings; by default that of the first field.
+        stretch : array_like of shape (3,)
+            Factors along x, y and z, about the origin of the fields' frame.
+        source : str
+            Where it comes from, in words.
+        """
+        first = parts[0][1]
+        around = first.ambient if ambient is None else ambient
+        nodes = first.nodes
+        if ambient is not None or [weight for weight, _ in parts] != [1.0]:
+            nodes = np.full(first.shape, around)
+            for weight, each in parts:
+                nodes += weight * (each.nodes - each.ambient)
+        made = IndexField.from_arrays(
+            nodes,
+            first.origin * np.asarray(stretch),
+            first.spacing * np.asarray(stretch),
+            ambient=around,
+            mirror=first.mirror,
+            source=source,
+        )
+        smooth = all((each.interpolation, each.dimensions) == ("cubic", 3) for _, each in parts)
+        return replace(made, pose=first.pose, _parts=tuple(parts) if smooth else ())
+
     @public
     def simplified(self, interpolation: str = "cubic", dimensions: int = 3) -> IndexField:
         """Give the same nodes seen more simply: what a cruder model of the air would make of them.
@@ -299,7 +342,9 @@ class IndexField(Evaluated):
             raise InputError(
                 f"dimensions 2: the field, from x = {low:g} to {high:g} mm, has no section x = 0"
             )
-        return replace(self, interpolation=interpolation, dimensions=dimensions, _lookups={})
+        return replace(
+            self, interpolation=interpolation, dimensions=dimensions, _lookups={}, _parts=()
+        )
 
     def _section(self) -> np.ndarray:
         """Difference from ambient at the nodes of the section x = 0; shape (ny, nz)."""
@@ -340,7 +385,10 @@ class IndexField(Evaluated):
     def lookup(self, precision: str) -> GridLookup:
         """Return the field in Dr.Jit memory, for the code that marches rays; made only once."""
         key = (precision, mi.variant())
-        if key not in self._lookups:
+        if key not in self._lookups and self._parts:
+            parts = [(weight, each.lookup(precision)) for weight, each in self._parts]
+            self._lookups[key] = GridLookup.sum_of(parts, self.origin, self.spacing)
+        elif key not in self._lookups:
             axes = (0, 1, 2)[3 - self.dimensions :]
             delta = self.nodes - self.ambient if self.dimensions == 3 else self._section()
             where = self.origin, self.spacing, self.mirror, axes

@@ -7,6 +7,7 @@ symbolic loops may call them; the derivatives cannot themselves be differentiate
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -89,9 +90,29 @@ class GridLookup:
         ]
         self._last = [dr.opaque(mi.UInt32, count - spline.count) for count in shape]
         self._end = self._opaque(np.array(shape) - spline.count + 1)
-        self._scale = self._opaque(1.0 / spacing[list(axes)])
-        self._origin = self._opaque(origin[list(axes)])
         self._first = self._opaque(np.array(before))
+        self._put(origin, spacing)
+
+    def _put(self, origin: np.ndarray, spacing: np.ndarray) -> None:
+        self._scale = self._opaque(1.0 / spacing[list(self._axes)])
+        self._origin = self._opaque(origin[list(self._axes)])
+
+    @staticmethod
+    def sum_of(
+        parts: Sequence[tuple[float, GridLookup]], origin: np.ndarray, spacing: np.ndarray
+    ) -> GridLookup:
+        """Weighted sum of lookups of alike nodes, on a grid of this origin and spacing.
+
+        A spline's coefficients are linear in its nodes: they need not be found again.
+        """
+        first = copy.copy(parts[0][1])
+        first._put(origin, spacing)
+        if [weight for weight, _ in parts] != [1.0]:
+            first._coefficients = sum(
+                each._coefficients * dr.opaque(first._scalar, weight) for weight, each in parts
+            )
+            dr.eval(first._coefficients)
+        return first
 
     def delta(self, p: Any) -> Any:
         """Return n - n_ambient at `p`."""
