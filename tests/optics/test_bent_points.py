@@ -1,23 +1,30 @@
 """Points through bent light with their derivatives: against searches, tables and differences."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from artificial import HeldScene, paper_sensor
+from oracles import unit
 from scipy.spatial.transform import Rotation
 
 import virtual_sensor as vs
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene_file import shipped_scenes
+from virtual_sensor.medium.exact_fields import hot_spot
 from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.optics.bent_points import bent_points
 from virtual_sensor.optics.crossing_status import CrossingStatus
-from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.optics.crossings import crossings
+from virtual_sensor.optics.field_border import cover_words
+from virtual_sensor.optics.ray_families import Pinhole, Sheet
+from virtual_sensor.optics.surfaces import Cylinder, NoSurface
 from virtual_sensor.poses import Pose
 
 Y = np.linspace(-9.83, 9.64, 8)  # on no knot of the spline
@@ -229,3 +236,91 @@ def test_what_cannot_be_asked_is_refused():
     cold = replace(scene, medium=None)
     with pytest.raises(InputError, match="no field that could vary"):
         bent_points(cold, pixel, variations={"width": scene.medium})
+
+
+# ------------------------------------------------------------------------------------- statuses
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A camera and a source's rays in a medium, with no part."""
+
+    camera: Any
+    source: Any
+    medium: Any
+    surface = NoSurface()
+
+
+def pair(camera, family, medium):
+    return Pair(camera, SimpleNamespace(family=family), medium)
+
+
+def looking_at_origin(origin, beside=(0.0, 1.0, 0.0)):
+    z = -unit(origin)
+    x = unit(np.cross(beside, z))
+    return Pose(np.stack([x, np.cross(z, x), z], axis=1), np.asarray(origin, float))
+
+
+def both_ways(scene, pixel):
+    """Statuses of the marched and of the tabulated points."""
+    field, camera, family = scene.medium, scene.camera, scene.source.family
+    tabulated = crossings(field, camera, family, pixel, np.zeros(len(pixel)), 1e-2)
+    found = bent_points(scene, pixel)
+    assert np.isnan(found.point_mm[found.status != CrossingStatus.OK]).all()
+    return found.status, tabulated.status
+
+
+def test_beyond_a_caustic_no_point_is_made_up():
+    """A ball lens turns the source's rays over, or the lines of sight: several may meet there."""
+    lens = hot_spot(-0.5, 8.0, box=np.array([[-60.0] * 3, [60.0] * 3]))
+    sheet = Sheet(looking_at_origin((0.0, 0.0, 140.0)), 140.0)
+    matrix = np.array([[500.0, 0.0, 64.0], [0.0, 500.0, 64.0], [0.0, 0.0, 1.0]])
+    view = Pinhole(matrix, looking_at_origin((200.0, 0.0, -60.0)), (128, 128))
+    y = np.linspace(-0.2, 0.2, 5)
+    for z, expected in ((30.0, CrossingStatus.OK), (-50.0, CrossingStatus.FOLDED)):
+        pixel = view.project(np.column_stack([0.0 * y, y, 0.0 * y + z]))
+        for status in both_ways(pair(view, sheet, lens), pixel):
+            np.testing.assert_array_equal(status, expected)
+    through = Pinhole(matrix, looking_at_origin((0.0, 0.0, 140.0), (1.0, 0.0, 0.0)), (128, 128))
+    beside = Sheet(
+        Pose(looking_at_origin((200.0, 0.0, 0.0)).rotation, np.array([200.0, 0.0, -110.0])), 200.0
+    )
+    pixel = through.project(np.column_stack([0.0 * y, y, 0.0 * y - 110.0]))
+    found = bent_points(pair(through, beside, lens), pixel)
+    np.testing.assert_array_equal(found.status, CrossingStatus.FOLDED)
+
+
+def test_a_field_that_ends_too_early_is_told():
+    """Cut where it is hot it would leave 77 um, with no word; cut above, it corrects."""
+    scene, field = held(), held().medium
+    pixel = vs.ray_search(scene, Y, "newton").pixel
+    for nodes, expected in ((134, CrossingStatus.UNCOVERED), (201, CrossingStatus.OK)):
+        cut = replace(scene, medium=field.with_nodes(field.nodes[:, :, :nodes]))
+        for status in both_ways(cut, pixel):
+            np.testing.assert_array_equal(status, expected)
+        assert (way_not_held(scene, cut.medium, pixel) == "") == (expected == CrossingStatus.OK)
+    cut = field.with_nodes(field.nodes[:, :, :134])
+    assert "it ends on the camera's side" in way_not_held(scene, cut, pixel)
+    short = field.with_nodes(field.nodes[:, :, 30:], [*field.origin[:2], field.origin[2] + 37.5])
+    for status in both_ways(replace(scene, medium=short), pixel):  # begins above the part
+        np.testing.assert_array_equal(status, CrossingStatus.UNCOVERED)
+    assert "it ends before 8 of 8 points" in way_not_held(scene, short, pixel)
+    far = replace(field, pose=Pose(np.eye(3), np.array([0.0, 1000.0, 0.0])))
+    for status in both_ways(replace(scene, medium=far), pixel):
+        np.testing.assert_array_equal(status, CrossingStatus.OK)
+
+
+def way_not_held(scene, field, pixel):
+    points = bent_points(replace(scene, medium=None), pixel).point_mm
+    return cover_words(field, scene.camera, scene.source.family, points)
+
+
+def test_lines_of_sight_that_meet_no_ray_ahead():
+    """Beside the sheet, and behind the camera."""
+    scene = vs.load_scene("hot_cylinder")
+    good = vs.ray_search(scene, [1.0], "newton").pixel[0]
+    ahead = scene.camera.pose.origin_mm + 300.0 * scene.source.pose.rotation[:, 2]
+    parallel = scene.camera.project(ahead[None])[0]
+    marched, tabulated = both_ways(scene, np.array([good, 2.0 * parallel - good]))
+    np.testing.assert_array_equal(marched, [CrossingStatus.OK, CrossingStatus.BEHIND])
+    np.testing.assert_array_equal(tabulated, marched)

@@ -246,7 +246,7 @@ def test_why_a_pixel_has_no_point_is_said(scene, hot):
     status = CrossingStatus
     expected = [status.OK, status.NO_PIXEL, status.NO_PIXEL]
     np.testing.assert_array_equal(found.status[:3], expected)
-    np.testing.assert_array_equal(found.status[4], status.NO_CROSSING)
+    np.testing.assert_array_equal(found.status[4], status.BEHIND)
     np.testing.assert_array_equal(np.isfinite(found.point_mm[:, 0]), found.status == status.OK)
 
 
@@ -258,7 +258,7 @@ def test_a_crossing_behind_the_camera_is_none(scene):
     pixel, s = camera.project(mirrored[None]), family.coordinates(point[None])[:, 0]
     assert family.coordinates(point[None])[0, 2] > 100.0
     found = crossings(None, camera, family, pixel, s, 1e-3)
-    np.testing.assert_array_equal(found.status, CrossingStatus.NO_CROSSING)
+    np.testing.assert_array_equal(found.status, CrossingStatus.BEHIND)
     assert np.isnan(found.point_mm).all()
 
 

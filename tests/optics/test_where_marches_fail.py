@@ -8,9 +8,10 @@ import virtual_sensor as vs
 from virtual_sensor import IndexField, InputError, RayStatus
 from virtual_sensor.arrays import to_numpy, to_vectors
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.imaging.checks import JUMP_REFUSED_PX, check_scene
+from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.medium.exact_fields import ExactField, hot_spot, linear
 from virtual_sensor.optics.eikonal import March, Straight, bend, never
+from virtual_sensor.optics.field_border import JUMP_REFUSED_PX
 from virtual_sensor.optics.sight import incidence_points, lines_of_sight, seen_points
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface
 

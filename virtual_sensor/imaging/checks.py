@@ -15,6 +15,11 @@ from virtual_sensor.imaging.part_survey import facet_error_mm
 from virtual_sensor.imaging.render import arrangement
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField, border_of
+from virtual_sensor.optics.field_border import (
+    JUMP_REFUSED_PX,
+    BorderCrossing,
+    border_crossing,
+)
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
@@ -22,9 +27,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 JUMP_TOLD_PX = 0.003
-"""A border jump that moves the image by more than this is noted..."""
-JUMP_REFUSED_PX = 0.1
-"""...and one that moves it by more than this is refused."""
+"""A border jump that moves the image by more than this is noted; from JUMP_REFUSED_PX, refused."""
 
 FACETS_TOLD_PX = 0.03
 """Facets that lie beside their surface by more than this are noted."""
@@ -32,10 +35,6 @@ FACETS_TOLD_PX = 0.03
 FACETS_LIE = "the part's facets lie"
 """How the note of facets begins."""
 
-FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
-"""Of a field's box, in the order of `IndexField.border_jump`."""
-
-_INSIDE_MM = 1e-4
 _CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
 _DULL = 0.2  # reflectance of an oxidised part
 _ALL_ROUND = 0.1  # of a border's jump: so much it may vary that is the same everywhere
@@ -61,29 +60,6 @@ class LitLine(Displayed):
         y, points = self.y_mm[lit][order], self.points_mm[lit][order]
         middle = [np.interp(0.0, y, each) for each in points.T]
         return np.round(middle, 6) + 0.0  # the rest is rounding
-
-
-@dataclass(frozen=True)
-class BorderCrossing(Displayed):
-    """Where light enters a field, and what the jump of n there does to the image.
-
-    Attributes
-    ----------
-    face : ndarray of int of shape (N,)
-        Index into `FACES`; -1 for rays that start inside the field.
-    place_mm : ndarray of shape (N, 3)
-        Where the ray enters, world.
-    jump : ndarray of shape (N,)
-        abs(n - n_ambient) there; 0 for rays that start inside.
-    shift_px : ndarray of shape (N,)
-        By how much the refraction at this jump would move the point that the ray ends at, as the
-        camera sees it.
-    """
-
-    face: NDArray[np.int64]
-    place_mm: Array
-    jump: Array
-    shift_px: Array
 
 
 def check_scene(scene: Scene, facets: bool = True) -> list[str]:
@@ -316,33 +292,9 @@ def border_crossings(
     """
     families = {"camera": sensor.camera, "laser": sensor.laser.family}
     return {
-        name: _border_crossing(field, sensor, family.origins(line.points_mm), line.points_mm)
+        name: border_crossing(field, sensor.camera, family, line.points_mm)
         for name, family in families.items()
     }
-
-
-def _border_crossing(
-    field: IndexField, sensor: SensorModel, origin_mm: Array, line_mm: Array
-) -> BorderCrossing:
-    """Snell's law for a small jump: the ray turns by jump * tan(angle of incidence)."""
-    start = field.to_local(origin_mm)
-    ray = field.to_local(line_mm) - start
-    distance = np.linalg.norm(ray, axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        entered = (np.where(ray >= 0.0, field.box[0], field.box[1]) - start) / ray
-    axis = np.nanargmax(entered, axis=1)
-    along = np.clip(np.nanmax(entered, axis=1), 0.0, 1.0)
-    place = start + along[:, None] * ray
-    inner = np.clip(place, field.box[0] + _INSIDE_MM, field.box[1] - _INSIDE_MM)
-    outside = along > 0.0
-    n = field.refractivity(field.to_world(inner))
-    jump = np.where(outside, np.abs(n - field.ambient), 0.0)
-    across = ray[np.arange(len(ray)), axis]
-    cosine = np.abs(across) / distance
-    turn = jump * np.sqrt(1.0 - cosine**2) / np.maximum(cosine, 1e-3)
-    shift = turn * (1.0 - along) * distance / sensor.camera.pixel_mm(line_mm)
-    face = np.where(outside, 2 * axis + (across < 0.0), -1)
-    return BorderCrossing(face, field.to_world(place), jump, shift)
 
 
 def _point(xyz: Array | tuple[float, ...]) -> str:

@@ -211,10 +211,13 @@ def _straight(
     approach = np.sum(direction * normal, axis=-1)
     meets = np.abs(approach) > PARALLEL
     distance_mm = (offset - normal @ centre) / np.where(meets, approach, np.nan)
-    distance_mm = np.where(distance_mm > 0.0, distance_mm, np.nan)
-    seen, met = np.isfinite(approach), np.isfinite(distance_mm)
-    status = np.where(met, CrossingStatus.OK, CrossingStatus.NO_CROSSING)
-    status = np.where(seen, status, CrossingStatus.NO_PIXEL).astype(np.uint8)
+    reasons = {
+        CrossingStatus.NO_PIXEL: ~np.isfinite(approach),
+        CrossingStatus.NO_CROSSING: ~meets,
+        CrossingStatus.BEHIND: ~(distance_mm > 0.0),
+    }
+    status = np.select([*reasons.values()], [*reasons], CrossingStatus.OK).astype(np.uint8)
+    distance_mm = np.where(status == CrossingStatus.OK, distance_mm, np.nan)
     return centre + distance_mm[..., None] * direction, status
 
 

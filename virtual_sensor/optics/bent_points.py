@@ -33,6 +33,7 @@ from virtual_sensor.optics.carried_rays import (
 )
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.crossings import crossings
+from virtual_sensor.optics.field_border import uncovered
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.rays import Field, March
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
@@ -201,12 +202,15 @@ def _marched(
                 break
         lost = ~near
     folded = _folded(camera, p, q, rays.seen) | _folded(family, s, t, rays.lit)
-    ahead = np.minimum(camera.pose.to_local(point)[:, 2], family.pose.to_local(point)[:, 2])
-    status = np.select(
-        [folded, lost | ~(ahead > 0.0)],
-        [CrossingStatus.FOLDED, CrossingStatus.NO_CROSSING],
-        CrossingStatus.OK,
-    )
+    depths = [each.pose.to_local(point)[:, 2] for each in (camera, family)]
+    reasons = {
+        CrossingStatus.FOLDED: folded,
+        CrossingStatus.OFF: lost,
+        CrossingStatus.BEHIND: ~(np.minimum(*depths) > 0.0),
+    }
+    if scene.medium is not None:
+        reasons[CrossingStatus.UNCOVERED] = uncovered(scene.medium, camera, family, point)
+    status = np.select([*reasons.values()], [*reasons], CrossingStatus.OK)
 
     by_pq = np.stack(rays.seen.by_coordinate(), axis=-1)
     by_pixel = by_pq @ np.linalg.inv(camera.pixel_slopes(p, q))

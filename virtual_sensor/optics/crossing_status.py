@@ -14,11 +14,26 @@ class CrossingStatus(StatusEnum):
     )
     NO_CROSSING = (
         2,
-        "The line of sight runs beside the source's rays, or meets them behind camera or source: "
-        "check the pixel (u, v) and the sensor's pose.",
+        "The line of sight runs beside the source's rays: check the pixel (u, v) and the sensor's "
+        "pose.",
     )
     FOLDED = (
         3,
         "A caustic of the source's light, where there may be more than one point or none: leave "
         "these pixels out.",
+    )
+    BEHIND = (
+        4,
+        "The line of sight meets the source's rays behind camera or source only: check the pixel "
+        "(u, v) and the sensor's pose.",
+    )
+    OFF = (
+        5,
+        "Bent light meets, if at all, farther from where straight light does than was searched: "
+        "check that the air is this scene's and lies where it should.",
+    )
+    UNCOVERED = (
+        6,
+        "On the way to the point the air's field ends where it has not faded to its surroundings: "
+        "give a field that reaches further out.",
     )

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed, tally
 from virtual_sensor.optics.covering_maps import by_octaves, covering_map, first_march, in_mm
 from virtual_sensor.optics.crossing_status import CrossingStatus
+from virtual_sensor.optics.field_border import uncovered
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.ray_maps import ForwardMap, MapStatus, along, displaced
 from virtual_sensor.optics.rays import Field
@@ -92,11 +93,15 @@ def crossings(
     known = np.isfinite(sight).all(axis=1) & np.isfinite(s)
     pairs = _Pairs(camera, family, np.nan_to_num(sight), np.where(known, s, 0.0))
     depth, t, settled = pairs.solved(*pairs.start(), None, None)
-    status = np.where(settled & (depth > 0.0), CrossingStatus.OK, CrossingStatus.NO_CROSSING)
-    status = np.where(known, status, CrossingStatus.NO_PIXEL).astype(np.uint8)
     place, beyond = pairs.places(depth, None)
+    ahead = (depth > 0.0) & ((beyond[:, 2] > 0.0) | (field is None))
+    reasons = {
+        CrossingStatus.NO_PIXEL: ~known,
+        CrossingStatus.NO_CROSSING: ~settled,
+        CrossingStatus.BEHIND: ~ahead,
+    }
+    status = np.select([*reasons.values()], [*reasons], CrossingStatus.OK).astype(np.uint8)
     if field is not None:
-        status[(status == CrossingStatus.OK) & ~(beyond[:, 2] > 0.0)] = CrossingStatus.NO_CROSSING
         bent = np.flatnonzero(status == CrossingStatus.OK)
         for some in by_octaves(depth[bent]):
             rows = bent[some]
@@ -104,8 +109,12 @@ def crossings(
             place[rows], t[rows], status[rows] = _bent(
                 field, pairs.of(rows), depth[rows], t[rows], tolerance_mm
             )
+    point = camera.pose.to_world(place)
+    if field is not None:
+        met = np.flatnonzero(status == CrossingStatus.OK)
+        status[met[uncovered(field, camera, family, point[met])]] = CrossingStatus.UNCOVERED
     ok = status == CrossingStatus.OK
-    point = np.where(ok[:, None], camera.pose.to_world(place), np.nan)
+    point = np.where(ok[:, None], point, np.nan)
     return Crossings(point, np.where(ok, t, np.nan), status)
 
 
@@ -127,7 +136,7 @@ def _bent(
         seen, lit = np.vstack([seen, on_sight[more]]), np.vstack([lit, on_light[more]])
     folded = held & ~settled
     folded[held] |= light.points(on_light[held]).status == MapStatus.FOLDED
-    status = np.where(held, CrossingStatus.OK, CrossingStatus.NO_CROSSING)
+    status = np.where(held, CrossingStatus.OK, CrossingStatus.OFF)
     return place, root_t, np.where(folded, CrossingStatus.FOLDED, status).astype(np.uint8)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.checks import FACES, check_scene
+from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
 from virtual_sensor.imaging.render import Frame, RenderReport, render_frame
 from virtual_sensor.imaging.scene import Scene
@@ -37,6 +37,7 @@ from virtual_sensor.metrology.truth import (
     largest,
     rms,
 )
+from virtual_sensor.optics.field_border import FACES
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
 from virtual_sensor.studies.notes import (
