@@ -41,7 +41,11 @@ METROLOGY_KNOWS = (
     "virtual_sensor.poses",
     "virtual_sensor.statuses",
 )
-METROLOGY_KNOWS_WHEN_ASKED = (*METROLOGY_KNOWS, "virtual_sensor.optics")
+METROLOGY_KNOWS_WHEN_ASKED = (
+    *METROLOGY_KNOWS,
+    "virtual_sensor.medium.air_model",
+    "virtual_sensor.optics",
+)
 SCENES = sorted(path.stem for path in shipped_scenes().glob("*.xml"))
 
 

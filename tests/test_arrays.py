@@ -68,6 +68,8 @@ OTHERS = {
     "record",
     "line_centres",
     "lines_by_source",
+    "estimate_air",
+    "identifiability",
 }
 
 

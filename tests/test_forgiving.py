@@ -34,6 +34,11 @@ CENTRES = vs.line_centres(LINE)
 FIELD = vs.IndexField.from_arrays(np.full((5, 5, 5), 2e-4), [-20, -20, -20], [10, 10, 10])
 POSE = vs.Pose(np.eye(3), np.zeros(3))
 ARC = np.array([[x, np.sin(a), np.cos(a)] for x in (0, 1, 2) for a in (0.0, 0.4, 0.8)])
+ESTIMATE = {
+    "observations": vs.Observation(SCENE, [[20.0, 30.0], [40.0, 30.0], [30.0, 31.0]]),
+    "names": (),
+    "shape": vs.CylinderShape(),
+}
 TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
@@ -51,6 +56,10 @@ CALLS = {
     "triangulate": (vs.triangulate, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
     "triangulated_points": (vs.triangulated_points, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
     "fit_cylinder": (vs.fit_cylinder, {"points_mm": ARC, "direction": [1, 0, 0]}),
+    "estimate_air": (vs.estimate_air, ESTIMATE),
+    "identifiability": (vs.identifiability, ESTIMATE),
+    "Observation": (vs.Observation, {"scene": SCENE, "pixel": [[20.0, 30.0]]}),
+    "Prior": (vs.Prior, {"value": 1.0, "sigma": 1.0}),
     "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),
     "read_calibration": (vs.read_calibration, {"path": "no.yaml"}),
     "ray_search": (vs.ray_search, {"scene": SCENE, "laser_y_mm": [0.0], "method": "newton"}),

@@ -64,12 +64,29 @@ Light through air
                          sight.
     projected_points     `project` with a status for each point.
     trace                March rays through a field for a given length of arc.
+    AirModel             Fields as data, and transforms that make other air of them, with exact
+                         derivatives.
     IndexField           Refractivity on a regular grid, in surroundings of uniform air.
     air_refractivity     Refractivity n - 1 of air: Ciddor's equation, continued above 100 degC.
-    AirModel             Air with free parameters: fields of a family, and what makes others of
-                         them.
     Pose                 Where a frame stands in the world: ``world = rotation @ local +
                          origin_mm``.
+
+Air and shape found from images
+    estimate_air         Find parameters of the air, of a shape and of the sensor's poses in what
+                         images hold.
+    identifiability      Tell what observations can say of parameters, without fitting any.
+    Observation          Pixels that one sensor measured at one moment, and what is known of their
+                         light.
+    Prior                What is known of a parameter before anything is measured.
+    AirEstimate          Parameters of the air, of a shape and of poses as found, and how sure they
+                         are.
+    CylinderShape        A round cylinder without ends, whose axis is near the x axis of its frame.
+    PlaneShape           A plane near z = 0 of its frame.
+    SphereShape          A sphere.
+    PartShape            A known part, such as a scene's: its form is given, where it lies may be
+                         found.
+    SectionShape         A known section, such as the part's when it was cold: points on a curve in
+                         a plane.
 
 Statuses, whose members have a message, and errors
     Status               Why there is a centre, or none.
@@ -77,6 +94,7 @@ Statuses, whose members have a message, and errors
     SearchStatus         How a laser ray's search ended.
     ProjectionStatus     Whether a point has a pixel, and if not, why.
     RayStatus            How a ray's march ended.
+    EstimateStatus       What became of a parameter.
     InputError           A scene, a field, an option or an output folder that the program cannot
                          work with.
     EngineError          Dr.Jit or Mitsuba cannot run on this machine as things stand.
@@ -110,6 +128,12 @@ if TYPE_CHECKING:
     from virtual_sensor.medium.air import air_refractivity as air_refractivity
     from virtual_sensor.medium.air_model import AirModel as AirModel
     from virtual_sensor.medium.index_field import IndexField as IndexField
+    from virtual_sensor.metrology.air_estimate import AirEstimate as AirEstimate
+    from virtual_sensor.metrology.air_estimate import EstimateStatus as EstimateStatus
+    from virtual_sensor.metrology.air_estimate import Observation as Observation
+    from virtual_sensor.metrology.air_estimate import Prior as Prior
+    from virtual_sensor.metrology.air_estimate import estimate_air as estimate_air
+    from virtual_sensor.metrology.air_estimate import identifiability as identifiability
     from virtual_sensor.metrology.calibration import Calibration as Calibration
     from virtual_sensor.metrology.calibration import read_calibration as read_calibration
     from virtual_sensor.metrology.centres import LineCentres as LineCentres
@@ -117,6 +141,11 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.cylinder_fit import fit_cylinder as fit_cylinder
     from virtual_sensor.metrology.dot_peaks import dot_centres as dot_centres
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
+    from virtual_sensor.metrology.shapes import CylinderShape as CylinderShape
+    from virtual_sensor.metrology.shapes import PartShape as PartShape
+    from virtual_sensor.metrology.shapes import PlaneShape as PlaneShape
+    from virtual_sensor.metrology.shapes import SectionShape as SectionShape
+    from virtual_sensor.metrology.shapes import SphereShape as SphereShape
     from virtual_sensor.metrology.triangulation import triangulate as triangulate
     from virtual_sensor.metrology.triangulation import triangulated_points as triangulated_points
     from virtual_sensor.metrology.truth import TrueLine as TrueLine
@@ -133,28 +162,39 @@ if TYPE_CHECKING:
     from virtual_sensor.studies.lines_by_source import lines_by_source as lines_by_source
 
 _HOME = {
+    "AirEstimate": "metrology.air_estimate",
     "AirModel": "medium.air_model",
     "Aperture": "imaging.speckle",
     "Calibration": "metrology.calibration",
     "CameraNoise": "imaging.camera_noise",
     "CrossingStatus": "optics.crossing_status",
+    "CylinderShape": "metrology.shapes",
     "EngineError": "errors",
+    "EstimateStatus": "metrology.air_estimate",
     "Frame": "imaging.render",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
+    "Observation": "metrology.air_estimate",
+    "PartShape": "metrology.shapes",
+    "PlaneShape": "metrology.shapes",
     "Pose": "poses",
+    "Prior": "metrology.air_estimate",
     "ProjectionStatus": "optics.projection",
     "RayStatus": "optics.ray_status",
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
+    "SectionShape": "metrology.shapes",
+    "SphereShape": "metrology.shapes",
     "Status": "metrology.centres",
     "TrueLine": "metrology.truth",
     "air_refractivity": "medium.air",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
+    "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
     "gaussian_blur": "imaging.lens",
+    "identifiability": "metrology.air_estimate",
     "line_centres": "metrology.line_peaks",
     "lines_by_source": "studies.lines_by_source",
     "load_scene": "imaging.scene",
