@@ -1,29 +1,80 @@
-"""A correction's results: tables, points, and the figures that judge them."""
+"""A correction's results: points, what was removed, the error budget, the air found, and a page."""
 
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.deviation import euclidean
+from virtual_sensor.metrology.truth import rms
+from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.measure import micrometres
+from virtual_sensor.reporting.page import PAGE, Content, Page, Section
+from virtual_sensor.reporting.pictures import (
+    Panel,
+    PanelPicture,
+    Picture,
+    beside,
+    draw_picture,
+    from_side,
+    key_above,
+    side_of,
+)
+from virtual_sensor.reporting.style import ALONG, CYCLE, GREY, LINES, colour, drawable
+from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
+from virtual_sensor.reporting.words import counted
 from virtual_sensor.studies.correct.correction import (
+    Corrected,
     CorrectedTable,
     Correction,
     CorrectionSummary,
 )
+from virtual_sensor.studies.section import SectionErrors
+
+Array = NDArray[np.float64]
+
+AIR = "air.nc"
+"""The estimated air, as `--medium` and a scene's parameter `field` read it."""
+
+_CERTAIN = 1.96  # standard deviations of a 95 % interval
+_NAMED = 6  # measurements that a key names
+_FEW = 60  # points that are marked one by one
+_SPOKES = 24  # from uncorrected to corrected points, of a measurement
+_LONGEST = 0.15  # enlarged error, of the points' extent
+_STEPS = (1.0, 2.0, 5.0)
 
 FILES = (
-    FileOf("points_*.csv", "Corrected points with their covariance.", CorrectedTable),
-    FileOf("points_*_uncorrected.ply", "The points as if light ran straight, mm, world."),
-    FileOf("points_*.ply", "The corrected points, mm, world; intensity is their sigma in µm."),
+    FileOf(PAGE, "The page to open first."),
+    FileOf("report.png", "The correction at a glance."),
     FileOf(RESULTS_SIGN, "The figures of the correction.", CorrectionSummary),
+    FileOf("points.csv", "All points with their covariance.", CorrectedTable),
+    FileOf(
+        "corrected.ply",
+        "The corrected points, mm, world; their intensity is how far they were moved, in µm, and"
+        " their property measurement counts the measurements from 1.",
+    ),
+    FileOf("uncorrected.ply", "The same points as if light ran straight."),
+    FileOf(AIR, "The air that was estimated: correct --medium and measure -D field= read it."),
 )
 
 
-def save(result: Correction, folder: Path, command: str, overwrite: bool = False) -> None:
-    """Write a correction's files (`FILES`), all of them or none.
+# The files.
+
+
+def save(
+    result: Correction, folder: Path, command: str, overwrite: bool = False
+) -> CorrectionSummary:
+    """Write a correction's files (`FILES`), all of them or none, and give its summary.
+
+    `command` is the exact one that the results come from.
 
     Raises
     ------
@@ -31,24 +82,316 @@ def save(result: Correction, folder: Path, command: str, overwrite: bool = False
         If the folder exists (and `overwrite` is not set) or can't be written.
     """
     with folder_written_whole(folder, overwrite) as place:
-        for each in result.measurements:
-            sigma = np.nan_to_num(each.sigma_um)
-            write_ply(place / f"points_{each.name}.ply", each.point_mm, sigma)
-            uncorrected = place / f"points_{each.name}_uncorrected.ply"
-            write_ply(uncorrected, each.point_uncorrected_mm, sigma)
-        tables = {f"points_{each.name}.csv": each.table for each in result.measurements}
-        write_results(place, FILES, {**tables, RESULTS_SIGN: result.summary})
+        moved = np.concatenate([euclidean(each.moved_um) for each in result.measurements])
+        lengths = [len(each.pixel) for each in result.measurements]
+        number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
+        for name, points in (("corrected", "point_mm"), ("uncorrected", "point_uncorrected_mm")):
+            joined = np.concatenate([getattr(each, points) for each in result.measurements])
+            write_ply(place / f"{name}.ply", joined, moved, measurement=number)
+        if result.estimate is not None and result.medium is not None:
+            result.medium.write(place / AIR)
+        contents: dict[str, Any] = {"points.csv": result.table}
+        panels: Mapping[str, PanelPicture] = {}
+        if result.points:
+            contents["report.png"], panels = picture(result)
+        contents[PAGE] = page(result, panels, command)
+        contents[RESULTS_SIGN] = result.summary
+        write_results(place, FILES, contents)
+    return result.summary
+
+
+# The console.
 
 
 def on_console(result: Correction) -> list[TextTable | str]:
-    """What the command prints: how far points were moved, and what is left."""
-    rows = [{"name": each.name, "of": each.summary} for each in result.measurements]
-    columns = [
-        Column("name", " "),
-        Column("of.points", "points", "{:d}"),
-        Column("of.moved_rms_um", "moved, rms µm", "{:.3g}"),
-        Column("of.distance_uncorrected.rms_um", "off the part before, rms µm", "{:.3g}"),
-        Column("of.distance.rms_um", "after, rms µm", "{:.3g}"),
-        Column("of.median_sigma_um", "sigma, µm", "{:.2g}"),
+    """What the command prints: how far points were off the part before and after, and the air."""
+    shown: list[TextTable | str] = [measurement_table(result.summary)]
+    if result.circle:
+        shown.append(radius_table(result.summary))
+    return shown
+
+
+def measurement_table(figures: CorrectionSummary) -> TextTable:
+    """Each measurement before and after."""
+    rows = [{"name": name, **vars(each)} for name, each in figures.measurements.items()]
+    return text_table(
+        rows,
+        (
+            Column("name", "measurement"),
+            Column("points", "points", "{}"),
+            Column("distance_uncorrected.rms_um", "before", nothing="none"),
+            Column("distance.rms_um", "after", nothing="none"),
+            Column("median_sigma_um", "sigma"),
+            Column("moved_rms_um", "moved"),
+        ),
+        "Distance from the scene's part, rms, in µm",
+    )
+
+
+def missing(figures: CorrectionSummary) -> list[TextTable]:
+    """Why centres or points are missing, where some are."""
+    rows = []
+    for name, each in figures.measurements.items():
+        centres, points = dict(each.centre_status), dict(each.status)
+        points["no_pixel"] -= sum(centres.values()) - centres["ok"]  # said of the centre already
+        for kind, counts in ((Status, centres), (CrossingStatus, points)):
+            found = {kind[status.upper()]: count for status, count in counts.items() if count > 0}
+            rows += [
+                {"name": name, "count": count, "words": status.message}
+                for status, count in found.items()
+                if status
+            ]
+    columns = (
+        Column("name", "measurement"),
+        Column("count", "missing", "{}"),
+        Column("words", "why"),
+    )
+    return [text_table(rows, columns)] if rows else []
+
+
+def radius_table(figures: CorrectionSummary) -> TextTable:
+    """The fitted radius before and after."""
+    circles = {"before": figures.circle_uncorrected, "after": figures.circle}
+    rows = [{"points": name, "fit": fit} for name, fit in circles.items() if fit]
+    return text_table(
+        rows,
+        (
+            Column("points", " "),
+            Column("fit.radius_mm", "radius, mm", "{:.4f}"),
+            Column("fit.radius_error_um", "minus the part's, µm", "{:+.3g}"),
+            Column("fit.rms_um", "residuals, rms, µm"),
+        ),
+        "A circle through all points",
+    )
+
+
+# The page.
+
+
+def lead(figures: CorrectionSummary) -> str:
+    """How far the points are off the part, before and after; or that there are none."""
+    measured = list(figures.measurements.values())
+    if not any(each.points for each in measured):
+        return "No point could be corrected."
+    sentences = []
+    before, after = (
+        _joined([getattr(each, name) for each in measured])
+        for name in ("distance_uncorrected", "distance")
+    )
+    if np.isfinite(after):
+        sentences.append(
+            f"Corrected, the points lie {micrometres(after)} rms off the scene's part; uncorrected,"
+            f" {micrometres(before)}."
+        )
+    else:
+        moved = max(each.moved_rms_um for each in measured if each.points)
+        sentences.append(f"The correction moves points by up to {micrometres(moved)} rms.")
+    if figures.circle and figures.circle_uncorrected:
+        errors = figures.circle.radius_error_um, figures.circle_uncorrected.radius_error_um
+        sentences.append(
+            f"The fitted radius is {_over(errors[0])} the part's; uncorrected, {_over(errors[1])}."
+        )
+    return " ".join(sentences)
+
+
+def _over(error_um: float) -> str:
+    return f"{micrometres(abs(error_um))} {'above' if error_um >= 0.0 else 'below'}"
+
+
+def _joined(errors: Sequence[SectionErrors]) -> float:
+    """The rms of all points of several measurements."""
+    known = [each for each in errors if each.points]
+    count = sum(each.points for each in known)
+    return float(np.sqrt(sum(e.points * e.rms_um**2 for e in known) / count)) if count else np.nan
+
+
+def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -> Page:
+    """The page of a correction."""
+    figures = result.summary
+    names = {Path(each.scene).stem for each in figures.measurements.values()}
+    sections = [
+        Section(
+            "What was removed",
+            *([beside(panels, "distance", "removed", "part")] if panels else []),
+            measurement_table(figures),
+            *missing(figures),
+            "The scene's part is as its file has it. Where a part of your own differs from it, so"
+            " do the corrected points.",
+        ),
     ]
-    return [text_table(rows, columns, "Corrected through the air")]
+    if result.circle:
+        sections.append(Section("The radius", radius_table(figures)))
+    if panels:
+        sections.append(Section("How far to trust it", beside(panels, "left", "budget")))
+    sections.append(Section("The air", *_air(result, panels)))
+    return Page(
+        f"{', '.join(sorted(names))}: {counted(len(result.measurements), 'measurement')} corrected",
+        lead(figures),
+        tuple(sections),
+        command,
+        figures.made_with,
+        tuple(note for note in figures.notes if note not in figures.caveats),
+        figures.caveats,
+    )
+
+
+def _air(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
+    facts = {"where it is from": result.air.origin, "field": Path(result.air.source).name or "none"}
+    yield pair_table(("the air", ""), facts)
+
+
+# The picture.
+
+
+def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
+    """Draw a correction: the whole picture, and its panels by name."""
+    shown = result.measurements
+    panels = {"removed": removed_panel(shown), "part": part_panel(shown)}
+    if any(each.summary.distance.points for each in shown):
+        panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
+    if result.estimate is not None:
+        panels |= {"residual": residual_panel(shown)}
+    names = ", ".join(dict.fromkeys(drawable(each.scene.path.stem) for each in shown))
+    drawn = draw_picture(f"{names}: {lead(result.summary)}", list(panels.values()), columns=3)
+    return drawn, dict(zip(panels, drawn.panels, strict=True))
+
+
+def distance_panel(measurements: Sequence[Corrected]) -> Panel:
+    """Distances from the part, before and after."""
+
+    def draw(axes: Axes) -> None:
+        draw_distances(axes, measurements)
+        key_above(axes)
+
+    dashed = "" if len(measurements) == 1 else " (dashed: uncorrected)"
+    alt = "Distance of the uncorrected and of the corrected points from the part, along the line."
+    return Panel(f"Distance from the part{dashed}", draw, alt, width=2, layout=None)
+
+
+def draw_distances(axes: Axes, measurements: Sequence[Corrected]) -> None:
+    """Distances from the part over y along the line, before (dashed) and after."""
+    for each, paint, label in _marked(measurements):
+        before, after, *labels = paint, paint, None, label
+        if len(measurements) == 1:
+            errors = each.distance_uncorrected_um, each.distance_um
+            words = zip(("uncorrected", "corrected"), errors, strict=True)
+            labels = [f"{word}: {micrometres(rms(error))} rms" for word, error in words]
+            before, after = colour("hot"), colour("cold")
+        # Each where it lies: an uncorrected point is aside of its corrected one.
+        y = each.part.along_mm(each.point_uncorrected_mm)
+        style = {"color": before, "label": labels[0], "lw": 1.1} | _style(each, 1)
+        axes.plot(y, each.distance_uncorrected_um, **style)
+        axes.plot(each.along_mm, each.distance_um, color=after, label=labels[1], **_style(each))
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    axes.set(xlabel=ALONG, ylabel="outside (+) or inside the part (−), µm")
+
+
+def removed_panel(measurements: Sequence[Corrected]) -> Panel:
+    """How far uncorrected points are from the corrected ones: along the line, and in height."""
+
+    def draw(axes: Axes) -> None:
+        for each, paint, label in _marked(measurements):
+            _, along, away = each.part.laser.pose.rotation.T
+            error = -each.moved_um
+            alone = len(measurements) == 1
+            paints = (colour("y"), colour("z")) if alone else (paint, paint)
+            labels = ("along the line", "towards the laser") if alone else (None, label)
+            for number, moved in ((1, error @ along), (0, -error @ away)):
+                style = {"color": paints[1 - number], "label": labels[1 - number]}
+                axes.plot(each.along_mm, moved, **style | _style(each, number))
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel=ALONG, ylabel="uncorrected minus corrected, µm")
+        key_above(axes)
+
+    dashed = "" if len(measurements) == 1 else " (dashed: along the line)"
+    alt = "Uncorrected minus corrected points, along the line and towards the laser."
+    return Panel(f"What was removed{dashed}", draw, alt, layout=None)
+
+
+def left_panel(measurements: Sequence[Corrected]) -> Panel:
+    """What is left, with the interval in which 95 % of it is expected."""
+
+    def draw(axes: Axes) -> None:
+        for each, paint, label in _marked(measurements):
+            band = _CERTAIN * each.sigma_um
+            dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
+            axes.plot(each.along_mm, each.distance_um, ".", **dots)
+            if label:
+                axes.fill_between(each.along_mm, -band, band, color=paint, alpha=0.15, lw=0)
+            axes.plot(each.along_mm, np.stack([band, -band], axis=1), color=paint, lw=0.8)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel=ALONG, ylabel="corrected minus part, µm")
+        if len(measurements) > 1:
+            key_above(axes)
+
+    alt = "Distance of the corrected points from the part, with their interval of 95 %."
+    return Panel("What is left, and its 95 % interval", draw, alt, layout=None)
+
+
+def part_panel(measurements: Sequence[Corrected]) -> Panel:
+    """Points over the part, and the uncorrected ones with their error enlarged."""
+    points = np.concatenate([each.point_mm for each in measurements])
+    across, up = side_of(points)
+    flat = [across, up]
+    errors = [each.point_uncorrected_mm - each.point_mm for each in measurements]
+    longest = float(np.nanmax(np.linalg.norm(np.concatenate(errors), axis=1), initial=0.0))
+    known = points[np.isfinite(points).all(axis=1)]
+    extent = float(np.ptp(known, axis=0).max(initial=0.0)) if len(known) else 0.0
+    enlarged = _rounded_down(_LONGEST * extent / longest) if longest > 0.0 < extent else 1.0
+
+    def draw(axes: Axes) -> None:
+        for (each, paint, label), error in zip(_marked(measurements), errors, strict=True):
+            end = each.point_mm[:, flat]
+            start = end + enlarged * error[:, flat]
+            rows = np.flatnonzero(np.isfinite(start).all(axis=1))
+            rows = rows[:: -(-len(rows) // _SPOKES) or 1]
+            both = np.stack([start[rows], end[rows]])
+            axes.plot(both[..., 0], both[..., 1], color=paint, lw=0.6, alpha=0.6)
+            axes.plot(*start.T, color=paint, lw=1.0, **_style(each, 1))
+            axes.plot(*end.T, color=paint, lw=2.2, label=label, **_style(each))
+        from_side(axes, across, up)
+        if len(measurements) > 1:
+            key_above(axes)
+
+    off = f"uncorrected, {enlarged:g} times as far off" if enlarged != 1.0 else "uncorrected"
+    alt = f"The points from the side; dashed: {off}."
+    return Panel(f"The points; dashed: {off}", draw, alt, layout=None)
+
+
+def residual_panel(measurements: Sequence[Corrected]) -> Panel:
+    """What the estimate leaves in the images, and the noise that is expected there."""
+
+    def draw(axes: Axes) -> None:
+        for each, paint, label in _marked(measurements):
+            if each.residual_px is None:
+                continue
+            dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
+            axes.plot(each.along_mm, each.residual_px, ".", **dots)
+            band = np.stack([each.sigma_px, -each.sigma_px], axis=1) * _CERTAIN
+            axes.plot(each.along_mm, band, color=paint, lw=0.8)
+        axes.axhline(0.0, color="0.5", lw=0.8)
+        axes.set(xlabel=ALONG, ylabel="px")
+        if len(measurements) > 1:
+            key_above(axes)
+
+    alt = "What the estimate leaves in the images, with the interval of 95 % of the noise."
+    return Panel("What is left in the images, and 95 % of noise", draw, alt, layout=None)
+
+
+def _rounded_down(value: float) -> float:
+    """1, 2 or 5 times a power of ten, at most the value."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step for step in _STEPS if step * power <= value) * power)
+
+
+def _style(each: Corrected, number: int = 0) -> dict[str, Any]:
+    """How the curve of some number is drawn; few points bear marks, as no line goes through one."""
+    marks = {"marker": ".", "ms": 5.0} if each.points <= _FEW else {}
+    return {"ls": LINES[number]} | marks
+
+
+def _marked(measurements: Sequence[Corrected]) -> Iterator[tuple[Corrected, str, str | None]]:
+    """Measurements with a colour and a label each; many alike have one colour and no label."""
+    few = len(measurements) <= _NAMED
+    for each, paint in zip(measurements, cycle(CYCLE if few else (GREY,)), strict=False):
+        yield each, paint, drawable(each.name) if few else None

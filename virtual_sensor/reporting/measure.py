@@ -26,7 +26,14 @@ from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import LIMITS, PAGE, Details, Page, Section
-from virtual_sensor.reporting.pictures import Panel, PanelPicture, Picture, draw_picture, key_above
+from virtual_sensor.reporting.pictures import (
+    Panel,
+    PanelPicture,
+    Picture,
+    beside,
+    draw_picture,
+    key_above,
+)
 from virtual_sensor.reporting.style import ALONG, LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
@@ -254,21 +261,21 @@ def page(
         Section(
             "The measured section",
             *why(figures)[:1],
-            _beside(panels, "section", "paths"),
+            beside(panels, "section", "paths"),
             section_table(figures),
             "The true section is where straight light of the sheet's middle meets the part. Each"
             " point's distance from it is positive outside the part. y is counted along the line,"
             " from its middle: where the laser's axis meets the part.",
             *_at_edges(figures),
         ),
-        Section("What the camera sees", _beside(panels, "frame", "air")),
+        Section("What the camera sees", beside(panels, "frame", "air")),
     ]
     if result.hot:
         sections.append(
             Section(
                 "Points lit and measured",
                 *why(figures)[1:],
-                _beside(panels, "letters", "probes"),
+                beside(panels, "letters", "probes"),
                 _probe_rays_table(result),
             )
         )
@@ -279,7 +286,7 @@ def page(
             "Check: rendered line against ray search",
             "The line's centres in the rendered frames stand beside a search by rays, without any"
             " image: what separates them is the error of rendering and detecting.",
-            _beside(panels, "check"),
+            beside(panels, "check"),
             table(result, figures),
             *starmap(_compared, each),
         ),
@@ -293,11 +300,6 @@ def page(
     lead = f"{capital(headline(figures))}."
     notes = tuple(note for note in figures.notes if note not in figures.caveats)
     return Page(title, lead, tuple(sections), command, figures.made_with, notes, figures.caveats)
-
-
-def _beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:
-    """Those of the panels that there are, beside each other where there is room."""
-    return Picture("", b"", tuple(panels[name] for name in names if name in panels))
 
 
 def _at_edges(figures: Summary) -> list[str]:

@@ -24,7 +24,7 @@ from virtual_sensor.display import names_of
 from virtual_sensor.errors import InputError, a
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
-from virtual_sensor.reporting.pictures import coarser
+from virtual_sensor.reporting.pictures import coarser, from_side, side_of
 from virtual_sensor.reporting.style import (
     ALONG,
     BLUE,
@@ -256,6 +256,7 @@ def _image(axes: Axes, image: NDArray[Any], window: tuple[slice, slice] | None =
 
 @draws(
     "metrology.triangulation.TriangulatedPoints",
+    "optics.bent_points.BentPoints",
     "optics.crossings.Crossings",
     "optics.ray_maps.RayPoints",
     "imaging.render.PixelTruth",
@@ -517,20 +518,6 @@ def _hull(axes: Axes, points: Array, **style: Any) -> None:
     axes.fill(*_hull_of(points).T, **style)
 
 
-def side_of(points: Array) -> tuple[int, int]:
-    """The two of the axes x, y, z along which points extend farthest, z upwards if it is one."""
-    known = points[np.isfinite(points).all(axis=1)] if len(points) else np.zeros((1, 3))
-    extent = np.ptp(known, axis=0) if len(known) else np.zeros(3)
-    across, up = sorted(np.argsort(extent, kind="stable")[1:].tolist())
-    return across, up
-
-
-def from_side(axes: Axes, across: int, up: int) -> None:
-    """The words of axes that show two of x, y, z, with one scale."""
-    axes.set(xlabel=f"{'xyz'[across]} in mm", ylabel=f"{'xyz'[up]} in mm")
-    axes.set_aspect("equal", adjustable="datalim")
-
-
 # -------------------------------------------------------------------------------------- fields
 
 
@@ -562,6 +549,11 @@ def _field(axes: Axes, field: IndexField) -> None:
 @draws("medium.field_family.FieldFamily")
 def _family(axes: Axes, family: Any) -> None:
     _field(axes, family.fields[max(family.fields)])
+
+
+@draws("medium.air_model.AirModel")
+def _air_model(axes: Axes, model: Any) -> None:
+    _field(axes, model.at())
 
 
 @draws("studies.field_info.FieldInfo")
@@ -648,6 +640,24 @@ def _table(axes: Axes, table: Table) -> None:
 
 
 # ------------------------------------------------------------------------------------- studies
+
+
+@draws("studies.correct.correction.Correction")
+def _correction(axes: Axes, result: Any) -> None:
+    """How far the points are from the part, before and after."""
+    from virtual_sensor.reporting.correct import draw_distances
+
+    draw_distances(axes, result.measurements)
+    if axes.get_legend_handles_labels()[0]:  # of few measurements
+        axes.legend(fontsize="small")
+
+
+@draws("studies.correct.correction.Corrected")
+def _corrected(axes: Axes, each: Any) -> None:
+    from virtual_sensor.reporting.correct import draw_distances
+
+    draw_distances(axes, [each])
+    axes.legend(fontsize="small")
 
 
 @draws("studies.measure.Measurement")

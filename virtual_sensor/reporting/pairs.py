@@ -17,9 +17,15 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import Record, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.measure import headline, save
-from virtual_sensor.reporting.objects import from_side, side_of
 from virtual_sensor.reporting.page import PAGE, Page, Section
-from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture, key_above
+from virtual_sensor.reporting.pictures import (
+    Panel,
+    Picture,
+    draw_picture,
+    from_side,
+    key_above,
+    side_of,
+)
 from virtual_sensor.reporting.style import CYCLE
 from virtual_sensor.reporting.tables import Link, TextTable
 from virtual_sensor.reporting.words import capital

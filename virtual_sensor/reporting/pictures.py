@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import ceil
@@ -156,6 +156,11 @@ def draw_picture(
     return Picture(title, _png(whole), cut)
 
 
+def beside(panels: Mapping[str, PanelPicture], *names: str) -> Picture:
+    """Those of the panels that there are, beside each other on a page where there is room."""
+    return Picture("", b"", tuple(panels[name] for name in names if name in panels))
+
+
 def write_vector(
     path: Path,
     title: str,
@@ -204,6 +209,20 @@ def key_above(axes: Axes) -> None:
     if not wide:
         axes.set_title(axes.get_title(loc="left"), pad=24)
         axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())
+
+
+def side_of(points: NDArray[np.float64]) -> tuple[int, int]:
+    """The two of the axes x, y, z along which points extend farthest, z upwards if it is one."""
+    known = points[np.isfinite(points).all(axis=1)] if len(points) else np.zeros((1, 3))
+    extent = np.ptp(known, axis=0) if len(known) else np.zeros(3)
+    across, up = sorted(np.argsort(extent, kind="stable")[1:].tolist())
+    return across, up
+
+
+def from_side(axes: Axes, across: int, up: int) -> None:
+    """The words of axes that show two of x, y, z, with one scale."""
+    axes.set(xlabel=f"{'xyz'[across]} in mm", ylabel=f"{'xyz'[up]} in mm")
+    axes.set_aspect("equal", adjustable="datalim")
 
 
 def coarser(image: NDArray[Any], most_px: int = 900) -> tuple[NDArray[np.float32], tuple[int, int]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -32,6 +32,8 @@ class CorrectedTable(Table):
 
     Attributes
     ----------
+    measurement : ndarray of str of shape (N,)
+        Its name.
     column_px, row_px : ndarray of shape (N,)
         (u, v) of the centre; empty where there is none.
     sigma_px : ndarray of shape (N,)
@@ -56,6 +58,7 @@ class CorrectedTable(Table):
         The same of the uncorrected point.
     """
 
+    measurement: NDArray[np.str_]
     column_px: Array
     row_px: Array
     sigma_px: Array
@@ -172,6 +175,7 @@ class Corrected(Displayed):
             f"cov_{name}_um2": UM_PER_MM**2 * self.covariance_mm2[:, i, j] for name, i, j in _PAIRS
         }
         return CorrectedTable(
+            measurement=np.full(len(self.pixel), self.name),
             column_px=self.pixel[:, 0],
             row_px=self.pixel[:, 1],
             sigma_px=self.sigma_px,
@@ -358,10 +362,15 @@ class Correction(Displayed):
         return listed(names, f"{self.points} points", f"moved by {moved:.3g} µm rms")
 
     def _columns(self) -> dict[str, NDArray[Any]]:
-        columns = [each._columns() for each in self.measurements]
-        lengths = [len(each.pixel) for each in self.measurements]
-        named = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
-        return {"name": np.repeat([each.name for each in self.measurements], lengths), **named}
+        return self.table.columns()
+
+    @cached_property
+    def table(self) -> CorrectedTable:
+        """All points of all measurements."""
+        tables = [each.table for each in self.measurements]
+        names = [each.name for each in fields(CorrectedTable)]
+        joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in names}
+        return CorrectedTable(**joined)
 
     @property
     def points(self) -> int:

@@ -1,0 +1,130 @@
+"""A correction's picture, page and files: what a reader sees, for every kind of measurement."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from data_dictionary import undocumented
+from matplotlib.figure import Figure
+
+from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.metrology.centres import Status
+from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.reporting import correct as reporting
+from virtual_sensor.studies.correct.correct import correct
+from virtual_sensor.studies.correct.measured import Measured
+
+Y_MM = np.linspace(-10.0, 10.0, 21)
+AGAIN = "virtual-sensor correct measured"
+
+
+def searched(name, scene="hot_cylinder", **given):
+    """A measurement of searched pixels, without one of them."""
+    loaded = load_scene(scene, **given)
+    pixel = np.array(ray_search(loaded, Y_MM, "newton").pixel)
+    pixel[3] = np.nan
+    status = np.where(np.isfinite(pixel[:, 0]), Status.OK, Status.NO_PEAK).astype(np.uint8)
+    return Measured(name, loaded, pixel, np.full(21, 0.02), np.full(21, 90.0), status)
+
+
+@pytest.fixture(scope="module")
+def corrections():
+    flat, turned = searched("flat"), searched("turned $a$ <b>", beta=30)
+    none = replace(flat, pixel=np.full((21, 2), np.nan))
+    only = np.arange(21) == 7
+    one = replace(flat, pixel=np.where(only[:, None], flat.pixel, np.nan))
+    many = [replace(flat, name=f"frame {n}") for n in range(9)]
+    shaft = searched("shaft", "stepped_shaft")
+    given = {"one": [flat], "two": [flat, turned], "many": many, "shaft": [shaft]}
+    given |= {"none": [none], "one point": [one]}
+    return {name: correct(each) for name, each in given.items()}
+
+
+@pytest.fixture(scope="module")
+def folders(corrections, tmp_path_factory, without_paint):
+    place = tmp_path_factory.mktemp("corrected")
+    for name, result in corrections.items():
+        with without_paint():
+            reporting.save(result, place / name, AGAIN)
+    return {name: place / name for name in corrections}
+
+
+def test_all_files_columns_and_keys_are_in_the_data_dictionary(folders):
+    for name, folder in folders.items():
+        assert undocumented(folder, reporting.FILES) == [], name
+
+
+def test_pages_stand_in_a_browser(folders, faults_of):
+    for name in ("two", "none"):
+        assert faults_of(folders[name] / "report.html") == []
+
+
+def test_the_page_begins_with_what_is_left(corrections, folders):
+    """Rationale: the reader came for it; a fit's small residual is no news."""
+    lead = reporting.lead(corrections["two"].summary)
+    figures = json.loads((folders["two"] / "summary.json").read_text(encoding="utf-8"))
+    errors = [
+        figures["measurements"][name]["distance_uncorrected"] for name in figures["measurements"]
+    ]
+    before = np.sqrt(np.mean([each["rms_um"] ** 2 for each in errors]))
+    assert f"rms off the scene's part; uncorrected, {before:.3g} µm." in lead
+    assert f"uncorrected, {-figures['circle_uncorrected']['radius_error_um']:.3g} µm below" in lead
+    assert reporting.lead(corrections["none"].summary) == "No point could be corrected."
+
+
+def test_points_are_written_with_the_number_and_name_of_their_measurement(corrections, folders):
+    table = (folders["two"] / "points.csv").read_text(encoding="utf-8").splitlines()
+    assert table[0].startswith("measurement,column_px,row_px,")
+    names = [row.split(",")[0] for row in table[1:]]
+    assert names == ["flat"] * 21 + ["turned $a$ <b>"] * 21
+    for name, points in (("corrected", "point_mm"), ("uncorrected", "point_uncorrected_mm")):
+        head, _, data = (folders["two"] / f"{name}.ply").read_bytes().partition(b"end_header\n")
+        assert b"element vertex 40\n" in head
+        kinds = [*((each, "<f4") for each in "xyzm"), ("measurement", "<i4")]
+        vertex = np.frombuffer(data, kinds)
+        assert vertex["measurement"].tolist() == [1] * 20 + [2] * 20
+        both = [getattr(each, points) for each in corrections["two"].measurements]
+        true = np.concatenate(both)[:, 1]
+        np.testing.assert_allclose(vertex["y"], true[np.isfinite(true)], atol=1e-5)
+
+
+def test_what_was_removed_is_what_is_left_beside_what_was_there(corrections):
+    """Rationale: signs. Uncorrected, the middle lies above the part, and what is removed too."""
+    (flat,) = corrections["one"].measurements
+    axes = Figure().add_subplot()
+    reporting.removed_panel([flat]).draw(axes)
+    along, towards = (line.get_ydata() for line in axes.lines[:2])
+    error = 1e3 * (flat.point_uncorrected_mm - flat.point_mm)
+    np.testing.assert_allclose(along, error[:, 1], atol=1e-9)
+    assert towards[10] > 50 < flat.distance_uncorrected_um[10]
+
+
+def test_many_measurements_are_drawn_alike_and_unnamed(corrections):
+    """Rationale: a key of a hundred frames leaves no room for them."""
+    for kind, labels in (("two", 2), ("many", 0)):
+        axes = Figure().add_subplot()
+        reporting.draw_distances(axes, corrections[kind].measurements)
+        assert len(axes.get_legend_handles_labels()[1]) == labels
+
+
+def test_what_is_missing_is_said_once_with_its_reason(corrections):
+    (table,) = reporting.missing(corrections["two"].summary)
+    assert [row[:2] for row in table.rows] == [("flat", "1"), ("turned $a$ <b>", "1")]
+    (lost,) = reporting.missing(corrections["none"].summary)
+    assert sum(int(row[1]) for row in lost.rows) == 21
+
+
+def test_objects_are_drawn(corrections):
+    for name, result in corrections.items():
+        for each in (result, result.measurements[0]):
+            assert each.plot(Figure().add_subplot()).get_xlabel(), name
+
+
+def test_the_console_says_before_and_after(corrections):
+    first, circle = reporting.on_console(corrections["two"])
+    assert first.head == ("measurement", "points", "before", "after", "sigma", "moved")
+    assert [row[1] for row in first.rows] == ["20", "20"]
+    assert [row[0] for row in circle.rows] == ["before", "after"]
+    (alone,) = reporting.on_console(corrections["none"])
+    assert alone.rows[0][1:4] == ("0", "none", "none")
