@@ -42,7 +42,7 @@ class FieldDerivative(Evaluated):
         Derivative of the surroundings' n - 1.
     """
 
-    field: IndexField
+    field: Any  # or what else has a lookup
     share: float = 0.0
     stretch: np.ndarray | None = None
     shift: np.ndarray | None = None
@@ -58,12 +58,14 @@ class FieldDerivative(Evaluated):
     @property
     def box(self) -> np.ndarray:
         """Lowest and highest corner in the field's frame: (2, 3), mm."""
-        return self.field.box
+        box: np.ndarray = self.field.box
+        return box
 
     @property
     def pose(self) -> Pose | None:  # type: ignore[override]
         """The field's."""
-        return self.field.pose
+        pose: Pose | None = self.field.pose
+        return pose
 
     def moved(self, motion: Pose) -> FieldDerivative:
         """The derivative of the moved field."""
@@ -83,9 +85,8 @@ class _Lookup:
         self._vector = vector
         self._field = of.field.lookup(precision)
         self._nodes = of.nodes.lookup(precision) if of.nodes is not None else None
-        self._share = dr.opaque(scalar, of.share) if of.share else None
-        self._moves = of.stretch is not None or of.shift is not None
-        # Opaque: one kernel for any numbers.
+        # Opaque: one kernel for any numbers, and for all changes without nodes.
+        self._share = dr.opaque(scalar, of.share)
         self._stretch, self._shift = (
             dr.opaque(vector(*(np.zeros(3) if each is None else each).tolist()))
             for each in (of.stretch, of.shift)
@@ -97,16 +98,11 @@ class _Lookup:
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """It, and its gradient, in a vector of `p`'s type."""
-        value, gradient = dr.zeros(type(p[0]), dr.width(p)), type(p)(0.0)
-        if self._moves:
-            f, g, hessian = self._field.delta_gradient_hessian(p)
-            by = type(p)(*(self._stretch[i] * p[i] + self._shift[i] for i in range(3)))
-            value = dr.dot(by, g)
-            gradient = hessian @ by + type(p)(*(self._stretch[i] * g[i] for i in range(3)))
-        elif self._share is not None:
-            f, g = self._field.delta_and_gradient(p)
-        if self._share is not None:
-            value, gradient = value + self._share * f, gradient + g * self._share
+        f, g, hessian = self._field.delta_gradient_hessian(p)
+        by = type(p)(*(self._stretch[i] * p[i] + self._shift[i] for i in range(3)))
+        by_stretch = type(p)(*(self._stretch[i] * g[i] for i in range(3)))
+        value = dr.fma(self._share, f, dr.dot(by, g))
+        gradient = g * self._share + hessian @ by + by_stretch
         if self._nodes is not None:
             f, g = self._nodes.delta_and_gradient(p)
             value, gradient = value + f, gradient + g

@@ -35,7 +35,7 @@ from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.crossings import crossings
 from virtual_sensor.optics.field_border import uncovered
 from virtual_sensor.optics.ray_families import RayFamily
-from virtual_sensor.optics.rays import Field, March
+from virtual_sensor.optics.rays import March, Variation
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def bent_points(
     pixel: ArrayLike,
     parameters: Iterable[str] = (),
     *,
-    variations: Mapping[str, Field] | None = None,
+    variations: Mapping[str, Variation] | None = None,
     coordinate: ArrayLike = 0.0,
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     march: March = REFERENCE,
@@ -115,8 +115,9 @@ def bent_points(
         By which the points are differentiated: of `pose_parameters`; ``beta``, the sensor's turn in
         degrees about the analytic cylinder's axis; ``field_scale``, a factor at the field's
         difference from its surroundings, where it is 1.
-    variations : mapping from str to Field, optional
-        Further parameters: the field's derivative by each, such as `FieldFamily.derivative`.
+    variations : mapping from str to Variation, optional
+        Further parameters: the field's derivative by each, such as
+        `AirModel.derivatives` gives.
     coordinate : array_like of shape (N,)
         First coordinate s of the source's rays, for each pixel or one for all: 0, the middle of
         the laser's sheet, unless a pattern says otherwise.
@@ -174,7 +175,7 @@ def _marched(
     point: Array,
     asked: Iterable[str],
     known: Mapping[str, Motion],
-    air: Mapping[str, Field],
+    air: Mapping[str, Variation],
     march: March,
 ) -> BentPoints:
     """Points of pixels (N, 2) on rays s (N,) from points near them (N, 3), with derivatives."""
@@ -182,7 +183,7 @@ def _marched(
     p, q = camera.of_pixels(pixel)
     sight, t = RayStarts.of(camera, p, q), family.coordinates(point)[:, 1]
 
-    def pair(march: March, air: Mapping[str, Field]) -> _Pair:
+    def pair(march: March, air: Mapping[str, Variation]) -> _Pair:
         light = RayStarts.of(family, s, t)
         return _Pair(
             carry(scene.medium, "camera", sight, air, march, abreast_of=point),

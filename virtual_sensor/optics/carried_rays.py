@@ -15,11 +15,12 @@ from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
+from virtual_sensor.medium.field_derivative import FieldDerivative
 from virtual_sensor.optics.eikonal import Remaining, bend, in_plane, never
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.optics.ray_status import RayStatus
-from virtual_sensor.optics.rays import Field, March, Straight
+from virtual_sensor.optics.rays import Field, March, Straight, Variation
 from virtual_sensor.optics.sight import SearchScene
 from virtual_sensor.optics.surfaces import Cylinder, NoSurface, Surface
 
@@ -100,9 +101,9 @@ def parameters_of(
     asker: str,
     scene: SearchScene,
     parameters: Iterable[str] | None,
-    variations: Mapping[str, Field] | None,
+    variations: Mapping[str, Variation] | None,
     pivot_mm: ArrayLike,
-) -> tuple[dict[str, Motion], list[str], dict[str, Field]]:
+) -> tuple[dict[str, Motion], list[str], dict[str, Variation]]:
     """All pose parameters that a scene has, those asked for, and derivatives of its field.
 
     None asks for all; variations are asked for by being given.
@@ -130,7 +131,7 @@ def parameters_of(
     if air and scene.medium is None:
         raise InputError(f"{asker}: the scene has no field that could vary; give it one")
     if "field_scale" in asked and scene.medium is not None:
-        air["field_scale"] = scene.medium
+        air["field_scale"] = FieldDerivative(scene.medium, share=1.0)
     return known, asked, air
 
 
@@ -183,7 +184,7 @@ def carry(
     field: Field | None,
     part: str,
     rays: RayStarts,
-    air: Mapping[str, Field],
+    air: Mapping[str, Variation],
     march: March,
     *,
     surface: Surface | None = None,

@@ -18,7 +18,7 @@ from typing import Any
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_status import RayStatus
-from virtual_sensor.optics.rays import BentRays, Field, March, Straight
+from virtual_sensor.optics.rays import BentRays, Field, March, Straight, Variation
 from virtual_sensor.optics.steppers import CONTROLLED, STEPPERS, Rhs, Step, Vectors
 from virtual_sensor.optics.surfaces import NoSurface, Surface, slab
 
@@ -66,7 +66,7 @@ def bend(
     *,
     remaining: Remaining = never,
     tangents: tuple[tuple[Any, Any], ...] = (),
-    variations: tuple[Field, ...] = (),
+    variations: tuple[Variation, ...] = (),
     active: Any = True,
 ) -> BentRays:
     """March rays until they meet the surface, end, or leave for good.
@@ -84,9 +84,9 @@ def bend(
     tangents : tuple of (vector, vector)
         Derivatives of the start's position and direction by any parameters; they are carried along
         exactly, by the field's Hessian.
-    variations : tuple of Field
-        Derivatives of the field by any parameters, at least as large as its box.  Each gives one
-        more tangent, of rays whose start stays; the ambient does not count, it must not change.
+    variations : tuple of Variation
+        Derivatives of the field, and of its ambient, by any parameters; at least as large as its
+        box.  Each gives one more tangent, of rays whose start stays.
     active : mask
         The rays to march; the others stay where they are with status LEFT.
 
@@ -115,7 +115,8 @@ def bend(
     ray.status[inside] = int(RayStatus.STARTED_INSIDE)
     mask &= ~inside
     if field is not None:
-        air, *varied = (_Air(each, march) for each in (field, *variations))
+        air = _Air(field, march)
+        varied = [_Varied(each, air, march) for each in variations]
         near, far = air.crossings(ray.position(line), line.direction)
         meets = mask & (near < far) & (far > 0.0)
         gap = dr.select(meets & (near > 0.0), near + _BORDER_MM, 0.0)
@@ -143,8 +144,8 @@ class _Task:
 class _Air:
     """A field as rays of the world meet it: one that was moved is looked up in its own frame."""
 
-    def __init__(self, field: Field, march: March) -> None:
-        self._lookup = field.lookup(march.precision)
+    def __init__(self, field: Variation, march: March) -> None:
+        self._lookup: Any = field.lookup(march.precision)
         # Opaque: one kernel for all boxes and poses.
         low, high = (dr.opaque(march.vector(*map(float, corner))) for corner in field.box)
         self._box = low, high
@@ -161,26 +162,52 @@ class _Air:
         """Where lines enter and leave it, in units of the direction's length."""
         if self._axes is not None:
             direction = self._axes.T @ direction
-        return slab(self._local(p), direction, self._box)
+        return slab(self.local(p), direction, self._box)
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """See `Lookup`."""
-        f, g = self._lookup.delta_and_gradient(self._local(p))
-        return (f, g) if self._axes is None else (f, self._axes @ g)
+        f, g = self._lookup.delta_and_gradient(self.local(p))
+        return f, self.in_world(g)
 
     def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
         """See `Lookup`."""
-        f, g, hessian = self._lookup.delta_gradient_hessian(self._local(p))
+        f, g, hessian = self._lookup.delta_gradient_hessian(self.local(p))
         if self._axes is None:
             return f, g, hessian
         return f, self._axes @ g, self._axes @ hessian @ self._axes.T
 
-    def _local(self, p: Any) -> Any:
+    def local(self, p: Any) -> Any:
+        """Points of the world in the field's frame."""
         return p if self._axes is None else self._axes.T @ (p - self._origin)
+
+    def in_world(self, v: Any) -> Any:
+        """Vectors of the field's frame in the world's."""
+        return v if self._axes is None else self._axes @ v
+
+
+class _Varied:
+    """A derivative of the air, as rays meet it: of the index relative to the surroundings.
+
+    It stands where the air stands, so that both look up the same place, only once.
+    """
+
+    def __init__(self, derivative: Variation, air: _Air, march: March) -> None:
+        self._lookup = derivative.lookup(march.precision)
+        self._air = air
+        by_ambient = derivative.ambient
+        self._by_ambient = dr.opaque(march.scalar, by_ambient) if by_ambient else None
+
+    def of_relative(self, p: Any, f: Any, g: Any) -> tuple[Any, Any]:
+        """Value and gradient, times 1 + ambient, where those of the air, relative, are f and g."""
+        by_f, by_g = self._lookup.delta_and_gradient(self._air.local(p))
+        by_g = self._air.in_world(by_g)
+        if self._by_ambient is None:
+            return by_f, by_g
+        return by_f - self._by_ambient * f, by_g - self._by_ambient * g
 
 
 def _march(
-    ambient: float, air: _Air, varied: list[_Air], task: _Task, ray: BentRays, active: Any
+    ambient: float, air: _Air, varied: list[_Varied], task: _Task, ray: BentRays, active: Any
 ) -> BentRays:
     """From the border (or from inside) through the field, step by step."""
     surface, line, march, remaining = task.surface, task.line, task.march, task.remaining
@@ -247,7 +274,7 @@ def _march(
         *(v + v * f + d * dr.dot(g, x) for x, v in zip(ray.offset[1:], ray.tau[1:], strict=True)),
     ]
     for i, variation in enumerate(varied, start=len(at_start) - len(varied)):
-        by_f, _ = variation.delta_and_gradient(ray.position(line))
+        by_f, _ = variation.of_relative(ray.position(line), f, g)
         at_start[i] = at_start[i] + d * (by_f / (1.0 + ambient))
     ray = dr.select(active, replace(ray, tau=tuple(at_start)), ray)
     pace = _Pace(longest + 0.0 * ray.t, rhs(ray.t, ray.offset)) if controlled else ()
@@ -285,7 +312,7 @@ def _ahead(ray: BentRays, h: Any, step: Step) -> BentRays:
     )
 
 
-def _right_hand_side(ambient: float, air: _Air, varied: list[_Air], task: _Task) -> Rhs:
+def _right_hand_side(ambient: float, air: _Air, varied: list[_Varied], task: _Task) -> Rhs:
     """The steppers' rhs: n grad n at the ray, and its derivative for each tangent."""
     line, march = task.line, task.march
     scale = 1.0 / (1.0 + ambient)
@@ -303,7 +330,7 @@ def _right_hand_side(ambient: float, air: _Air, varied: list[_Air], task: _Task)
         f, g, hessian = f * scale, g * scale, hessian * scale
         carried = [(hessian @ w) * (1.0 + f) + g * dr.dot(g, w) for w in x[1:]]
         for i, variation in enumerate(varied, start=len(carried) - len(varied)):
-            by_f, by_g = variation.delta_and_gradient(p)
+            by_f, by_g = variation.of_relative(p, f, g)
             carried[i] = carried[i] + (by_g * (1.0 + f) + g * by_f) * scale
         return (g * (1.0 + f), *carried), f
 

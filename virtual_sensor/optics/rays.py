@@ -18,20 +18,24 @@ Array = NDArray[np.float64]
 _MOST_STEPS = 2**31 - 1
 
 
-class Lookup(Protocol):
-    """Difference of n - 1 from the surroundings at points in a field's box and frame, in Dr.Jit."""
+class ValueLookup(Protocol):
+    """Values at points in a field's box and frame, in Dr.Jit."""
 
     def delta_and_gradient(self, p: Any) -> tuple[Any, Any]:
         """Value, and gradient in 1/mm."""
         ...
+
+
+class Lookup(ValueLookup, Protocol):
+    """Difference of n - 1 from the surroundings at points in a field's box and frame, in Dr.Jit."""
 
     def delta_gradient_hessian(self, p: Any) -> tuple[Any, Any, Any]:
         """Value, gradient in 1/mm, and Hessian in 1/mm^2."""
         ...
 
 
-class Field(Protocol):
-    """What a ray needs to know of a field: `IndexField` and the closed-form fields have it."""
+class Variation(Protocol):
+    """What a ray needs to know of a field's derivative by a parameter."""
 
     @property
     def box(self) -> np.ndarray:
@@ -45,8 +49,16 @@ class Field(Protocol):
 
     @property
     def ambient(self) -> float:
-        """Refractivity outside the box."""
+        """Outside the box: the refractivity of a field, or its derivative."""
         ...
+
+    def lookup(self, precision: str) -> ValueLookup:
+        """Evaluator for "single" or "double", in the field's frame."""
+        ...
+
+
+class Field(Variation, Protocol):
+    """What a ray needs to know of a field: `IndexField` and the closed-form fields have it."""
 
     def lookup(self, precision: str) -> Lookup:
         """Evaluator for "single" or "double", in the field's frame."""

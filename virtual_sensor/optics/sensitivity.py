@@ -30,7 +30,7 @@ from virtual_sensor.optics.carried_rays import (
 )
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.optics.rays import Field, March
+from virtual_sensor.optics.rays import March, Variation
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 
@@ -87,7 +87,7 @@ def line_sensitivity(
     laser_y_mm: ArrayLike,
     parameters: Iterable[str] | None = None,
     *,
-    variations: Mapping[str, Field] | None = None,
+    variations: Mapping[str, Variation] | None = None,
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     march: March = REFERENCE,
     camera: str | None = None,
@@ -106,8 +106,9 @@ def line_sensitivity(
         axis; ``field_scale``, a factor at the field's difference from its surroundings, where it
         is 1.
         All of them if not given, but ``beta`` only where there is such a cylinder.
-    variations : mapping from str to Field, optional
-        Further parameters: the field's derivative by each, such as `FieldFamily.derivative`.
+    variations : mapping from str to Variation, optional
+        Further parameters: the field's derivative by each, such as
+        `AirModel.derivatives` gives.
     pivot_mm : array_like of shape (3,)
         World point that turns are about, other than ``beta``.
     march : March
@@ -130,7 +131,7 @@ def _sensitivity(
     b: Array,
     asked: Iterable[str],
     known: Mapping[str, Motion],
-    air: Mapping[str, Field],
+    air: Mapping[str, Variation],
     march: March,
 ) -> Sensitivity:
     """The derivatives asked for, of laser rays at b (N,)."""
