@@ -9,7 +9,11 @@ from data_dictionary import undocumented
 from matplotlib.figure import Figure
 
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.medium.air_model import AirModel
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.air_estimate import Observation, Prior, estimate_air
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.reporting import correct as reporting
 from virtual_sensor.studies.correct.correct import correct
@@ -38,7 +42,22 @@ def corrections():
     shaft = searched("shaft", "stepped_shaft")
     given = {"one": [flat], "two": [flat, turned], "many": many, "shaft": [shaft]}
     given |= {"none": [none], "one point": [one]}
-    return {name: correct(each) for name, each in given.items()}
+    made = {name: correct(each) for name, each in given.items()}
+    return made | {"estimated": estimated(made["two"])}
+
+
+def estimated(result):
+    """The same with the air that is estimated from it: twice as strong, for whoever looks."""
+    seen = [Observation(each.scene, each.pixel, name=each.name) for each in result.measurements]
+    model, priors = AirModel.of(result.medium), {"offset": Prior(0.0, 1e-4)}
+    found = estimate_air(seen, model, ("scale", "offset"), shape=CylinderShape(), priors=priors)
+    each = zip(result.measurements, found.residual_px, strict=True)
+    return replace(
+        result,
+        measurements=tuple(replace(one, residual_px=px, estimate=found) for one, px in each),
+        estimate=found,
+        medium=model.at(scale=2.0),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +75,7 @@ def test_all_files_columns_and_keys_are_in_the_data_dictionary(folders):
 
 
 def test_pages_stand_in_a_browser(folders, faults_of):
-    for name in ("two", "none"):
+    for name in ("estimated", "none"):
         assert faults_of(folders[name] / "report.html") == []
 
 
@@ -119,6 +138,26 @@ def test_objects_are_drawn(corrections):
     for name, result in corrections.items():
         for each in (result, result.measurements[0]):
             assert each.plot(Figure().add_subplot()).get_xlabel(), name
+
+
+def test_an_estimate_is_shown_with_what_tells_how_sure_it_is(corrections):
+    found = corrections["estimated"].estimate
+    table = reporting.on_console(corrections["estimated"])[2]
+    assert [row[0] for row in table.rows] == ["scale", "offset, mm"]
+    assert float(table.rows[0][1]) == pytest.approx(found["scale"], abs=0.1 * found.sigma[0])
+    assert [row[4:] for row in table.rows] == [("none", "found"), ("0 ± 0.0001", "prior")]
+    axes = found.plot(Figure().add_subplot())
+    written = {(text.get_position(), text.get_text()) for text in axes.texts}
+    assert ((0, 0), "1.00") in written
+    assert len(written) == 4
+
+
+def test_the_estimated_air_can_be_taken_for_the_next_correction(corrections, folders):
+    there = corrections["estimated"].measurements[0].point_mm[10:11] + np.array([0.0, 0.0, 2.0])
+    field = IndexField.read(folders["estimated"] / "air.nc")
+    before = corrections["two"].medium
+    of_air = field.refractivity(there) - field.ambient, before.refractivity(there) - before.ambient
+    assert of_air[0] == pytest.approx(2.0 * of_air[1], rel=1e-4)
 
 
 def test_the_console_says_before_and_after(corrections):

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.metrology.air_estimate import AirEstimate, EstimateStatus, Identifiability
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
-from virtual_sensor.records import write_ply
+from virtual_sensor.records import unit_of, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.measure import micrometres
 from virtual_sensor.reporting.page import PAGE, Content, Page, Section
@@ -28,7 +30,7 @@ from virtual_sensor.reporting.pictures import (
     key_above,
     side_of,
 )
-from virtual_sensor.reporting.style import ALONG, CYCLE, GREY, LINES, colour, drawable
+from virtual_sensor.reporting.style import ALONG, CYCLE, GREY, LINES, colour, drawable, letters_on
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import counted
 from virtual_sensor.studies.correct.correction import (
@@ -49,6 +51,7 @@ _NAMED = 6  # measurements that a key names
 _FEW = 60  # points that are marked one by one
 _SPOKES = 24  # from uncorrected to corrected points, of a measurement
 _LONGEST = 0.15  # enlarged error, of the points' extent
+_WRITTEN = 8  # parameters whose correlations are written
 _STEPS = (1.0, 2.0, 5.0)
 
 FILES = (
@@ -108,6 +111,8 @@ def on_console(result: Correction) -> list[TextTable | str]:
     shown: list[TextTable | str] = [measurement_table(result.summary)]
     if result.circle:
         shown.append(radius_table(result.summary))
+    if result.estimate is not None:
+        shown.append(estimate_table(result.estimate))
     return shown
 
 
@@ -163,6 +168,42 @@ def radius_table(figures: CorrectionSummary) -> TextTable:
         ),
         "A circle through all points",
     )
+
+
+def estimate_table(estimate: AirEstimate) -> TextTable:
+    """What was estimated, and how well."""
+    rows = []
+    for i, name in enumerate(estimate.names):
+        prior, unit = estimate.priors.get(name), estimate.units[i]
+        stem = name.rpartition("_")[0] if unit_of(name) else name
+        digits = _digits(float(estimate.sigma[i]))
+        rows.append(
+            {
+                "name": f"{stem}, {unit}" if unit else stem,
+                "value": f"{estimate.values[i]:.{digits}f}",
+                "sigma": estimate.sigma[i],
+                "bound": float(estimate.bound[i]),
+                "prior": f"{prior.value:g} ± {prior.sigma:.2g}" if prior else "none",
+                "status": EstimateStatus(estimate.status[i]).name.lower(),
+            }
+        )
+    return text_table(
+        rows,
+        (
+            Column("name", "parameter"),
+            "value",
+            Column("sigma", "sigma", "{:.2g}"),
+            Column("bound", "images alone", lambda v: f"{v:.2g}" if v < np.inf else "nothing"),
+            "prior",
+            "status",
+        ),
+        f"Estimated; what is left in the images: {estimate.rms_px:.2g} px rms",
+    )
+
+
+def _digits(sigma: float) -> int:
+    """Decimals down to the second digit of a standard deviation."""
+    return int(np.clip(1 - np.floor(np.log10(sigma)), 0, 9)) if 0.0 < sigma < np.inf else 4
 
 
 # The page.
@@ -235,9 +276,25 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
     )
 
 
+def _estimated(estimate: AirEstimate, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
+    """How well the estimate is known, and what it can't know."""
+    yield estimate_table(estimate)
+    yield beside(panels, "correlation", "residual")
+    yield from estimate.notes
+    yield (
+        f"Singular values of the derivatives, columns of unit length:"
+        f" {', '.join(f'{value:.2g}' for value in estimate.singular_values)}; condition"
+        f" {estimate.condition:.3g}. Of what is left in the images, chi² is {estimate.chi2:.3g} for"
+        " each degree of freedom: 1 where nothing but noise is left. A small residual does not show"
+        " that the air is right: air of another kind can leave as little."
+    )
+
+
 def _air(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
     facts = {"where it is from": result.air.origin, "field": Path(result.air.source).name or "none"}
     yield pair_table(("the air", ""), facts)
+    if result.estimate is not None:
+        yield from _estimated(result.estimate, panels)
 
 
 # The picture.
@@ -251,6 +308,8 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
     if result.estimate is not None:
         panels |= {"residual": residual_panel(shown)}
+        if len(result.estimate.names) > 1:
+            panels |= {"correlation": correlation_panel(result.estimate)}
     names = ", ".join(dict.fromkeys(drawable(each.scene.path.stem) for each in shown))
     drawn = draw_picture(f"{names}: {lead(result.summary)}", list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
@@ -376,6 +435,28 @@ def residual_panel(measurements: Sequence[Corrected]) -> Panel:
 
     alt = "What the estimate leaves in the images, with the interval of 95 % of the noise."
     return Panel("What is left in the images, and 95 % of noise", draw, alt, layout=None)
+
+
+def correlation_panel(estimate: AirEstimate) -> Panel:
+    """The correlation matrix of what was estimated."""
+    alt = "The correlation matrix of the parameters that were estimated."
+    return Panel("Correlations", lambda axes: draw_correlation(axes, estimate), alt)
+
+
+def draw_correlation(axes: Axes, estimate: AirEstimate | Identifiability) -> None:
+    """The correlation matrix of what is estimated, with its numbers."""
+    names, matrix = estimate.names, estimate.correlation
+    drawn = axes.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
+    if len(names) <= _WRITTEN:
+        for (row, column), value in np.ndenumerate(matrix):
+            paint = letters_on(to_hex(drawn.cmap(drawn.norm(value))))
+            words = f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
+            axes.text(column, row, words, ha="center", va="center", color=paint)
+    else:
+        axes.figure.colorbar(drawn, ax=axes)
+    axes.set_xticks(range(len(names)), names, rotation=30, ha="right", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), names)
+    axes.grid(False)
 
 
 def _rounded_down(value: float) -> float:

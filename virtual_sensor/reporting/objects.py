@@ -154,6 +154,12 @@ def _line_centres(axes: Axes, line: LineCentres) -> None:
         axes.legend(markerscale=2.0, fontsize="small")
 
 
+@draws("metrology.air_estimate.Observation")
+def _observation(axes: Axes, seen: Any) -> None:
+    _dots(axes, seen.pixel, color=colour("line"))
+    _as_image(axes)
+
+
 @draws("metrology.dot_peaks.DotCentres")
 def _dot_centres(axes: Axes, dots: DotCentres) -> None:
     """The dots, their areas as their flux."""
@@ -640,6 +646,15 @@ def _table(axes: Axes, table: Table) -> None:
 
 
 # ------------------------------------------------------------------------------------- studies
+
+
+@draws("metrology.air_estimate.AirEstimate", "metrology.air_estimate.Identifiability")
+def _estimate(axes: Axes, found: Any) -> None:
+    """Which of the parameters look alike."""
+    from virtual_sensor.reporting.correct import draw_correlation
+
+    draw_correlation(axes, found)
+    axes.set_title("correlations of what is estimated")
 
 
 @draws("studies.correct.correction.Correction")
