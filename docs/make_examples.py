@@ -30,6 +30,7 @@ ORDER = (
     "own_detector",
     "training_images",
     "correct_profile",
+    "two_poses",
     "own_field",
     "dask_sweep",
 )
@@ -109,7 +110,7 @@ def index() -> str:
     return "\n".join(
         [
             "# Examples\n",
-            "Ten short scripts. They run as they are, in an empty folder; `jupytext --to ipynb`"
+            "Eleven short scripts. They run as they are, in an empty folder; `jupytext --to ipynb`"
             " makes notebooks of them.\n",
             "| Picture | Example |",
             "|---|---|",

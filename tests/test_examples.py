@@ -229,6 +229,19 @@ def test_correct_profile(run):
 
 
 @slow
+def test_two_poses(run):
+    """A second pose leaves a thirtieth of the radius's error, and the residual as it was."""
+    names = run(
+        "two_poses", ("(0,), (0, 15), (0, 30)", "(0,), (0, 30)"), ("(0, 15, 30)", "(0, 30)")
+    )
+    one, two = (names["estimate"](*betas) for betas in ((0,), (0, 30)))
+    assert abs(one["radius_mm"] - 13.5) > 0.04
+    assert abs(two["radius_mm"] - 13.5) < 0.0015
+    np.testing.assert_allclose(two.rms_px, one.rms_px, rtol=0.2)
+    assert "too small" in names["found"].notes[-1]
+
+
+@slow
 def test_own_field(run):
     """The closed form is the integral of the gradient; the shift that of searched rays."""
     names = run("own_field")
