@@ -16,6 +16,7 @@ from virtual_sensor.medium.broadening import blur_derivative, blurred, widened
 from virtual_sensor.medium.field_derivative import FieldDerivative
 from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.leaning import STEEPEST_DEG, lean_derivative, leaned
 from virtual_sensor.poses import Pose
 
 STANDARD_HPA = 1013.25
@@ -68,11 +69,12 @@ class AirModel(Displayed):
     In this order, in the field's own frame:
 
     1. ``temperature``, degC: the field of this wall temperature, between those of a family;
-    2. ``width``, a factor: the air is stretched along y about y = 0;
-    3. ``blur``, mm: then blurred in y and z by a Gaussian of this standard deviation;
-    4. ``offset`` and ``height``, mm: then moved along y and z, what lies in the solid included;
-    5. ``scale``, a factor at the difference from the surrounding air;
-    6. ``pressure``, hPa: n - 1 goes with it, of the surrounding air too; the flow stays.
+    2. ``lean``, degrees: the air is sheared along y, and stays where z = 0, as a plume that sways;
+    3. ``width``, a factor: then stretched along y about y = 0;
+    4. ``blur``, mm: then blurred in y and z by a Gaussian of this standard deviation;
+    5. ``offset`` and ``height``, mm: then moved along y and z, what lies in the solid included;
+    6. ``scale``, a factor at the difference from the surrounding air;
+    7. ``pressure``, hPa: n - 1 goes with it, of the surrounding air too; the flow stays.
 
     Attributes
     ----------
@@ -160,6 +162,9 @@ class AirModel(Displayed):
             AirParameter("scale", "", 1.0, 1.0, 0.01, 10.0, 0.1, "of the difference from ambient"),
             AirParameter("width", "", 1.0, 1.0, 0.1, 10.0, 0.2, "of the air along y"),
             AirParameter("offset", "mm", 0.0, 0.0, -50.0, 50.0, 1.0, "of the air along y"),
+            AirParameter(
+                "lean", "°", 0.0, 0.0, -STEEPEST_DEG, STEEPEST_DEG, 1.0, "from z towards y"
+            ),
             AirParameter("height", "mm", 0.0, 0.0, -50.0, 50.0, 2.0, "of the air along z"),
             AirParameter("blur", "mm", 0.0, 1.0, 0.0, min(20.0, extent), 2.0, "in y and z"),
             AirParameter(
@@ -198,7 +203,7 @@ class AirModel(Displayed):
         v = self._checked(values)
         key = tuple(v.values())
         if key not in self._made:
-            made = self._shaped(self._at_wall(v), v)
+            made = self._shaped(self._leaning(v), v)
             self._made.clear()  # the last one is what derivatives are asked at
             self._made[key] = made
         return self._made[key]
@@ -251,6 +256,10 @@ class AirModel(Displayed):
         known = self.fields.fields.get(v["temperature"])
         return self.fields.at(v["temperature"]) if known is None else known
 
+    def _leaning(self, v: Mapping[str, float]) -> IndexField:
+        """That field, leaning."""
+        return leaned(self._at_wall(v), v["lean"])
+
     def _shaped(self, air: IndexField, v: Mapping[str, float]) -> IndexField:
         """The transforms, one after the other."""
         air = blurred(widened(air, v["width"]), v["blur"], _REACH)
@@ -290,13 +299,16 @@ class AirModel(Displayed):
             if not v["blur"]:
                 return FieldDerivative(here, stretch=stretch)
             # The wider the grid's cells, the less of them a blur reaches.
-            less = blur_derivative(widened(self._at_wall(v), v["width"]), v["blur"], _REACH, (1,))
+            less = blur_derivative(widened(self._leaning(v), v["width"]), v["blur"], _REACH, (1,))
             nodes = less.with_nodes(less.nodes * (-v["blur"] / v["width"]))
             return FieldDerivative(here, stretch=stretch, nodes=self._seen(self._placed(nodes, v)))
         if name == "blur":
-            by = blur_derivative(widened(self._at_wall(v), v["width"]), v["blur"], _REACH)
+            by = blur_derivative(widened(self._leaning(v), v["width"]), v["blur"], _REACH)
             return FieldDerivative(here, nodes=self._seen(self._placed(by, v)))
-        assert isinstance(self.fields, FieldFamily)
-        by = self.fields.derivative(v["temperature"])
+        if name == "lean":
+            by = lean_derivative(self._at_wall(v), v["lean"])
+        else:
+            assert isinstance(self.fields, FieldFamily)
+            by = leaned(self.fields.derivative(v["temperature"]), v["lean"])
         by = blurred(widened(by, v["width"]), v["blur"], _REACH)
         return FieldDerivative(here, nodes=self._seen(self._placed(by, v)))
