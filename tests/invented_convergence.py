@@ -15,8 +15,18 @@ def invented():
     for cell, time_s, grid in product(CELLS, TIMES, GRIDS):
         error = 0.3 * (cell > 1.0) + 0.05 * (time_s < 2.0) + 0.01 * (grid[0] > 1.0)
         seconds = time_s / cell**2
-        figures = (error, error / 2, error, 20 * error, seconds, 9, 1 / grid[0])
+        figures = (
+            error,
+            error / 2,
+            error,
+            20 * error,
+            8 * error,
+            16 * error,
+            seconds,
+            9,
+            1 / grid[0],
+        )
         changes.append(Change(cell, time_s, *grid, *figures))
-    longer = Change(2.0, 15.0, *GRIDS[-1], 0.001, 0.001, 0.001, 0.01, 9.0, 9, 2.0)
+    longer = Change(2.0, 15.0, *GRIDS[-1], 0.001, 0.001, 0.001, 0.01, 0.004, 0.008, 9.0, 9, 2.0)
     finest = Setting(CELLS[-1], TIMES[-1], *GRIDS[-1])
     return Convergence(1250.0, finest, longer, MADE, (), tuple(changes))

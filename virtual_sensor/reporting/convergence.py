@@ -83,7 +83,9 @@ def outcome(result: Convergence) -> list[str]:
             f" {found.cell_mm:g} mm, {found.time_s:g} s of flow and a grid of"
             f" {found.grid_y_mm:g} x {found.grid_z_mm:g} mm: {found.line_px:.2g} px, which are"
             f" {found.points_um:.2g} µm of the measured points (probe rays {found.rays_px:.2g} px;"
-            f" solver {found.solver_s:.0f} s, file {found.file_mb:.1f} MB)."
+            f" solver {found.solver_s:.0f} s, file {found.file_mb:.1f} MB). A line that is seen"
+            " through the finest air and corrected through this one is left"
+            f" {found.left_surface_um:.2g} µm off the surface."
         )
     sentences.append(
         f"{long.time_s:g} s of flow in place of {reference.time_s:g} s change {long.line_px:.2g} px"
@@ -109,6 +111,8 @@ def _table(rows: Sequence[tuple[str, Change]], caption: str = "") -> TextTable:
         Column("line_px", "line, across itself", "{:.2g} px"),
         Column("rays_px", "probe rays, both axes", "{:.2g} px"),
         Column("points_um", "points", "{:.3g} µm"),
+        Column("left_surface_um", "left on the surface", "{:.3g} µm"),
+        Column("left_points_um", "left of the points", "{:.3g} µm"),
         Column("solver_s", "solver", "{:.1f} s"),
         Column("file_mb", "file", "{:.1f} MB"),
     )
@@ -132,7 +136,9 @@ def _conditions(result: Convergence) -> str:
         f"sections of a cylinder of {result.temperature_c:g} °C, compared with a mesh of"
         f" {reference.cell_mm:g} mm, {reference.time_s:g} s of flow and a grid of"
         f" {reference.grid_y_mm:g} x {reference.grid_z_mm:g} mm. Changes are the largest; the"
-        " coarsest is chosen by the line's. Solver: on one core, up to this flow time. File: of a"
+        " coarsest is chosen by the line's. Left: of a line that is seen through the finest air and"
+        " corrected through this one, its points' distance from the surface, and from the points"
+        " that were lit. Solver: on one core, up to this flow time. File: of a"
         " three-dimensional field."
     )
 

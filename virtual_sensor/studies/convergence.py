@@ -25,11 +25,13 @@ from virtual_sensor.medium.heat_flow.sample import SampleGrid, sample
 from virtual_sensor.medium.heat_flow.saved import series
 from virtual_sensor.medium.heat_flow.setup import HeatFlow
 from virtual_sensor.medium.imports.meshes import pyvista
-from virtual_sensor.metrology.deviation import euclidean
-from virtual_sensor.metrology.triangulation import error_um
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.triangulation import error_um, triangulate
 from virtual_sensor.metrology.truth import TrueLine, compare_line
-from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.records import Record
+from virtual_sensor.studies.correct.scene_part import ScenePart
 from virtual_sensor.studies.probes import DENSE_RAYS, probe_rays
 from virtual_sensor.studies.provenance import MadeWith, made_with
 from virtual_sensor.studies.simulate import as_field
@@ -89,6 +91,9 @@ class Change(Setting):
         Of the probe rays' pixels, in both axes, at most.
     points_um : float
         Of the points measured on the line, at most.
+    left_surface_um, left_points_um : float
+        Of a line that is seen through the finest air and corrected through this one: the points'
+        distance from the part's surface, and from the points that were lit, at most.
     solver_s : float
         Solver's time on one core, from the start to this flow time.
     cells : int
@@ -101,6 +106,8 @@ class Change(Setting):
     line_rms_px: float
     rays_px: float
     points_um: float
+    left_surface_um: float
+    left_points_um: float
     solver_s: float
     cells: int
     file_mb: float
@@ -180,11 +187,14 @@ class Seen(Displayed):
     ----------
     line : TrueLine
         By the search along it.
+    found : FoundPixels
+        That search.
     rays_px : ndarray of shape (N, 2)
         Pixels of the probe rays.
     """
 
     line: TrueLine
+    found: FoundPixels
     rays_px: Array
 
 
@@ -236,18 +246,19 @@ def convergence(
 
     settings = [Setting(c, t, *g) for c in cells_mm for t in times_s for g in grids_mm]
     longer = Setting(*long, *grids_mm[-1])
-    seen = {}
+    air, seen = dict[Setting, IndexField](), dict[Setting, Seen]()
     for i, setting in enumerate(wanted := [*settings, longer]):
         report("searching rays through the fields", 0.7 + 0.3 * i / len(wanted))
         flow, case = flows[setting.cell_mm], cases[setting.cell_mm]
         grid = SampleGrid.of(flow, (1.0, *setting.grid_mm))
-        air = sample(flow, case, (setting.time_s,), grid)
-        seen[setting] = seen_through(scene.with_medium(as_field(air)))
+        air[setting] = as_field(sample(flow, case, (setting.time_s,), grid))
+        seen[setting] = seen_through(scene.with_medium(air[setting]))
 
     def change(setting: Setting, against: Setting) -> Change:
         flow, case = flows[setting.cell_mm], cases[setting.cell_mm]
         grid = SampleGrid.of(flow, (1.0, *setting.grid_mm))
         line, points = compare(scene, seen[setting], seen[against])
+        surface, left = corrected(scene, seen[against].found, air[setting])
         moved = euclidean(seen[setting].rays_px - seen[against].rays_px)
         return Change(
             **vars(setting),
@@ -255,6 +266,8 @@ def convergence(
             line_rms_px=float(np.sqrt(np.mean(line**2))),
             rays_px=float(np.nanmax(moved)),
             points_um=float(points.max()),
+            left_surface_um=float(np.abs(surface).max()),
+            left_points_um=float(left.max()),
             solver_s=solver_seconds(case, setting.time_s),
             cells=cylinder_mesh(flow).cells,
             file_mb=2e-6 * NODES_ALONG * len(grid.y) * len(grid.z),
@@ -281,18 +294,29 @@ def seen_through(scene: Scene) -> Seen:
         If the camera does not see the whole line, once in each column.
     """
     y = np.linspace(-0.5, 0.5, DENSE_RAYS) * scene.sensor.laser.length_mm
-    pixel = ray_search(scene, y, "newton").pixel
+    found = ray_search(scene, y, "newton")
+    pixel = found.pixel
     known, width = np.isfinite(pixel[:, 0]), scene.sensor.camera.size[0]
     if not (known.all() and (np.diff(pixel[:, 0]) > 0.0).all()):
         raise InputError(f"{scene.path}: the air hides or folds the line; nothing to compare")
     rays = ray_search(scene, probe_rays(scene), "newton").pixel
-    return Seen(TrueLine.of_search(pixel, known, width, np.inf), rays)
+    return Seen(TrueLine.of_search(pixel, known, width, np.inf), found, rays)
 
 
 def compare(scene: Scene, seen: Seen, reference: Seen) -> tuple[Array, Array]:
     """Change of the line's rows, px, and of the points measured from them, um; shape (columns,)."""
     moved = compare_line(seen.line.centres(), reference.line)
     return moved.error_px, error_um(scene.sensor, moved)
+
+
+def corrected(scene: Scene, found: FoundPixels, air: IndexField | None) -> tuple[Array, Array]:
+    """Errors (N,) in um of the points of found pixels that are corrected through some air.
+
+    Their distance from the part's surface, positive outside, and from the points that were lit.
+    """
+    point = triangulate(scene, found.pixel, medium=air)
+    surface = ScenePart.of(scene).distance_um(point)
+    return surface, UM_PER_MM * euclidean(point - found.laser_point_mm)
 
 
 def solver_seconds(case: Path, time_s: float) -> float:
