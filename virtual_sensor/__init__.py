@@ -47,8 +47,7 @@ From images to numbers
     dot_centres          Find the intensity-weighted centroids of bright dots.
     triangulate          Measure the points that pixels see on a source's rays, along straight
                          or bent lines of sight.
-    triangulated_points  `triangulate` with a status for each pixel; bent light by maps made to
-                         a tolerance in px.
+    triangulated_points  `triangulate` with a status for each pixel, and a tolerance in px.
     fit_cylinder         Fit a circular cylinder by orthogonal least squares.
     compare_line         Compare the centres that are OK with the truth.
     TrueLine             A line's true rows: arrays of shape (K, W), as a column may see the

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, numbers_of, points_of
+from virtual_sensor.arrays import number_within, numbers_of, one_of, points_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
@@ -21,6 +21,9 @@ from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
 
 Array = NDArray[np.float64]
+
+MANY = 300
+"""So many pixels are triangulated through bent light by maps."""
 
 PARALLEL = 1e-12  # sine of the angle to the laser plane: below it a line of sight never meets it
 
@@ -91,8 +94,7 @@ def triangulate(
     ------
     InputError
         Where `pixel` is no list of (u, v), or a line in an image of another size; there is no such
-        camera or source, the camera stands in the laser plane, or the medium bends light too
-        sharply for the tolerance.
+        camera or source, or the camera stands in the laser plane.
     """
     points = triangulated_points(
         sensor, pixel, medium=medium, camera=camera, source=source, coordinate=coordinate
@@ -109,22 +111,30 @@ def triangulated_points(
     camera: str | None = None,
     source: str | None = None,
     coordinate: ArrayLike = 0.0,
+    method: str | None = None,
     tolerance_px: float = 1e-3,
 ) -> TriangulatedPoints:
-    """`triangulate` with a status for each pixel; bent light by maps made to a tolerance in px.
+    """`triangulate` with a status for each pixel, and a tolerance in px.
 
     Parameters
     ----------
     sensor, pixel, medium, camera, source, coordinate
         As those of `triangulate`.
+    method : str, optional
+        Of bent light. "tabulated": by maps of lines of sight and of the source's rays that are made
+        to the tolerance, and kept for the next call; by Newton's method where there are no such
+        maps. "newton": by Newton's method on marched rays, to 1e-7 mm. By default maps for `MANY`
+        pixels and more.
     tolerance_px : float
-        Of maps of bent light.
+        Of "tabulated".
 
     Raises
     ------
     InputError
         As `triangulate` does.
     """
+    if method is not None:
+        one_of("triangulate: method", method, ("tabulated", "newton"))
     number_within("triangulate: tolerance_px", tolerance_px, 1e-9, 1e3, "a positive number of px")
     scene = _scene_of(sensor)
     if scene is not None:
@@ -153,7 +163,9 @@ def triangulated_points(
         point, status = _straight(sensor.camera, pixel, *plane)
     else:
         rows = pixel.reshape(-1, 2), np.broadcast_to(s, shape).ravel()
-        point, status = _on_rays(sensor, *rows, medium, tolerance_px)
+        by_maps = medium is None or np.isfinite(rows[0]).all(axis=1).sum() >= MANY
+        method = method or ("tabulated" if by_maps else "newton")
+        point, status = _on_rays(sensor, *rows, medium, method, tolerance_px)
     return TriangulatedPoints(point.reshape(*shape, 3), status.reshape(shape))
 
 
@@ -222,9 +234,10 @@ def _straight(
 
 
 def _on_rays(
-    sensor: Any, pixel: Array, s: Array, medium: Any, tolerance_px: float
+    sensor: Any, pixel: Array, s: Array, medium: Any, method: str, tolerance_px: float
 ) -> tuple[Array, NDArray[np.uint8]]:
-    """Lines of sight of pixels (N, 2) crossed with the source's rays (N,), by ray maps."""
+    """Lines of sight of pixels (N, 2) crossed with the source's rays (N,)."""
+    from virtual_sensor.optics.bent_points import marched_crossings
     from virtual_sensor.optics.crossings import crossings
     from virtual_sensor.optics.ray_maps import NoMapError
 
@@ -234,14 +247,15 @@ def _on_rays(
             "triangulate: a calibration knows the laser's plane and not its rays, which the medium"
             " bends; give a scene, or leave the medium out"
         )
-    try:
-        found = crossings(medium, sensor.camera, family, pixel, s, tolerance_px)
-    except NoMapError as error:
-        raise InputError(
-            f"triangulate: no map of bent rays within {tolerance_px:g} px ({error}); call"
-            " triangulated_points with a larger tolerance_px"
-        ) from None
-    return found.point_mm, found.status
+    if method == "tabulated":
+        try:
+            found = crossings(medium, sensor.camera, family, pixel, s, tolerance_px)
+        except NoMapError:
+            pass
+        else:
+            return found.point_mm, found.status
+    marched = marched_crossings(medium, sensor.camera, family, pixel, s)
+    return marched.point_mm, marched.status
 
 
 def error_um(sensor: Sensor, errors: LineErrors) -> Array:

@@ -14,14 +14,15 @@ matrix of the columns T, -S_t and -U,
 Two or three steps need long marches, and one the march asked for, which gives all derivatives, too.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import by_rows, numbers_of, points_of
+from virtual_sensor.arrays import by_rows, determinant, numbers_of, points_of, solved
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError
 from virtual_sensor.optics.carried_rays import (
@@ -34,8 +35,8 @@ from virtual_sensor.optics.carried_rays import (
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.crossings import crossings
 from virtual_sensor.optics.field_border import uncovered
-from virtual_sensor.optics.ray_families import RayFamily
-from virtual_sensor.optics.rays import March, Variation
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily
+from virtual_sensor.optics.rays import Field, March, Variation
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
 
 Array = NDArray[np.float64]
@@ -149,50 +150,64 @@ def bent_points(
     s = np.broadcast_to(np.where(np.isfinite(s), s, np.nan), pixel.shape[:1])
     known, asked, air = parameters_of("bent_points", scene, parameters, variations, pivot_mm)
 
-    straight = crossings(None, scene.camera, scene.source.family, pixel, s, 1.0)
-    start = straight.point_mm
+    start = None
     if start_mm is not None:
-        given = points_of("bent_points: start_mm", start_mm)
-        if given.shape != start.shape:
+        start = points_of("bent_points: start_mm", start_mm)
+        if start.shape != (len(pixel), 3):
             raise InputError(
-                f"bent_points: start_mm has shape {given.shape}; give a point for each pixel"
+                f"bent_points: start_mm has shape {start.shape}; give a point for each pixel"
             )
-        start = np.where(np.isfinite(given).all(axis=1, keepdims=True), given, start)
-    rows = np.flatnonzero(straight.status == CrossingStatus.OK)
-    found = by_rows(
-        lambda pixel, s, start: _marched(scene, pixel, s, start, asked, known, air, march),
-        pixel[rows],
-        s[rows],
-        start[rows],
-    )
-    return _spread(found, rows, straight.status)
+    light = _Light(scene.medium, scene.camera, scene.source.family, march, asked, known, air)
+    return light.points(pixel, s, start)
 
 
-def _marched(
-    scene: SearchScene,
-    pixel: Array,
-    s: Array,
-    point: Array,
-    asked: Iterable[str],
-    known: Mapping[str, Motion],
-    air: Mapping[str, Variation],
-    march: March,
+def marched_crossings(
+    field: Field | None, camera: Pinhole, family: RayFamily, pixel: Array, s: Array
 ) -> BentPoints:
+    """Points of pixels (N, 2) on a source's rays of first coordinates (N,), as `crossings`."""
+    return _Light(field, camera, family, REFERENCE, (), {}, {}).points(pixel, s)
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light through a field, how it is marched, and by what its points are differentiated."""
+
+    field: Field | None
+    camera: Pinhole
+    family: RayFamily
+    march: March
+    asked: Iterable[str]
+    known: Mapping[str, Motion]
+    air: Mapping[str, Variation]
+
+    def points(self, pixel: Array, s: Array, start: Array | None = None) -> BentPoints:
+        """Of pixels (N, 2) on rays s (N,), from points near them (N, 3) where these are finite."""
+        straight = crossings(None, self.camera, self.family, pixel, s, 1.0)
+        point = straight.point_mm
+        if start is not None:
+            point = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, point)
+        rows = np.flatnonzero(straight.status == CrossingStatus.OK)
+        found = by_rows(partial(_marched, self), pixel[rows], s[rows], point[rows])
+        return _spread(found, rows, straight.status)
+
+
+def _marched(light: _Light, pixel: Array, s: Array, point: Array) -> BentPoints:
     """Points of pixels (N, 2) on rays s (N,) from points near them (N, 3), with derivatives."""
-    camera, family = scene.camera, scene.source.family
+    field, camera, family = light.field, light.camera, light.family
+    march, known = light.march, light.known
     p, q = camera.of_pixels(pixel)
     sight, t = RayStarts.of(camera, p, q), family.coordinates(point)[:, 1]
 
     def pair(march: March, air: Mapping[str, Variation]) -> _Pair:
-        light = RayStarts.of(family, s, t)
+        rays = RayStarts.of(family, s, t)
         return _Pair(
-            carry(scene.medium, "camera", sight, air, march, abreast_of=point),
-            carry(scene.medium, "laser", light, air, march, abreast_of=point),
+            carry(field, "camera", sight, air, march, abreast_of=point),
+            carry(field, "laser", rays, air, march, abreast_of=point),
         )
 
     lost = np.zeros(len(point), bool)
     long = replace(march, step_mm=max(march.step_mm, _LONG_MM))
-    for by, varied, most in ((long, {}, _MOST_LONG), (march, air, _MOST_FINE)):
+    for by, varied, most in ((long, {}, _MOST_LONG), (march, light.air, _MOST_FINE)):
         for _ in range(most):
             rays = pair(by, varied)
             moved, along, off_mm = rays.meeting()
@@ -209,8 +224,8 @@ def _marched(
         CrossingStatus.OFF: lost,
         CrossingStatus.BEHIND: ~(np.minimum(*depths) > 0.0),
     }
-    if scene.medium is not None:
-        reasons[CrossingStatus.UNCOVERED] = uncovered(scene.medium, camera, family, point)
+    if field is not None:
+        reasons[CrossingStatus.UNCOVERED] = uncovered(field, camera, family, point)
     status = np.select([*reasons.values()], [*reasons], CrossingStatus.OK)
 
     by_pq = np.stack(rays.seen.by_coordinate(), axis=-1)
@@ -218,7 +233,7 @@ def _marched(
     of_u, of_v = (rays.by(by_pixel[..., i], 0.0) for i in range(2))
     by_s, _ = rays.lit.by_coordinate()
     of_s = rays.by(0.0, by_s)
-    of = {name: rays.by(rays.seen.by(name, known), rays.lit.by(name, known)) for name in asked}
+    of = {name: rays.by(*(each.by(name, known) for each in rays)) for name in light.asked}
     return BentPoints(
         point,
         t,
@@ -243,6 +258,9 @@ class _Pair:
         self._inverse = np.full_like(columns, np.nan)
         self._inverse[good] = np.linalg.inv(columns[good])
 
+    def __iter__(self) -> Iterator[CarriedRays]:
+        return iter((self.seen, self.lit))
+
     def meeting(self) -> tuple[Array, Array, Array]:
         """Where tangents meet, (N, 3); the change of t (N,); and how far that is, in mm (N,)."""
         gap = self.lit.point - self.seen.point
@@ -262,11 +280,10 @@ def _folded(family: RayFamily, s: Array, t: Array, rays: CarriedRays) -> Mask:
     x, y, z = family.pose.rotation.T
     heading = rays.tangent / (rays.tangent @ z)[:, None]
     by_s, by_t = (by - heading * (by @ z)[:, None] for by in rays.by_coordinate())
-    bent = np.stack([by_s @ x, by_t @ x, by_s @ y, by_t @ y], axis=-1).reshape(-1, 2, 2)
-    depth = family.pose.to_local(rays.point)[:, 2]
-    straight = [each + 0.0 * depth for each in family.by_coordinates(s, t, depth)]
-    beside = np.linalg.solve(np.stack(straight, axis=-1).reshape(-1, 2, 2), bent)
-    return ~((np.linalg.det(beside) > 0.0) & (np.trace(beside, axis1=1, axis2=2) > 0.0))
+    straight = family.by_coordinates(s, t, family.pose.to_local(rays.point)[:, 2])
+    with np.errstate(all="ignore"):  # where no ray goes
+        (a, c), (b, d) = (solved(straight, by @ x, by @ y) for by in (by_s, by_t))
+    return (determinant((a, b, c, d)) <= 0.0) | (a + d <= 0.0)
 
 
 def _spread(found: BentPoints, rows: NDArray[np.intp], status: NDArray[np.uint8]) -> BentPoints:
