@@ -19,6 +19,7 @@ from virtual_sensor.poses import Pose
 from virtual_sensor.reporting import measure as reporting
 from virtual_sensor.reporting.page import page_html
 from virtual_sensor.reporting.pictures import _lines
+from virtual_sensor.reporting.words import micrometres
 from virtual_sensor.studies.measure import measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
@@ -145,9 +146,9 @@ def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured, unpainted
     assert {"section", "paths", "frame", "air", "probes", "letters", "check"} == set(panels)
     _, panels = reporting.picture(*measured["nothing"][:2])
     assert "check" not in panels
-    assert reporting.micrometres(5e-11) == "below 1e-6 µm"
-    assert reporting.micrometres(-0.5) == "\N{MINUS SIGN}0.5 µm"
-    assert reporting.micrometres(None) == "none"
+    assert micrometres(5e-11) == "below 1e-6 µm"
+    assert micrometres(-0.5) == "\N{MINUS SIGN}0.5 µm"
+    assert micrometres(None) == "none"
 
 
 def test_lengths_that_are_rounding_are_drawn_as_zero(measured):

@@ -1,9 +1,11 @@
 """A correction's results: points, what was removed, the error budget, the air found, and a page."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,14 +13,12 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.metrology.air_estimate import AirEstimate, EstimateStatus, Identifiability
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import unit_of, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.measure import micrometres
 from virtual_sensor.reporting.page import PAGE, Content, Page, Section
 from virtual_sensor.reporting.pictures import (
     Panel,
@@ -32,7 +32,7 @@ from virtual_sensor.reporting.pictures import (
 )
 from virtual_sensor.reporting.style import ALONG, CYCLE, GREY, LINES, colour, drawable, letters_on
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
-from virtual_sensor.reporting.words import counted
+from virtual_sensor.reporting.words import counted, micrometres
 from virtual_sensor.studies.correct.correction import (
     Corrected,
     CorrectedTable,
@@ -41,6 +41,9 @@ from virtual_sensor.studies.correct.correction import (
 )
 from virtual_sensor.studies.section import SectionErrors
 
+if TYPE_CHECKING:  # measurements through known air need no estimate
+    from virtual_sensor.metrology.air_estimate import AirEstimate, Identifiability
+
 Array = NDArray[np.float64]
 
 AIR = "air.nc"
@@ -48,6 +51,7 @@ AIR = "air.nc"
 
 _CERTAIN = 1.96  # standard deviations of a 95 % interval
 _NAMED = 6  # measurements that a key names
+_MOST_BARS = 12  # measurements whose error budgets are drawn
 _FEW = 60  # points that are marked one by one
 _SPOKES = 24  # from uncorrected to corrected points, of a measurement
 _LONGEST = 0.15  # enlarged error, of the points' extent
@@ -172,6 +176,8 @@ def radius_table(figures: CorrectionSummary) -> TextTable:
 
 def estimate_table(estimate: AirEstimate) -> TextTable:
     """What was estimated, and how well."""
+    from virtual_sensor.metrology.air_estimate import EstimateStatus
+
     rows = []
     for i, name in enumerate(estimate.names):
         prior, unit = estimate.priors.get(name), estimate.units[i]
@@ -306,6 +312,8 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
     panels = {"removed": removed_panel(shown), "part": part_panel(shown)}
     if any(each.summary.distance.points for each in shown):
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
+    if any(each.budget is not None for each in shown):
+        panels |= {"budget": budget_panel(shown)}
     if result.estimate is not None:
         panels |= {"residual": residual_panel(shown)}
         if len(result.estimate.names) > 1:
@@ -372,7 +380,7 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for each, paint, label in _marked(measurements):
-            band = _CERTAIN * each.sigma_um
+            band = _CERTAIN * (each.budget.total_um if each.budget else each.sigma_um)
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.distance_um, ".", **dots)
             if label:
@@ -385,6 +393,59 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
 
     alt = "Distance of the corrected points from the part, with their interval of 95 %."
     return Panel("What is left, and its 95 % interval", draw, alt, layout=None)
+
+
+def budget_panel(measurements: Sequence[Corrected]) -> Panel:
+    """What makes the points uncertain: along the line, or of several measurements their medians."""
+    known = [each for each in measurements if each.budget is not None]
+
+    def draw(axes: Axes) -> None:
+        if len(known) == 1:
+            draw_budget(axes, known[0].budget, known[0].along_mm)
+            axes.set_xlabel(ALONG)
+        else:
+            _budget_bars(axes, known)
+        key_above(axes)
+
+    alt = "Shares that sources of error have in the standard deviation of the corrected points."
+    return Panel("What makes them uncertain", draw, alt, layout=None)
+
+
+def shares(budget: Any) -> dict[str, Array]:
+    """What each source adds (N,) to the standard deviation along the normal, in µm.
+
+    It is the source's share in the variance: they add up to the standard deviation.
+    """
+    whole = np.where(budget.total_um > 0.0, budget.total_um, np.nan)
+    return {name: um * np.abs(um) / whole for name, um in budget.sigma_um.items() if np.any(um)}
+
+
+def draw_budget(axes: Axes, budget: Any, along: Array) -> None:
+    """The shares of the sources along a line, on top of each other; what they take off, below."""
+    above = below = np.zeros(len(along))
+    for name, share in shares(budget).items():
+        up, down = above + np.maximum(share, 0.0), below + np.minimum(share, 0.0)
+        style = {"color": colour(name), "lw": 0, "label": name}
+        axes.fill_between(along, above, up, **style)
+        axes.fill_between(along, below, down, **style | {"label": None})
+        above, below = up, down
+    axes.plot(along, budget.total_um, color=colour("norm"), lw=1.0, label="in all")
+    axes.set(ylabel="standard deviation, µm")
+
+
+def _budget_bars(axes: Axes, measurements: Sequence[Corrected]) -> None:
+    """Medians of the shares, a bar for each of the first measurements."""
+    shown = measurements[:_MOST_BARS]
+    medians = [{n: float(np.nanmedian(s)) for n, s in shares(e.budget).items()} for e in shown]
+    rows, left, right = np.arange(len(shown)), np.zeros(len(shown)), np.zeros(len(shown))
+    for name in dict.fromkeys(name for each in medians for name in each):
+        size = np.array([each.get(name, 0.0) for each in medians])
+        start = np.where(size < 0.0, left, right)
+        axes.barh(rows, size, left=start, color=colour(name), label=name, height=0.6)
+        left, right = left + np.minimum(size, 0.0), right + np.maximum(size, 0.0)
+    axes.set_yticks(rows, [drawable(each.name) for each in shown])
+    axes.invert_yaxis()
+    axes.set(xlabel="standard deviation, median along the line, µm")
 
 
 def part_panel(measurements: Sequence[Corrected]) -> Panel:

@@ -36,7 +36,16 @@ from virtual_sensor.reporting.pictures import (
 )
 from virtual_sensor.reporting.style import ALONG, LINES, MARKERS, colour, drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
-from virtual_sensor.reporting.words import capital, counted, in_words, listed, time_in_words
+from virtual_sensor.reporting.words import (
+    NIL_UM,
+    capital,
+    counted,
+    in_words,
+    listed,
+    micrometres,
+    rounded,
+    time_in_words,
+)
 from virtual_sensor.studies.measure import (
     DenseTable,
     DotTable,
@@ -60,9 +69,6 @@ Curve = tuple[Array, Array, dict[str, Any]]
 
 CALIBRATION = "calibration.yaml"
 """The sensor as `detect --calibration` reads it."""
-
-NIL_UM = 1e-6
-"""Below this, lengths are rounding: drawn as zero."""
 
 _U = "u along the line in px"
 _MARGIN_PX = 12
@@ -399,23 +405,12 @@ def headline(figures: Summary) -> str:
             wrong.append(
                 f"in {name} air the measured section is wrong by"
                 f" {micrometres(section.rms_um)} rms, at most by"
-                f" {micrometres(section.largest_um)} at y = {_number(section.largest_y_mm)} mm"
+                f" {micrometres(section.largest_um)} at y = {rounded(section.largest_y_mm)} mm"
                 " along the line"
             )
         else:
             wrong.append(f"in {name} air by {micrometres(section.rms_um)} rms")
     return "; ".join([*unknown, *wrong])
-
-
-def micrometres(value_um: float | None) -> str:
-    """A length as people read it: what is only rounding is called so."""
-    if value_um is not None and abs(value_um) < NIL_UM:
-        return "below 1e-6 µm"
-    return "none" if value_um is None or np.isnan(value_um) else f"{_number(value_um)} µm"
-
-
-def _number(value: float, digits: int = 3) -> str:
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
 
 
 def _curve(x: Array, y_um: Array, name: str, label: str | None = None, **style: Any) -> Curve:
@@ -578,7 +573,7 @@ def _air_panel(result: Measurement, hot: State) -> Panel:
     field = hot.scene.field
     assert field is not None
     middle = LitLine(result.dense_y_mm, result.cold.dense.laser_point_mm).middle_mm
-    names = [f"plane {name} = {_number(middle[i], 4)} mm" for i, name in ((1, "y"), (0, "x"))]
+    names = [f"plane {name} = {rounded(middle[i], 4)} mm" for i, name in ((1, "y"), (0, "x"))]
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots(1, 2, gridspec_kw={"wspace": 0.1})

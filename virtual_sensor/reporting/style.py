@@ -53,6 +53,12 @@ COLOURS = {
     "hot_error_um": VERMILION,
     "measured_shift_um": ORANGE,
     "cold_error_um": BLUE,
+    # what makes points uncertain
+    "detection": GREY,
+    "air": ORANGE,
+    "pose": SKY,
+    "correlation": PURPLE,
+    "model": VERMILION,
     # components of differences, in space and on the sensor
     "x": YELLOW,
     "y": SKY,

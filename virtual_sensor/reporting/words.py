@@ -11,6 +11,9 @@ import numpy as np
 from virtual_sensor.errors import printable
 from virtual_sensor.records import unit_of
 
+NIL_UM = 1e-6
+"""Below this, lengths are rounding: drawn as zero."""
+
 _PREFIXES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 
 
@@ -28,6 +31,18 @@ def in_words(
     if value is None or (isinstance(value, float | np.floating) and np.isnan(value)):
         return nothing
     return shape.format(value) if isinstance(shape, str) else shape(value)
+
+
+def rounded(value: float, digits: int = 3) -> str:
+    """A number with few digits, and a true minus."""
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+
+
+def micrometres(value_um: float | None) -> str:
+    """A length as people read it: what is only rounding is called so."""
+    if value_um is not None and abs(value_um) < NIL_UM:
+        return "below 1e-6 µm"
+    return "none" if value_um is None or np.isnan(value_um) else f"{rounded(value_um)} µm"
 
 
 def time_in_words(seconds: float | None) -> str:
