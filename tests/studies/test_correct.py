@@ -1,6 +1,7 @@
 """Points corrected through air: beside the ray search, which knows where light met the part."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,9 +10,19 @@ from typer.testing import CliRunner
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.metrology.air_estimate import Prior
+from virtual_sensor.metrology.calibration import (
+    Calibration,
+    Plane,
+    calibration_of,
+    calibration_text,
+)
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.poses import Pose
 from virtual_sensor.records import write_csv, write_json
+from virtual_sensor.studies.correct.asked import Settings, names_of, priors_of
 from virtual_sensor.studies.correct.correct import correct
 from virtual_sensor.studies.correct.measured import (
     Scenes,
@@ -84,6 +95,128 @@ def test_the_covariance_is_that_of_points_of_noisy_pixels(tmp_path, searched):
     scale = np.sqrt(np.diag(drawn))
     assert np.abs((one.covariance_mm2[0] - drawn) / np.outer(scale, scale)).max() < 0.25
     assert 0.8 < np.std(noisy.distance_um) / one.sigma_um[0] < 1.2
+
+
+def test_two_poses_give_the_radius_through_air_of_another_family(folder):
+    """The issue's headline: 1250 degC, by the field of 1100 degC, scaled and widened: 2 um."""
+    both = [str(folder(0, "flat")), str(folder(30, "turned"))]
+    settings = Settings(
+        medium="hot_cylinder_1100C_quarter", estimate=("scale", "width"), tolerance_px=1e-3
+    )
+    result = correct(read_measured(both, Scenes()), settings)
+    assert abs(result.circle.radius_error_um) < 2.0
+    assert result.air.origin == "estimate"
+    assert not result.caveats
+    for each in result.measurements:
+        assert np.abs(each.distance_um).max() < 4.0
+        assert np.abs(each.residual_px).max() < 0.2
+    (facts,) = result.summary.to_dict()["estimates"]
+    assert facts["measurements"] == ["flat", "turned"]
+    assert facts["status"]["scale"] == "found"
+    assert 1.05 < facts["values"]["scale"] < 1.12
+    # One pose alone errs by far more, and says so.
+    alone = correct(read_measured(both[:1], Scenes()), settings)
+    assert any("from one pose" in caveat for caveat in alone.caveats)
+
+
+def test_each_kind_of_known_air_is_taken(folder):
+    """What is said of the air holds for all; the family is exact where it has a field."""
+    (flat,) = read_measured([str(folder(0, "flat"))], Scenes())
+    own, hotter, other, between = (
+        correct([flat], Settings(**kwargs))
+        for kwargs in (
+            {},
+            {"temperature_c": 1250.0},
+            {"medium": "hot_cylinder_1100C_quarter"},
+            {"temperature_c": 1200.0},
+        )
+    )
+    origins = [each.air.origin for each in (own, hotter, other, between)]
+    assert origins == ["scene", "temperature", "medium", "temperature"]
+    points = [each.measurements[0].point_mm for each in (own, hotter, other, between)]
+    np.testing.assert_allclose(points[1], points[0], atol=1e-6)
+    left = [rms(each.measurements[0].distance_um) for each in (own, between, other)]
+    assert left[0] < 0.05 < left[1] < left[2] < 30.0
+    (cold,) = read_measured([str(folder(0, "again"))], Scenes(given={"field": ""}))
+    straight = correct([cold])
+    assert straight.air.origin == "none"
+    np.testing.assert_allclose(straight.measurements[0].moved_um, 0.0, atol=1e-6)
+    with pytest.raises(InputError, match="no air whose parameters"):
+        correct([cold], Settings(estimate=("scale",)))
+
+
+def test_a_calibration_takes_the_place_of_the_scenes_sensor(tmp_path, searched):
+    """Rationale: a real sensor is never quite where the scene has it."""
+    scene, found = searched[0]
+    write_csv(tmp_path / "line.csv", {"u": found.pixel[:, 0], "v": found.pixel[:, 1]})
+    real = calibration_of(scene.sensor)
+
+    def written(name, calibration):
+        (tmp_path / name).write_text(calibration_text(calibration, name))
+        return read_measured([str(tmp_path / "line.csv")], Scenes("hot_cylinder"), tmp_path / name)
+
+    (same,) = written("same.yaml", real)
+    assert not [note for note in same.notes if "lie up to" in note]
+    shift = Pose.shift([0.02, 0.03, -0.05])
+    camera = real.camera.with_pose(real.camera.pose.moved(shift))
+    normal, offset = real.laser.plane
+    plane = Plane(-normal, -(offset + normal @ shift.origin_mm))  # another sign, the same plane
+    (moved,) = written("moved.yaml", Calibration(camera, plane))
+    assert any("lie up to" in note for note in moved.notes)
+    # Pixels that the moved sensor would see of points that moved with it, but for the air.
+    points = [correct([each]).measurements[0].point_mm for each in (same, moved)]
+    np.testing.assert_allclose(points[1] - points[0], [shift.origin_mm] * len(Y), atol=5e-3)
+    far = Calibration(real.camera.with_pose(real.camera.pose.moved(Pose.shift([0, 20, 0]))), plane)
+    with pytest.raises(InputError, match="is not the calibration's: its points lie up to 20"):
+        written("far.yaml", far)
+    small = replace(real.camera, size=(1024, 768))
+    with pytest.raises(InputError, match="the calibration is of 1024 x 768 px"):
+        written("small.yaml", Calibration(small, plane))
+    text = (tmp_path / "same.yaml").read_text()
+    (tmp_path / "blind.yaml").write_text(text[: text.index("laser_plane")])
+    with pytest.raises(InputError, match="lacks 'laser_plane'; add it"):
+        read_measured([str(tmp_path / "line.csv")], Scenes("hot_cylinder"), tmp_path / "blind.yaml")
+
+
+def test_what_cannot_be_corrected_is_refused_with_the_remedy(folder):
+    """Fields that end before the light has left the air, and parameters that nothing tells."""
+    (flat,) = read_measured([str(folder(0, "flat"))], Scenes())
+    field = flat.scene.medium
+    lower = field.nodes[:, :, : field.shape[2] // 2]
+    short = field.with_nodes(lower)
+    with pytest.raises(
+        InputError, match=r"22 centres.*give a field that reaches further out.*camera's side, at"
+    ):
+        correct([replace(flat, scene=flat.scene.with_medium(short))])
+    dots = replace(flat, along_mm=Y, normal_deg=np.full(len(Y), np.nan))
+    for measured, kwargs, said in (
+        (flat, {"shape": "none"}, "lines say nothing without a shape"),
+        (flat, {"free": ("size",)}, "the shape has radius, y, z, turn_y, turn_z"),
+        (
+            flat,
+            {"estimate": ("scale", "sensor_x", "camera_x")},
+            r"can't tell .*--prior NAME=VALUE",
+        ),
+        (flat, {"estimate": ("scale", "hight")}, "did you mean 'height'"),
+        (dots, {"priors": {"width": Prior(1.0, 0.1)}}, "'width', which is not sought"),
+    ):
+        with pytest.raises(InputError, match=said):
+            correct([measured], Settings(**({"estimate": ("scale",)} | kwargs)))
+    for kwargs in ({"shape": "cone"}, {"free": ("y",)}, {"medium": "a.nc", "temperature_c": 900.0}):
+        with pytest.raises(InputError, match=r"there are cylinder|say what is|choose one"):
+            Settings(**kwargs)
+
+
+def test_options_say_names_and_priors():
+    assert names_of(" scale, width,scale,") == ("scale", "width")
+    assert priors_of(["scale=1:0.05,width=1:.2", "offset=-1:2"]) == {
+        "scale": Prior(1.0, 0.05),
+        "width": Prior(1.0, 0.2),
+        "offset": Prior(-1.0, 2.0),
+    }
+    for text in ("scale", "scale=1", "scale=1:0", "=1:2", "scale=a:b", "scale=1:2:3"):
+        with pytest.raises(InputError, match=r"NAME=VALUE:SIGMA"):
+            priors_of([text])
 
 
 def test_folders_name_their_scene_and_may_be_changed(folder, searched):

@@ -10,8 +10,12 @@ from virtual_sensor.cli import shared
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor correct measured/\n\n"
+    "    virtual-sensor correct pose_0/ pose_30/ --estimate scale,width -o both\n\n"
     "    virtual-sensor correct line.csv --scene hot_cylinder -D beta=15 --medium air.nc\n\n"
-    "    virtual-sensor correct line_0.csv line_30.csv:beta=30 --scene hot_cylinder -o both"
+    "    virtual-sensor correct line_0.csv line_30.csv:beta=30 --scene hot_cylinder"
+    " --temperature 1180\n\n"
+    "    virtual-sensor correct shot.png --scene hot_cylinder --calibration sensor.yaml"
+    " --estimate scale,offset --shape part --prior scale=1:0.05"
 )
 
 
@@ -21,7 +25,7 @@ def correct(
         typer.Argument(
             metavar="MEASURED...",
             help="Folders of `measure` or `burst`, tables of line centres (CSV), or images; with"
-            " parameters of its own where a colon follows: line.csv:beta=30.",
+            " parameters of the scene for one alone behind a colon: line.csv:beta=30.",
         ),
     ],
     scene: Annotated[
@@ -38,23 +42,87 @@ def correct(
         Path | None,
         typer.Option(help="Field of the air that light went through; by default the scene's own."),
     ] = None,
+    temperature: Annotated[
+        float | None,
+        typer.Option(
+            help="Wall temperature of the air, degC, between those of the scene's fields."
+        ),
+    ] = None,
+    estimate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Parameters that are found from the measurements: scale, width, offset, height,"
+            " blur, pressure, temperature of the air; of poses sensor_x ... camera_turn_z, of one"
+            " measurement NAME.sensor_x; of the laser plane laser_offset, laser_tilt, laser_roll.",
+        ),
+    ] = None,
+    shape: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the part, for an estimate: cylinder, plane, sphere (with parameters of their"
+            " own that are found too), part (the scene's, known), none (dots need none)."
+        ),
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Parameters of the shape that are found: radius,y,z of a cylinder, which are the"
+            " default; none: it is known.",
+        ),
+    ] = None,
+    prior: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE:SIGMA",
+            help="What is known of a parameter before: scale=1:0.05; repeatable.",
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of the sensor, in the scene's world: OpenCV's or ROS's YAML, XML or JSON with a"
+            " laser_plane; by default the scene's own sensor."
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            help="Standard deviation of the line's centres, px, in place of those that files have."
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Change of the residuals, px, below which an estimate ends.")
+    ] = 1e-5,
     output: shared.Folder = Path("corrected"),
     overwrite: shared.Overwrite = False,
 ) -> None:
     """Correct points that were measured through hot air: give the air, or have it estimated.
 
-    Exit status 3: there are results, but no point could be corrected; the statuses say why.
+    Two poses of the sensor make the air visible: measure at both, and give both with --estimate.
+
+    Exit status 3: there are results, but no line centre is given; the statuses say why.
     """
     from virtual_sensor.reporting.correct import on_console, save
-    from virtual_sensor.studies.correct.correct import Settings
+    from virtual_sensor.studies.correct.asked import Settings, names_of, priors_of
     from virtual_sensor.studies.correct.correct import correct as run
     from virtual_sensor.studies.correct.measured import Scenes, read_measured
 
     shared.check_folder(output, overwrite)
+    settings = Settings(
+        medium,
+        temperature,
+        names_of(estimate),
+        shape,
+        None if free is None else names_of(free),
+        priors_of(prior or []),
+        tolerance,
+    )
     with shared.reporting("reading") as report:
         scenes = Scenes(scene, shared.definitions(define), camera, source)
-        given = read_measured(measured, scenes)
-        result = run(given, Settings(medium), lambda s, f: report(s, 0.1 + 0.8 * f))
+        given = read_measured(measured, scenes, calibration, sigma)
+        result = run(given, settings, lambda stage, part: report(stage, 0.1 + 0.8 * part))
         report("writing the results", 0.9)
         save(result, output, shared.command_line(), overwrite)
     shared.print_notes(result.caveats)

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.errors import InputError, nearest
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.air_model import AirModel
+from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, estimate_air
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
-from virtual_sensor.metrology.triangulation import triangulate, triangulated_points
+from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import rms
+from virtual_sensor.optics.bent_points import bent_points
+from virtual_sensor.optics.crossing_status import CrossingStatus
+from virtual_sensor.optics.field_border import cover_words
 from virtual_sensor.optics.surfaces import Cylinder
-from virtual_sensor.records import Record
+from virtual_sensor.studies.air_models import air_model_of
+from virtual_sensor.studies.correct.asked import Settings, shape_of
 from virtual_sensor.studies.correct.correction import (
     AirFacts,
     Corrected,
@@ -29,31 +37,19 @@ from virtual_sensor.studies.correct.scene_part import ScenePart
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 
-_STEP_PX = 0.5
+USUAL = Settings()
 
-
-@dataclass(frozen=True)
-class Settings(Record):
-    """What is known of the air, and what is to be found.
-
-    Attributes
-    ----------
-    medium : Path or None
-        File of a known field; None: the scene's own air.
-    temperature_c : float or None
-        Wall temperature of the air, between those of the scene's fields.
-    """
-
-    medium: Path | None = None
-    temperature_c: float | None = None
+_EVALUATIONS = 10  # of a usual estimate
 
 
 def correct(
     measured: Sequence[Measured],
-    settings: Settings = Settings(),
+    settings: Settings = USUAL,
     report: Report = lambda stage, fraction: None,
 ) -> Correction:
     """Give the points that measurements hold, along bent lines of sight and laser rays.
+
+    Measurements in one air are corrected together; each frame of a burst has an air of its own.
 
     Parameters
     ----------
@@ -70,88 +66,272 @@ def correct(
     """
     began = time.perf_counter()
     notes = [note for each in measured for note in each.notes]
-    scenes, air, said = _known_air(measured, settings)
+    own = {each.name: each.scene for each in measured}
+    measured, air, said = _in_known_air(measured, settings)
     notes += said
-    found = []
-    for number, (each, scene) in enumerate(zip(measured, scenes, strict=True)):
-        report(f"{each.name}: points through the air", number / len(measured))
-        found.append(_corrected(each, scene))
-    seconds = time.perf_counter() - began
-    media = {id(scene.medium): scene.medium for scene in scenes}
-    medium = next(iter(media.values())) if len(media) == 1 else None
+    found: list[Corrected] = []
+    estimates: list[AirEstimate] = []
+    caveats: list[str] = []
+    groups = _groups(measured, bool(settings.estimate))
+    for number, group in enumerate(groups):
+
+        def tell(stage: str, part: float, number: int = number) -> None:
+            report(stage, (number + part) / len(groups))
+
+        if settings.estimate:
+            estimate = _estimate(group, own[group[0].name], settings, tell)
+            estimates.append(estimate)
+            notes += estimate.notes
+            caveats += _from_one_pose(group, estimate)
+            found += [_by_estimate(each, i, estimate) for i, each in enumerate(group)]
+        else:
+            tell(f"{group[0].name}: points through the air", 0.0)
+            found += [_through(each) for each in group]
+    caveats += _lost(found)
+    if estimates:
+        air = replace(air, origin="estimate")
+    media = {id(each.scene.medium): each.scene.medium for each in found}
+    one = estimates[0] if len(estimates) == 1 else None
     return Correction(
         tuple(found),
         air,
-        medium,
-        None,
-        None,
-        _circle(scenes, [each.point_mm for each in found]),
-        _circle(scenes, [each.point_uncorrected_mm for each in found]),
-        tuple(dict.fromkeys(notes)),
-        (),
-        seconds,
+        next(iter(media.values())) if len(media) == 1 else None,
+        one.model if one else None,
+        one,
+        _circle(found, [each.point_mm for each in found]),
+        _circle(found, [each.point_uncorrected_mm for each in found]),
+        tuple(dict.fromkeys([*notes, *caveats])),
+        tuple(caveats),
+        time.perf_counter() - began,
     )
 
 
-def _known_air(
+def _in_known_air(
     measured: Sequence[Measured], settings: Settings
-) -> tuple[list[Scene], AirFacts, list[str]]:
-    """The measurements' scenes in the air that is known, what it is, and notes."""
-    scenes, notes = [each.scene for each in measured], []
-    origin = "scene"
+) -> tuple[list[Measured], AirFacts, list[str]]:
+    """The measurements in the air that is known, or assumed at first; what it is, and notes."""
+    first, notes, origin = measured[0].scene, [], "scene"
+    medium: Any = None
     if settings.medium is not None:
-        scenes, origin = [scene.with_medium(settings.medium) for scene in scenes], "medium"
-    elif scenes[0].medium is None:
+        medium, origin = first.with_medium(settings.medium).medium, "medium"
+    elif settings.temperature_c is not None:
+        family = _family(first, settings.temperature_c)
+        medium, origin = family.at(temperature=settings.temperature_c), "temperature"
+    elif first.medium is None:
         origin = "none"
-    first = scenes[0].medium
-    source = str(settings.medium or scenes[0].air.path or (first.source if first else ""))
-    if origin == "scene":
+    elif not settings.estimate:
         notes.append(
-            f"nothing is said of the air: the scene's own is taken ({scenes[0].air_name});"
-            " --medium names another, --estimate finds it from the measurements"
+            f"nothing is said of the air: the scene's own is taken ({first.air_name}); --medium"
+            " names another, --estimate finds it from the measurements"
         )
-    return scenes, AirFacts(origin, source, {}, {}), notes
+    elif len(frames := [each for each in measured if each.one_of_many]) > 1:
+        mean = _mean([each.scene.medium for each in frames])
+        notes.append("the air of each frame is estimated by itself, from the mean air of the burst")
+        measured = [
+            replace(each, scene=each.scene.with_medium(mean)) if each.one_of_many else each
+            for each in measured
+        ]
+    if medium is not None:
+        measured = [replace(each, scene=each.scene.with_medium(medium)) for each in measured]
+    air = medium or first.medium
+    source = settings.medium or (first.air.path if medium is None else None)
+    return [*measured], AirFacts(origin, f"{source or (air.source if air else '')}"), notes
 
 
-def _corrected(measured: Measured, scene: Scene) -> Corrected:
+def _family(scene: Scene, temperature_c: float | None = None) -> AirModel:
+    """The scene's air at several wall temperatures."""
+    model = air_model_of(scene)
+    if "temperature" not in model.names:
+        wanted = "" if temperature_c is None else f" of {temperature_c:g} degC"
+        raise InputError(
+            f"{scene.path}: has air of one temperature; give a field{wanted} by --medium"
+            " (`virtual-sensor field simulate --temperature` makes one)"
+        )
+    return model
+
+
+def _mean(media: Sequence[Any]) -> Any:
+    """The mean of fields on one grid."""
+    first = media[0]
+    total = np.zeros(first.shape)
+    for each in media:
+        total += each.nodes
+    return first.with_nodes(total / len(media), source="mean of the burst's instants")
+
+
+def _groups(measured: Sequence[Measured], estimated: bool) -> list[list[Measured]]:
+    """Measurements in one air, together; each frame of a burst by itself."""
+    if not estimated:
+        return [[each] for each in measured]
+    groups: dict[Any, list[Measured]] = {}
+    for number, each in enumerate(measured):
+        key = number if each.one_of_many else f"in {id(each.scene.medium)}"
+        groups.setdefault(key, []).append(each)
+    return list(groups.values())
+
+
+def _estimate(
+    group: Sequence[Measured], own: Scene, settings: Settings, report: Report
+) -> AirEstimate:
+    """The air of measurements, from them; `own` is the scene of the first, in its own air."""
+    scene = group[0].scene
+    if scene.medium is None:
+        raise InputError(
+            f"{scene.path}: has no air whose parameters could be found; give a field that is like"
+            " it (--medium FILE, or -D field=FILE)"
+        )
+    model = AirModel.of(scene.medium)
+    if "temperature" in settings.estimate and settings.medium is None:
+        model = _family(own)
+        if settings.temperature_c is not None:
+            model = replace(model, temperature_c=settings.temperature_c)
+    _check_names(settings, model)
+    shape, free = shape_of(settings, group, [triangulate(m.scene, m.pixel) for m in group])
+    stage = f"{group[0].name}: estimating {', '.join(settings.estimate)}"
+    report(stage, 0.0)
+    with _as_options():
+        return estimate_air(
+            [_observation(each) for each in group],
+            model,
+            [name for name in settings.estimate if name in model.names],
+            shape=shape,
+            free=free,
+            pose_names=[name for name in settings.estimate if name not in model.names],
+            priors=dict(settings.priors),
+            tolerance_px=settings.tolerance_px,
+            progress=lambda count: report(stage, count / (count + _EVALUATIONS)),
+        )
+
+
+def _check_names(settings: Settings, model: AirModel) -> None:
+    """Refuse names that are neither the air's nor like a pose's or the laser plane's."""
+    for name in settings.estimate:
+        poses = name.rpartition(".")[2].startswith(("camera_", "laser_", "sensor_"))
+        if name not in model.names and not poses:
+            hint = nearest(name, model.names)
+            raise InputError(f"--estimate {name}: the air has {', '.join(model.names)}{hint}")
+
+
+@contextmanager
+def _as_options() -> Iterator[None]:
+    """Have errors of an estimate name the command's options, not the function's arguments."""
+    try:
+        yield
+    except InputError as error:
+        said = f"{error}".removeprefix("estimate_air: ")
+        said = said.replace("priors has", "--prior has").replace(
+            "priors={name: Prior(value, sigma)}", "--prior NAME=VALUE:SIGMA"
+        )
+        raise type(error)(f"--estimate: {said}") from None
+
+
+def _from_one_pose(group: Sequence[Measured], estimate: AirEstimate) -> list[str]:
+    """A caveat where air and shape are found together from lines that one pose shows."""
+    shown = estimate.shape.names if estimate.shape else ()
+    free = [name for name in estimate.names if name in shown]
+    poses = {tuple(each.scene.camera.pose.rotation.round(6).ravel()) for each in group}
+    if not free or len(poses) > 1 or any(each.along_mm is not None for each in group):
+        return []
+    return [
+        f"air and shape ({', '.join(free)}) are found from one pose, where one can pass for the"
+        " other however small the residual is (tens of um of radius); measure from a second pose,"
+        " 15 or 30 degrees further, and give both"
+    ]
+
+
+def _observation(measured: Measured) -> Observation:
+    either = np.isnan(measured.normal_deg).any()
+    return Observation(
+        measured.scene,
+        measured.pixel,
+        measured.sigma_px,
+        along_mm=measured.along_mm,
+        name=measured.name,
+        normal_deg=None if either else measured.normal_deg,
+    )
+
+
+def _by_estimate(measured: Measured, i: int, estimate: AirEstimate) -> Corrected:
+    """One of the measurements that an estimate comes from."""
+    points = estimate.points[i]
+    return _corrected(
+        measured,
+        measured.scene.with_medium(estimate.medium),
+        points,
+        estimate.covariance_of_points(i),
+        estimate.residual_px[i],
+        estimate,
+    )
+
+
+def _through(measured: Measured) -> Corrected:
     """One measurement through its scene's air."""
-    pixel = measured.pixel
-    shifts = np.array([[0.0, 0.0], *(s * _STEP_PX * np.eye(2)[i] for i in (0, 1) for s in (1, -1))])
-    found = triangulated_points(scene, pixel + shifts[:, None], medium=scene.medium)
-    point, u_up, u_down, v_up, v_down = found.point_mm
-    by_pixel = np.stack([u_up - u_down, v_up - v_down], axis=-1) / (2.0 * _STEP_PX)
+    points = bent_points(measured.scene, measured.pixel)
+    noise = _observation(measured).covariance_px2
+    by_pixel = points.point_by_pixel
+    covariance = by_pixel @ noise @ np.swapaxes(by_pixel, 1, 2)
+    return _corrected(measured, measured.scene, points, covariance)
+
+
+def _corrected(
+    measured: Measured,
+    scene: Scene,
+    points: Any,
+    covariance: Array,
+    residual_px: Array | None = None,
+    estimate: AirEstimate | None = None,
+) -> Corrected:
     return Corrected(
         measured.name,
         scene,
-        pixel,
+        measured.pixel,
         measured.sigma_px,
         measured.centre_status,
-        found.status[0],
-        triangulate(scene, pixel),
-        point,
-        pixel_covariance(measured, by_pixel),
-        None,
+        points.status,
+        triangulate(scene, measured.pixel),
+        points.point_mm,
+        covariance,
+        residual_px,
         ScenePart.of(scene),
+        estimate,
     )
 
 
-def pixel_covariance(measured: Measured, by_pixel: Array) -> Array:
-    """Covariance (N, 3, 3) of points by their pixels' noise; `by_pixel` (N, 3, 2) in mm/px."""
-    angle = np.radians(measured.normal_deg)
-    across = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    one_way = np.einsum("nij,nj->ni", by_pixel, across)
-    anyway = np.einsum("nik,njk->nij", by_pixel, by_pixel)
-    shape = np.where(
-        np.isnan(angle)[:, None, None], anyway, one_way[:, :, None] * one_way[:, None, :]
-    )
-    covariance: Array = measured.sigma_px[:, None, None] ** 2 * shape
-    return covariance
+def _lost(found: Iterable[Corrected]) -> list[str]:
+    """Notes on centres without a corrected point.
+
+    Raises
+    ------
+    InputError
+        If a measurement has centres, and no corrected point.
+    """
+    notes = []
+    for each in found:
+        for status, count in CrossingStatus.counts(each.status).items():
+            if status in (CrossingStatus.OK, CrossingStatus.NO_PIXEL):
+                continue
+            why = f"{status.message}{_where(each, status)}"
+            if not each.points:
+                raise InputError(f"{each.name}: none of {count} centres has a point. {why}")
+            notes.append(f"{each.name}: {count} centres have no point. {why}")
+    return notes
 
 
-def _circle(scenes: Sequence[Scene], points: Sequence[Array]) -> RadiusFit | None:
+def _where(corrected: Corrected, status: CrossingStatus) -> str:
+    """Where a field ends too early, in words."""
+    scene, lost = corrected.scene, corrected.status == status
+    points = corrected.point_uncorrected_mm[lost]
+    points = points[np.isfinite(points).all(axis=1)]
+    if status != CrossingStatus.UNCOVERED or scene.medium is None or not len(points):
+        return ""
+    words = cover_words(scene.medium, scene.camera, scene.source.family, points)
+    return f" Of {scene.air_name}: {words}." if words else ""
+
+
+def _circle(found: Sequence[Corrected], points: Sequence[Array]) -> RadiusFit | None:
     """A circle through all points of a cylinder along x; None of other parts, and of few points."""
-    part = scenes[0].surface
-    if not isinstance(part, Cylinder) or any(scene.surface != part for scene in scenes):
+    part = found[0].scene.surface
+    if not isinstance(part, Cylinder) or any(each.scene.surface != part for each in found):
         return None
     fit = fit_cylinder(np.concatenate(points), direction=(1.0, 0.0, 0.0))
     if fit.status != FitStatus.FITTED:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.air_estimate import AirEstimate, EstimateStatus
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.truth import largest, rms
@@ -125,7 +127,7 @@ class Corrected(Displayed):
     covariance_mm2: Array
     residual_px: Array | None
     part: ScenePart
-    estimate: Any = None
+    estimate: AirEstimate | None = None
     budget: Any = None
 
     def _line(self) -> str:
@@ -278,16 +280,79 @@ class AirFacts(Record):
         "scene", "medium" (a file), "temperature", "estimate", or "none" where light runs straight.
     source : str
         File or description of the field.
-    estimated : dict of float
-        Values of the parameters that were estimated.
-    sigma : dict of float
-        Their standard deviations.
     """
 
     origin: str
     source: str
-    estimated: dict[str, float]
+
+
+@dataclass(frozen=True)
+class EstimateFacts(Record):
+    """What was found of the air, of a shape and of poses, and how sure it is.
+
+    Attributes
+    ----------
+    measurements : tuple of str
+        From which it comes.
+    values, sigma : dict of float
+        By the parameters' names: found, and the standard deviation by noise and priors.
+    units : dict of str
+        "" of a plain factor.
+    status : dict of str
+        "found", or why it is none ("prior", "not_told_apart", "at_bound").
+    bound : dict of float
+        Cramer and Rao's: the least standard deviation that the data alone allow; null: none.
+    priors : dict of dict
+        Value and sigma of those that took part.
+    correlation : list
+        Of the parameters, in the order of their names.
+    condition : float
+        Of data and priors together.
+    shape : str
+        That the part was taken to have; "" of dots.
+    rms_px : float
+        Of the residuals.
+    chi2 : float
+        Residuals over their noise, squared, by the degrees of freedom.
+    iterations : int
+    """
+
+    measurements: tuple[str, ...]
+    values: dict[str, float]
     sigma: dict[str, float]
+    units: dict[str, str]
+    status: dict[str, str]
+    bound: dict[str, float]
+    priors: dict[str, dict[str, float]]
+    correlation: Array
+    condition: float
+    shape: str
+    rms_px: float
+    chi2: float
+    iterations: int
+
+    @classmethod
+    def of(cls, estimate: AirEstimate) -> EstimateFacts:
+        """The facts of an estimate."""
+
+        def named(values: Any) -> dict[str, Any]:
+            return dict(zip(estimate.names, values, strict=True))
+
+        return cls(
+            tuple(each.name for each in estimate.observations),
+            named(estimate.values.tolist()),
+            named(estimate.sigma.tolist()),
+            named(estimate.units),
+            named(status_names(estimate.status, EstimateStatus).tolist()),
+            named(estimate.bound.tolist()),
+            {name: {"value": p.value, "sigma": p.sigma} for name, p in estimate.priors.items()},
+            estimate.correlation,
+            estimate.condition,
+            "" if estimate.shape is None else type(estimate.shape).__name__,
+            estimate.rms_px,
+            estimate.chi2,
+            estimate.iterations,
+        )
 
 
 @dataclass(frozen=True)
@@ -300,6 +365,8 @@ class CorrectionSummary(Record):
         That the correction took.
     measurements : dict of CorrectedSummary
         By name.
+    estimates : list of EstimateFacts
+        One, or of a burst one for each frame; none where the air is known.
     circle, circle_uncorrected : RadiusFit or None
         Through all corrected, and uncorrected, points; None where the part is no cylinder.
     notes : tuple of str
@@ -314,6 +381,7 @@ class CorrectionSummary(Record):
 
     air: AirFacts
     measurements: dict[str, CorrectedSummary]
+    estimates: tuple[EstimateFacts, ...]
     circle: RadiusFit | None
     circle_uncorrected: RadiusFit | None
     notes: tuple[str, ...]
@@ -348,8 +416,8 @@ class Correction(Displayed):
     measurements: tuple[Corrected, ...]
     air: AirFacts
     medium: IndexField | None
-    model: Any
-    estimate: Any
+    model: AirModel | None
+    estimate: AirEstimate | None
     circle: RadiusFit | None
     circle_uncorrected: RadiusFit | None
     notes: tuple[str, ...]
@@ -377,12 +445,19 @@ class Correction(Displayed):
         """Corrected points of all measurements."""
         return sum(each.points for each in self.measurements)
 
+    @property
+    def estimates(self) -> list[AirEstimate]:
+        """All estimates, each once, in the order of the measurements."""
+        found = {id(each.estimate): each.estimate for each in self.measurements}
+        return [estimate for estimate in found.values() if estimate is not None]
+
     @cached_property
     def summary(self) -> CorrectionSummary:
         """The figures, for ``summary.json``."""
         return CorrectionSummary(
             air=self.air,
             measurements={each.name: each.summary for each in self.measurements},
+            estimates=tuple(EstimateFacts.of(each) for each in self.estimates),
             circle=self.circle,
             circle_uncorrected=self.circle_uncorrected,
             notes=self.notes,

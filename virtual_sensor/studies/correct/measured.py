@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import RESULTS_SIGN, exists, readable
@@ -37,9 +38,11 @@ from virtual_sensor.imaging.scene import (
     scene_parameters,
     shipped_scenes,
 )
-from virtual_sensor.metrology.calibration import Calibration
+from virtual_sensor.metrology.calibration import Calibration, read_calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
@@ -56,6 +59,8 @@ _NAMES = {  # of a table's columns, ours first
     "along": ("y_mm",),  # of dots
     "time": ("time_s",),  # of a burst
 }
+_SAME_SENSOR_MM = 1.0  # points further apart are of another sensor
+_NOTED_MM = 1e-3
 _DERIVED = ("film_width", "pixel", "fov")  # parameters that follow from others unless given
 
 
@@ -173,17 +178,32 @@ def given_parameters(path: Path, used: Mapping[str, str]) -> dict[str, str]:
         If the scene has no such parameters (any more).
     """
     given: dict[str, str] = {}
-    order = sorted(used, key=lambda name: name in _DERIVED)
-    for name in order:
-        if scene_parameters(path, given).get(name) != used[name]:
-            given[name] = used[name]
-    return given
+    order = sorted(used, key=lambda name: name in _DERIVED)  # else those before others
+    while True:
+        values = scene_parameters(path, given)
+        wanting = [name for name in order if values.get(name) != used[name]]
+        if not set(wanting) - given.keys():
+            return given
+        name = next(name for name in wanting if name not in given)
+        given[name] = used[name]
 
 
 def read_measured(
-    texts: Sequence[str], scenes: Scenes, calibration: Calibration | None = None
+    texts: Sequence[str],
+    scenes: Scenes,
+    calibration: Path | None = None,
+    sigma_px: float | None = None,
 ) -> list[Measured]:
     """Read measurements, each a path, or a path with parameters: ``line.csv:beta=30,along=2``.
+
+    Parameters
+    ----------
+    texts : sequence of str
+    scenes : Scenes
+    calibration : Path, optional
+        File of the sensor's; by default the scenes' own sensors.
+    sigma_px : float, optional
+        The centres' standard deviation, in place of those that files have.
 
     Raises
     ------
@@ -193,9 +213,15 @@ def read_measured(
     found: list[Measured] = []
     for text in texts:
         path, own = _path_and_parameters(text)
-        found += [_calibrated(each, calibration) for each in _read(path, own, scenes)]
+        found += _read(path, own, scenes)
     if not found:
         raise InputError("nothing is given to correct; name a folder of `measure`, say")
+    if calibration is not None:
+        of_sensor = read_calibration(calibration)
+        found = [calibrated(each, of_sensor) for each in found]
+    if sigma_px is not None:
+        number_within("--sigma", sigma_px, SMALLEST, LARGEST, "a positive number of px")
+        found = [replace(m, sigma_px=np.full(len(m.pixel), sigma_px), notes=m.notes) for m in found]
     return _with_names(found)
 
 
@@ -423,8 +449,52 @@ def _number(cell: str) -> float | None:
     return value if np.isfinite(value) else np.nan
 
 
-def _calibrated(measured: Measured, calibration: Calibration | None) -> Measured:
-    return measured
+def calibrated(measured: Measured, calibration: Calibration) -> Measured:
+    """The same, seen by the calibration's camera, in the light of its laser plane.
+
+    The calibration's world must be that of the scene, whose part and air stay where they are; the
+    laser's rays are turned and shifted into the plane.
+
+    Raises
+    ------
+    InputError
+        If it is of another sensor than the scene's.
+    """
+    scene = measured.scene
+    camera, laser = calibration.camera, scene.source
+    if camera.size != scene.camera.size:
+        (width, height), (w, h) = camera.size, scene.camera.size
+        raise InputError(
+            f"{measured.name}: the calibration is of {width} x {height} px, and the camera of"
+            f" {scene.path} has {w} x {h}; give the scene of this sensor (--scene), or its width"
+            " and height (-D)"
+        )
+    normal, plane = laser.plane[0], calibration.laser
+    there = plane.normal * np.sign(plane.normal @ normal)
+    axis = np.cross(normal, there)
+    angle = float(np.degrees(np.arctan2(np.linalg.norm(axis), normal @ there)))
+    pose = laser.pose
+    if angle:
+        pose = pose.moved(Pose.turn(angle, axis, laser.target_mm))
+    off_mm = plane.offset_mm * np.sign(plane.normal @ normal) - there @ laser.target_mm
+    laser = laser.with_pose(pose.moved(Pose.shift(off_mm * there)))
+    same = replace(scene, cameras={scene.camera_name: camera}, sources={scene.source_name: laser})
+    nominal, real = (triangulate(each, measured.pixel) for each in (scene, same))
+    apart = np.linalg.norm(real - nominal, axis=1)
+    apart_mm = float(np.max(apart[np.isfinite(apart)], initial=0.0))
+    lost = int(np.sum(np.isfinite(measured.pixel[:, 0]) & ~np.isfinite(apart)))
+    if lost or apart_mm > _SAME_SENSOR_MM:
+        raise InputError(
+            f"{measured.name}: the sensor of {scene.path} is not the calibration's: its points lie"
+            f" {f'up to {apart_mm:.3g} mm' if not lost else 'nowhere near'} beside those of the"
+            f" calibration, whose laser plane is turned by {angle:.3g} degrees; give the scene in"
+            " which this sensor stands (-D, --scene), and the calibration in the scene's world"
+        )
+    note = f"{measured.name}: the calibration's points lie up to {apart_mm:.3g} mm beside those of"
+    notes = (f"{note} the scene's own sensor; the calibration's are taken",)
+    return replace(
+        measured, scene=same, notes=measured.notes + (notes if apart_mm > _NOTED_MM else ())
+    )
 
 
 def _with_names(found: list[Measured]) -> list[Measured]:
