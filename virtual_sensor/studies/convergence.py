@@ -248,7 +248,7 @@ def convergence(
     longer = Setting(*long, *grids_mm[-1])
     air, seen = dict[Setting, IndexField](), dict[Setting, Seen]()
     for i, setting in enumerate(wanted := [*settings, longer]):
-        report("searching rays through the fields", 0.7 + 0.3 * i / len(wanted))
+        report("searching rays through the fields", 0.7 + 0.15 * i / len(wanted))
         flow, case = flows[setting.cell_mm], cases[setting.cell_mm]
         grid = SampleGrid.of(flow, (1.0, *setting.grid_mm))
         air[setting] = as_field(sample(flow, case, (setting.time_s,), grid))
@@ -274,6 +274,10 @@ def convergence(
         )
 
     reference = Setting(cells_mm[-1], times_s[-1], *grids_mm[-1])
+    changes = []
+    for i, setting in enumerate(settings):
+        report("correcting through the fields", 0.85 + 0.15 * i / len(settings))
+        changes.append(change(setting, reference))
     report("done", 1.0)
     return Convergence(
         temperature_c,
@@ -281,7 +285,7 @@ def convergence(
         change(longer, dataclasses.replace(reference, cell_mm=long[0])),
         made_with(scene),
         scene.loading_notes,
-        tuple(change(setting, reference) for setting in settings),
+        tuple(changes),
     )
 
 
