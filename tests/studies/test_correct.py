@@ -79,6 +79,19 @@ def test_searched_pixels_are_corrected_to_where_light_met_the_part(searched, fol
     assert any("--estimate" in note for note in result.notes)
 
 
+def test_points_of_a_mesh_are_compared_with_it_in_space(tmp_path):
+    """Rationale: in the laser's plane, which bent light leaves, true points were 19 um off."""
+    scene = load_scene("stepped_shaft")
+    found = ray_search(scene, Y, "newton")
+    write_csv(tmp_path / "line.csv", {"u": found.pixel[:, 0], "v": found.pixel[:, 1]})
+    given = read_measured([str(tmp_path / "line.csv")], Scenes("stepped_shaft"))
+    (each,) = correct(given).measurements
+    known = np.isfinite(each.distance_um)
+    assert known.sum() > 0.8 * np.isfinite(found.pixel[:, 0]).sum()
+    assert np.abs(each.distance_um[known]).max() < 0.01
+    assert np.nanmax(np.abs(each.distance_uncorrected_um)) > 50
+
+
 def test_the_covariance_is_that_of_points_of_noisy_pixels(tmp_path, searched):
     """Rationale: drawn noise, triangulated, is an independent way to the same numbers."""
     _, found = searched[0]
