@@ -70,6 +70,8 @@ OTHERS = {
     "lines_by_source",
     "estimate_air",
     "identifiability",
+    "error_budget",
+    "known_air_budget",
 }
 
 

@@ -58,6 +58,14 @@ CALLS = {
     "fit_cylinder": (vs.fit_cylinder, {"points_mm": ARC, "direction": [1, 0, 0]}),
     "estimate_air": (vs.estimate_air, ESTIMATE),
     "identifiability": (vs.identifiability, ESTIMATE),
+    "error_budget": (
+        vs.error_budget,
+        {"estimate": vs.estimate_air(**ESTIMATE), "sigmas": {"sensor_x": 0.01}},
+    ),
+    "known_air_budget": (
+        vs.known_air_budget,
+        {"observation": ESTIMATE["observations"], "sigmas": {"sensor_x": 0.01}},
+    ),
     "Observation": (vs.Observation, {"scene": SCENE, "pixel": [[20.0, 30.0]]}),
     "Prior": (vs.Prior, {"value": 1.0, "sigma": 1.0}),
     "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),

@@ -79,6 +79,10 @@ Air and shape found from images
     Prior                What is known of a parameter before anything is measured.
     AirEstimate          Parameters of the air, of a shape and of poses as found, and how sure they
                          are.
+    error_budget         Tell what an estimate, and the points through its air, may be wrong by.
+    known_air_budget     Tell what points through air that is given may be wrong by.
+    ErrorBudget          How far an estimate and its points may be wrong, by source.
+    PointBudget          What N points may be wrong by, by source; NaN where there is no point.
     CylinderShape        A round cylinder without ends, whose axis is near the x axis of its frame.
     PlaneShape           A plane near z = 0 of its frame.
     SphereShape          A sphere.
@@ -139,6 +143,10 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.centres import Status as Status
     from virtual_sensor.metrology.cylinder_fit import fit_cylinder as fit_cylinder
     from virtual_sensor.metrology.dot_peaks import dot_centres as dot_centres
+    from virtual_sensor.metrology.error_budget import ErrorBudget as ErrorBudget
+    from virtual_sensor.metrology.error_budget import PointBudget as PointBudget
+    from virtual_sensor.metrology.error_budget import error_budget as error_budget
+    from virtual_sensor.metrology.error_budget import known_air_budget as known_air_budget
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
     from virtual_sensor.metrology.shapes import CylinderShape as CylinderShape
     from virtual_sensor.metrology.shapes import PartShape as PartShape
@@ -169,6 +177,7 @@ _HOME = {
     "CrossingStatus": "optics.crossing_status",
     "CylinderShape": "metrology.shapes",
     "EngineError": "errors",
+    "ErrorBudget": "metrology.error_budget",
     "EstimateStatus": "metrology.air_estimate",
     "Frame": "imaging.render",
     "IndexField": "medium.index_field",
@@ -177,6 +186,7 @@ _HOME = {
     "Observation": "metrology.air_estimate",
     "PartShape": "metrology.shapes",
     "PlaneShape": "metrology.shapes",
+    "PointBudget": "metrology.error_budget",
     "Pose": "poses",
     "Prior": "metrology.air_estimate",
     "ProjectionStatus": "optics.projection",
@@ -190,10 +200,12 @@ _HOME = {
     "air_refractivity": "medium.air",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
+    "error_budget": "metrology.error_budget",
     "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
     "gaussian_blur": "imaging.lens",
     "identifiability": "metrology.air_estimate",
+    "known_air_budget": "metrology.error_budget",
     "line_centres": "metrology.line_peaks",
     "lines_by_source": "studies.lines_by_source",
     "load_scene": "imaging.scene",

@@ -39,6 +39,7 @@ Mask = NDArray[np.bool_]
 
 SIGMA_PX = 0.02
 """Noise of a line's centre where nobody says another one."""
+MAX_STEPS = 60
 MAX_CONDITION = 1e4
 """Condition of the problem, its columns of equal length, from which on it is taken as singular."""
 
@@ -374,8 +375,10 @@ def estimate_air(
     pose_names: Sequence[str] = (),
     priors: Mapping[str, Prior] | None = None,
     known: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
     max_condition: float = MAX_CONDITION,
     tolerance_px: float = 1e-5,
+    max_steps: int = MAX_STEPS,
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     progress: Any = None,
 ) -> AirEstimate:
@@ -403,11 +406,16 @@ def estimate_air(
         Of any parameter; ``sensor_x`` is that of all observations' own.
     known : mapping from str to float, optional
         Further parameters of the air, which have these values.
+    start : mapping from str to float, optional
+        Values from which parameters of the air and of poses start. By default the priors', or
+        those of air and scenes as they are given; a shape starts where it is nearest to the points.
     max_condition : float
         Condition of the problem, columns of unit length, from which on parameters are not told
         apart.
     tolerance_px : float
         Change of the residuals, rms, below which the fit ends.
+    max_steps : int
+        After which it ends anyway.
     pivot_mm : array_like of shape (3,)
         World point that turns of poses are about.
     progress : callable, optional
@@ -423,15 +431,16 @@ def estimate_air(
     problem = _problem(
         observations, model, names, shape, free, pose_names, priors, known, pivot_mm, progress
     )
+    problem = _started(problem, _mapping("start", start))
     problem, state, before = _begun(problem, max_condition)
     count, converged = 0, True
     for _ in range(_MOST_ROUNDS if problem.unknowns else 0):
-        found, steps, converged = _least(problem, state, tolerance_px)
+        found, steps, converged = _least(problem, state, tolerance_px, max_steps - count)
         count += steps
         again = problem.weighed(found)
         settled = again.like(state)
         state = again
-        if settled:
+        if settled or count >= max_steps:
             break
     return _result(problem, state, before, count, converged)
 
@@ -796,15 +805,7 @@ def _problem(
             "estimate_air: lines say nothing without a shape; give the part's (shape=), a known one"
             " or one with free parameters, such as shape=CylinderShape(13.5), free=['radius_mm']"
         )
-    if model is not None and not hasattr(model, "derivatives"):
-        from virtual_sensor.medium.air_model import AirModel
-
-        try:
-            model = AirModel.of(model)
-        except InputError:
-            raise InputError(
-                f"estimate_air: model is {short(model)}; give an AirModel, or an IndexField"
-            ) from None
+    model = air_model_of("estimate_air", model)
     if model is None and (names or known):
         raise InputError(
             "estimate_air: there is no air to estimate; give a model, or names=() and no known"
@@ -822,6 +823,26 @@ def _problem(
         raise InputError(f"estimate_air: pivot_mm is {short(pivot_mm)}; give three finite numbers")
     with_priors = _with_priors(unknowns, _mapping("priors", priors))
     return _Problem(tuple(seen), model, known, shape, with_priors, pivot, progress)
+
+
+def air_model_of(asker: str, model: Any) -> Any:
+    """The model of air that is given, or that of a field; None of none.
+
+    Raises
+    ------
+    InputError
+        If it is neither.
+    """
+    if model is None or hasattr(model, "derivatives"):
+        return model
+    from virtual_sensor.medium.air_model import AirModel
+
+    try:
+        return AirModel.of(model)
+    except InputError:
+        raise InputError(
+            f"{asker}: model is {short(model)}; give an AirModel, or an IndexField"
+        ) from None
 
 
 def _words(name: str, given: Any) -> tuple[str, ...]:
@@ -911,6 +932,25 @@ def _with_priors(unknowns: Sequence[_Unknown], priors: dict[str, Any]) -> tuple[
             f" {few(names, 20) or 'none'}{nearest(name, names)}"
         )
     return tuple(found)
+
+
+def _started(problem: _Problem, start: dict[str, Any]) -> _Problem:
+    """The problem, some of whose unknowns start from these values."""
+    names = [unknown.name for unknown in problem.unknowns]
+    for name, value in start.items():
+        if name not in names:
+            raise InputError(
+                f"estimate_air: start has '{name}', which is not sought; sought are"
+                f" {few(names, 20) or 'none'}{nearest(name, names)}"
+            )
+        number_within(f"estimate_air: start: {name}", value, -LARGEST, LARGEST, "a number")
+    return replace(
+        problem,
+        unknowns=tuple(
+            replace(u, start=float(np.clip(start.get(u.name, u.start), u.low, u.high)))
+            for u in problem.unknowns
+        ),
+    )
 
 
 def _begun(problem: _Problem, max_condition: float) -> tuple[_Problem, _State, Identifiability]:
@@ -1104,7 +1144,9 @@ def _statuses(problem: _Problem, x: Array, sigma: Array) -> NDArray[np.int64]:
 # --------------------------------------------------------------------------------- fit and result
 
 
-def _least(problem: _Problem, start: _State, tolerance_px: float) -> tuple[_State, int, bool]:
+def _least(
+    problem: _Problem, start: _State, tolerance_px: float, max_steps: int
+) -> tuple[_State, int, bool]:
     """The state of least squares with the start's weights and pixels, and in how many steps."""
     last, steps = start, 0
     lost = 10.0 + 2.0 * np.abs(start.rows()[0]).max(
@@ -1138,7 +1180,7 @@ def _least(problem: _Problem, start: _State, tolerance_px: float) -> tuple[_Stat
         ftol=max((tolerance_px / sigma) ** 2, 1e-15),
         xtol=1e-12,
         gtol=1e-12,
-        max_nfev=60,
+        max_nfev=max_steps,
     )
     return at(found.x), steps, bool(found.status > 0)
 

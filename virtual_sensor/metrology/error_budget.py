@@ -1,0 +1,721 @@
+"""How far corrected points, and what is fitted to them, may be wrong, and by what.
+
+To first order a point errs by
+
+    dP = A e + G dx + model,
+
+with e its pixel's noise, A its derivative by the pixel, dx the errors of the parameters (of air,
+shape and poses), which an estimate has in part from the same noise, and G the derivatives by them.
+The sources are
+
+- detection: A S A^T, with S the covariance of the pixel's noise;
+- air, pose: G C G^T over the parameters of the air, and over those of poses and the laser's plane,
+  with C their covariance. Parameters that were not fitted, but are not known exactly either, move
+  the points and, through the residuals, the estimate;
+- correlation: what is left of the covariance of A e + G dx, which may be negative: an estimate
+  follows the noise;
+- model: the true air is of another kind than the model's. No covariance knows of that, and a small
+  residual does not exclude it. It is judged in two ways:
+
+  *By structure.* Residuals that are larger than the noise, or like their neighbours, are no noise.
+  The long-run variance, variance times the length of correlation, replaces that of the noise in the
+  parameters' covariance; the excess itself is an error of each point.
+
+  *By other families.* The fit is repeated with further parameters of the air, each with its usual
+  prior. The points move by d and lose certainty. If the wider family is right, the narrower one is
+  wrong by d d^T + C_wide - C on the average. Of all families the one that moves a point most
+  counts.
+
+An interval of 95 % is 1.96 standard deviations of all sources together, about the value found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import LARGEST, number_within, numbers_of
+from virtual_sensor.calls import public
+from virtual_sensor.display import Displayed, listed
+from virtual_sensor.errors import InputError, few, nearest, short
+from virtual_sensor.metrology.air_estimate import (
+    AirEstimate,
+    Observation,
+    Prior,
+    air_model_of,
+    estimate_air,
+)
+from virtual_sensor.metrology.deviation import UM_PER_MM
+
+Array = NDArray[np.float64]
+
+WITHIN_95 = 1.959964
+"""Standard deviations of a normal distribution that hold 95 % of it on both sides."""
+
+KINDS = ("air", "shape", "pose")
+SOURCES = ("detection", "air", "pose", "correlation", "model")
+
+_WIDER = (("blur",), ("height",), ("offset",), ("lean",), ("temperature",))
+_MOST_PIXELS = 250  # of an observation that take part in the fits of other families
+_MOST_NODES = 21  # along x, to be quick: a plume hardly changes along the part
+_TOLERANCE, _MOST_STEPS = 0.1, 10  # of the noise: so far those fits go, and no further
+_SIGNIFICANT = 2.0  # standard deviations from which on variance and correlation aren't noise's
+
+
+@dataclass(frozen=True, eq=False)
+class PointBudget(Displayed):
+    """What N points may be wrong by, by source; NaN where there is no point.
+
+    Attributes
+    ----------
+    point_mm : ndarray of shape (N, 3)
+        World.
+    normal : ndarray of shape (N, 3)
+        Unit vectors along which errors are told: the shape's, or the scene's part's normals.
+    covariance_mm2 : dict from str to ndarray of shape (N, 3, 3)
+        By source, of `SOURCES`; of an estimate "correlation" too. Their sum is that of the point.
+    parameter_um : dict from str to ndarray of shape (N,)
+        By how much one standard deviation of each parameter, alone, moves the points along the
+        normal. They are correlated, and don't add up.
+    """
+
+    _by_row: ClassVar = True
+
+    point_mm: Array
+    normal: Array
+    covariance_mm2: dict[str, Array]
+    parameter_um: dict[str, Array]
+
+    def _line(self) -> str:
+        each = (f"{source} {_median(um):.2g}" for source, um in self.sigma_um.items())
+        return listed(f"{_median(self.total_um):.2g} µm along the normal", *each)
+
+    def _columns(self) -> dict[str, Array]:
+        columns = {f"sigma_{source}_um": um for source, um in self.sigma_um.items()}
+        return columns | {"sigma_um": self.total_um, "interval_95_um": self.interval_um}
+
+    @cached_property
+    def total_mm2(self) -> Array:
+        """Covariance (N, 3, 3) of all sources together."""
+        total: Array = np.sum(list(self.covariance_mm2.values()), axis=0)
+        return total
+
+    @cached_property
+    def sigma_um(self) -> dict[str, Array]:
+        """Standard deviation (N,) along the normal, by source; negative of a negative variance."""
+        found = {}
+        for source, covariance in self.covariance_mm2.items():
+            variance = _along(self.normal, covariance)
+            found[source] = UM_PER_MM * np.sign(variance) * np.sqrt(np.abs(variance))
+        return found
+
+    @cached_property
+    def total_um(self) -> Array:
+        """Standard deviation (N,) along the normal, of all sources together."""
+        variance = np.maximum(_along(self.normal, self.total_mm2), 0.0)
+        total: Array = UM_PER_MM * np.sqrt(variance)
+        return total
+
+    @property
+    def interval_um(self) -> Array:
+        """Half the interval (N,) that holds the true surface with a probability of 95 %."""
+        return WITHIN_95 * self.total_um
+
+
+@dataclass(frozen=True, eq=False)
+class Structure(Displayed):
+    """What the residuals of one observation say of the model.
+
+    Attributes
+    ----------
+    excess : float
+        Variance of the residuals beyond that of the noise, in units of it; 0 where it may be
+        chance.
+    correlated : float
+        Points in a row that err alike: 1 of noise.
+    long_run : float
+        Variance times correlation, in units of the noise's: 1 of noise.
+    """
+
+    excess: float
+    correlated: float
+    long_run: float
+
+
+@dataclass(frozen=True, eq=False)
+class OtherFamily(Displayed):
+    """The same measurement in a wider family of air.
+
+    Attributes
+    ----------
+    added : tuple of str
+        Parameters of the air that the estimate leaves at their defaults.
+    estimate : AirEstimate or None
+        None where there is none.
+    note : str
+        Why not.
+    """
+
+    added: tuple[str, ...]
+    estimate: AirEstimate | None
+    note: str = ""
+
+    def _line(self) -> str:
+        found = f"{self.estimate.rms_px:.3g} px rms left" if self.estimate else self.note
+        return listed(f"with {' and '.join(self.added)}", found)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBudget(Displayed):
+    """How far an estimate and its points may be wrong, by source.
+
+    Attributes
+    ----------
+    names, units : tuple of str
+        Of the estimate's P parameters.
+    values : ndarray of shape (P,)
+    sigma : dict from str to ndarray of shape (P,)
+        Standard deviations by source: "noise" (and priors), "pose" (that was not fitted), "model".
+    points : tuple of PointBudget
+        Of each observation.
+    structure : tuple of Structure
+        Of each observation's residuals.
+    families : tuple of OtherFamily
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sigma: dict[str, Array]
+    points: tuple[PointBudget, ...]
+    structure: tuple[Structure, ...]
+    families: tuple[OtherFamily, ...]
+
+    def _line(self) -> str:
+        each = (
+            f"{name} {value:.6g} ± {half:.2g}{f' {unit}' * bool(unit)}"
+            for name, unit, value, half in zip(
+                self.names, self.units, self.values, WITHIN_95 * self.total, strict=True
+            )
+        )
+        return listed("95 %", *each)
+
+    def _columns(self) -> dict[str, Any]:
+        low, high = self.interval.T
+        found: dict[str, Any] = {"parameter": np.array(self.names), "value": self.values}
+        found |= {f"sigma_{source}": sigma for source, sigma in self.sigma.items()}
+        return found | {"sigma": self.total, "low_95": low, "high_95": high}
+
+    @property
+    def total(self) -> Array:
+        """Standard deviations (P,) of all sources together."""
+        total: Array = np.sqrt(np.sum([sigma**2 for sigma in self.sigma.values()], axis=0))
+        return total
+
+    @property
+    def interval(self) -> Array:
+        """Intervals (P, 2) of 95 %."""
+        return self.values[:, None] + WITHIN_95 * self.total[:, None] * [-1.0, 1.0]
+
+
+@public
+def error_budget(
+    estimate: AirEstimate,
+    *,
+    sigmas: Mapping[str, float] | None = None,
+    families: Sequence[Sequence[str]] | None = None,
+    pivot_mm: Any = (0.0, 0.0, 0.0),
+    progress: Any = None,
+) -> ErrorBudget:
+    """Tell what an estimate, and the points through its air, may be wrong by.
+
+    Parameters
+    ----------
+    estimate : AirEstimate
+    sigmas : mapping from str to float, optional
+        Standard deviations of pose parameters that were not fitted, in mm and degrees
+        (`pose_parameters`): independent ones of each observation, as ``sensor_x``.
+    families : sequence of sequences of str, optional
+        Parameters of the air to fit as well, in turn. By default blur, height, offset,
+        lean and temperature, those that the model has and the estimate has not; () for none.
+    pivot_mm : array_like of shape (3,)
+        World point that turns are about, as in `estimate_air`.
+    progress : callable, optional
+        Is given the fraction that is done.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter, or no family to compare with has it.
+    """
+    from virtual_sensor.optics.sight import check_progress
+
+    if not isinstance(estimate, AirEstimate):
+        raise InputError(
+            f"error_budget: estimate is {short(estimate)}; give an AirEstimate of estimate_air"
+        )
+    check_progress("error_budget", progress)
+    known = _sigmas("error_budget", sigmas, estimate.observations[0].scene, ())
+    pivot = _pivot("error_budget", pivot_mm)
+    others = _families(estimate, families, progress or (lambda fraction: None))
+    structure = tuple(
+        _structure(residual[used] / seen.sigma_px[used])
+        for residual, used, seen in zip(
+            estimate.residual_px, estimate.used, estimate.observations, strict=True
+        )
+    )
+    gains = [estimate.by_pixel(i) for i in range(len(estimate.observations))]
+    moved = _by_poses(estimate, gains, known, pivot)
+    spread = _spread_by_structure(estimate, gains, structure)
+    narrow = others[0].estimate if others else None
+    apart = [
+        _parted(estimate, narrow, other.estimate)
+        for other in others[1:]
+        if narrow is not None and other.estimate is not None
+    ]
+    return ErrorBudget(
+        estimate.names,
+        estimate.units,
+        estimate.values,
+        {
+            "noise": estimate.sigma,
+            "pose": np.sqrt(np.sum([change**2 for change, _ in moved], axis=0))
+            + np.zeros(len(estimate.names)),
+            "model": np.sqrt(np.diag(spread) + _largest([each.of_values for each in apart])),
+        },
+        tuple(
+            _point_budget(estimate, i, moved, spread, structure[i], apart)
+            for i in range(len(estimate.observations))
+        ),
+        structure,
+        others[1:],
+    )
+
+
+@public
+def known_air_budget(
+    observation: Observation,
+    model: Any = None,
+    sigmas: Mapping[str, float] | None = None,
+    *,
+    pivot_mm: Any = (0.0, 0.0, 0.0),
+    **values: float,
+) -> PointBudget:
+    """Tell what points through air that is given may be wrong by.
+
+    Parameters
+    ----------
+    observation : Observation
+        Its scene's air is taken where there is no model.
+    model : AirModel, optional
+        Family of the air, which has the parameters `values`.
+    sigmas : mapping from str to float
+        Standard deviations of its parameters and of the pose's, such as
+        ``{"scale": 0.02, "camera_x": 0.01}``; in mm, degrees, and the air's units.
+    pivot_mm : array_like of shape (3,)
+        World point that turns are about.
+    **values : float
+        Of the air's parameters.
+
+    Raises
+    ------
+    InputError
+        If there is no such parameter.
+    """
+    from virtual_sensor.optics.bent_points import bent_points
+
+    if not isinstance(observation, Observation):
+        raise InputError(
+            f"known_air_budget: observation is {short(observation)}; give an Observation"
+        )
+    scene = observation.scene
+    model = air_model_of("known_air_budget", scene.medium if model is None else model)
+    if values and model is None:
+        raise InputError(f"known_air_budget: there is no air with a '{min(values)}'; give a model")
+    known = _sigmas("known_air_budget", sigmas, scene, model.names if model else ())
+    of_air = [name for name in known if model is not None and name in model.names]
+    points = bent_points(
+        scene.with_medium(model.at(**values) if model else None),
+        observation.pixel,
+        [name for name in known if name not in of_air],
+        variations=model.derivatives(of_air, **values) if of_air else None,
+        coordinate=observation.coordinate,
+        pivot_mm=_pivot("known_air_budget", pivot_mm),
+    )
+    columns = {name: sigma * points.point_by[name] for name, sigma in known.items()}
+    normal = _normals(observation, points.point_mm, None)
+    noise, direct = observation.covariance_px2, points.point_by_pixel
+    covariance = {
+        "detection": direct @ noise @ _turned(direct),
+        "air": _outer([columns[name] for name in of_air], points.point_mm),
+        "pose": _outer(
+            [column for name, column in columns.items() if name not in of_air], points.point_mm
+        ),
+    }
+    told = {name: UM_PER_MM * np.sum(normal * column, axis=1) for name, column in columns.items()}
+    return PointBudget(points.point_mm, normal, covariance, told)
+
+
+# ------------------------------------------------------------------------------ what was fitted
+
+
+def _point_budget(
+    estimate: AirEstimate,
+    i: int,
+    moved: Sequence[tuple[Array, Mapping[int, Array]]],
+    spread: Array,
+    structure: Structure,
+    apart: Sequence[_Parted],
+) -> PointBudget:
+    """The budget of an observation's points."""
+    points, seen, by = estimate.points[i], estimate.observations[i], estimate.points_by(i)
+    kinds = _kinds(estimate)
+    normal = _normals(seen, points.point_mm, estimate.shape)
+    noise, direct = seen.covariance_px2, points.point_by_pixel
+    detection = direct @ noise @ _turned(direct)
+    covariance = {"detection": detection}
+    for source in ("air", "pose"):
+        some = [k for k, kind in enumerate(kinds) if kind == source]
+        part = by[:, :, some]
+        covariance[source] = part @ estimate.covariance[np.ix_(some, some)] @ _turned(part)
+    # After what the noise does in both ways, poses that were not fitted.
+    known = covariance["detection"] + covariance["air"] + covariance["pose"]
+    covariance["correlation"] = estimate.covariance_of_points(i) - known
+    columns = [by @ change + direct_mm.get(i, 0.0) for change, direct_mm in moved]
+    covariance["pose"] = covariance["pose"] + _outer(columns, points.point_mm)
+    excess = structure.excess * _along(normal, detection)[:, None, None]
+    excess = excess * normal[:, :, None] * normal[:, None, :]
+    covariance["model"] = (
+        by @ spread @ _turned(by) + excess + _largest([each.of_points[i] for each in apart])
+    )
+    told = {
+        name: UM_PER_MM * estimate.sigma[k] * np.sum(normal * by[:, :, k], axis=1)
+        for k, name in enumerate(estimate.names)
+        if kinds[k] != "shape"
+    }
+    return PointBudget(points.point_mm, normal, covariance, told)
+
+
+def _kinds(estimate: AirEstimate) -> list[str]:
+    """What each parameter belongs to: "air", "shape" or "pose"."""
+    air = estimate.model.names if estimate.model else ()
+    shape = estimate.shape.names if estimate.shape else ()
+    return [
+        "air" if name in air else "shape" if name in shape else "pose" for name in estimate.names
+    ]
+
+
+def _normals(seen: Observation, points: Array, shape: Any) -> Array:
+    """Unit vectors (N, 3) along which errors are told; towards the camera where nothing is near."""
+    from virtual_sensor.metrology.shapes import PartShape
+
+    if shape is None and hasattr(seen.scene, "towards_sensors"):
+        shape = PartShape.of(seen.scene)
+    towards = seen.scene.camera.pose.origin_mm - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    if shape is None:
+        return towards
+    normal = shape.distance(points).by_point
+    found: Array = np.where(np.isfinite(normal), normal, towards)
+    return found
+
+
+# ------------------------------------------------------------------------- poses, not fitted
+
+
+def _by_poses(
+    estimate: AirEstimate, gains: Sequence[Array], sigmas: dict[str, float], pivot_mm: Array
+) -> list[tuple[Array, dict[int, Array]]]:
+    """What one standard deviation of each pose parameter does, in one observation after the other.
+
+    The change (P,) of the estimate, and of the observation's points (N, 3) beside it.
+    """
+    from virtual_sensor.optics.bent_points import bent_points
+
+    fitted = [name for name in sigmas for each in estimate.names if each.endswith(f".{name}")]
+    if fitted:
+        raise InputError(
+            f"error_budget: '{fitted[0]}' was fitted; say by its prior (estimate_air: priors) how"
+            " well it is known"
+        )
+    found: list[tuple[Array, dict[int, Array]]] = []
+    for i, seen in enumerate(estimate.observations if sigmas else ()):
+        points = bent_points(
+            seen.scene.with_medium(estimate.medium),
+            seen.pixel,
+            list(sigmas),
+            coordinate=seen.coordinate,
+            pivot_mm=pivot_mm,
+            start_mm=estimate.points[i].point_mm,
+        )
+        slopes, rows = [], {name: [] for name in sigmas}  # type: ignore[var-annotated]
+        if seen.along_mm is not None:
+            slopes.append(points.along_by_pixel)
+            for name in sigmas:
+                rows[name].append(points.along_by[name])
+        if estimate.shape is not None:
+            normal = estimate.shape.distance(points.point_mm).by_point
+            slopes.append(np.einsum("ni,nij->nj", normal, points.point_by_pixel))
+            for name in sigmas:
+                rows[name].append(np.sum(normal * points.point_by[name], axis=1))
+        used = estimate.used[i]
+        # A pose acts on the estimate as a shift of the pixels that makes the same residuals.
+        inverse = np.linalg.pinv(np.stack(slopes, axis=1)[used])
+        for name, sigma in sigmas.items():
+            shift = np.einsum("njk,nk->nj", inverse, np.stack(rows[name], axis=1)[used])
+            change = sigma * np.einsum("npj,nj->p", gains[i][used], shift)
+            found.append((change, {i: sigma * points.point_by[name]}))
+    return found
+
+
+def _sigmas(asker: str, sigmas: Any, scene: Any, of_air: Sequence[str]) -> dict[str, float]:
+    """Standard deviations by the names of parameters, checked."""
+    from virtual_sensor.optics.carried_rays import pose_parameters
+    from virtual_sensor.optics.surfaces import Cylinder
+
+    if not (sigmas is None or isinstance(sigmas, Mapping)):
+        raise InputError(f"{asker}: sigmas is {short(sigmas)}; give a dict by parameters' names")
+    known = [*of_air, *pose_parameters()]
+    known += ["beta"] if isinstance(scene.surface, Cylinder) else []
+    found = {}
+    for name, sigma in (sigmas or {}).items():
+        if name not in known:
+            raise InputError(
+                f"{asker}: sigmas has '{name}', which is no parameter{nearest(f'{name}', known)};"
+                f" there are {few(known, 12)}"
+            )
+        about = f"{asker}: sigmas: {name}"
+        found[name] = number_within(about, sigma, 0.0, LARGEST, "a standard deviation")
+    return found
+
+
+def _pivot(asker: str, pivot_mm: Any) -> Array:
+    pivot = numbers_of(f"{asker}: pivot_mm", pivot_mm)
+    if pivot.shape != (3,) or not np.isfinite(pivot).all():
+        raise InputError(f"{asker}: pivot_mm is {short(pivot_mm)}; give three finite numbers")
+    return pivot
+
+
+# --------------------------------------------------------------------------- the model's error
+
+
+def _structure(white: Array) -> Structure:
+    """What residuals (N,) over their noise, in the order of the line, have beyond white noise."""
+    count = len(white)
+    if count < 4:
+        return Structure(0.0, 1.0, 1.0)
+    variance = float(np.mean(white**2))
+    excess = variance - 1.0
+    if excess < _SIGNIFICANT * np.sqrt(2.0 / count):
+        excess = 0.0
+    centred = white - white.mean()
+    correlated = 1.0
+    for lag in range(1, count // 2):
+        alike = float(np.mean(centred[lag:] * centred[:-lag])) / max(centred.var(), 1e-30)
+        if alike < _SIGNIFICANT / np.sqrt(count):
+            break
+        correlated += 2.0 * alike
+    long_run = max(1.0, variance * correlated if excess or correlated > 1.0 else 1.0)
+    return Structure(max(excess, 0.0), correlated, long_run)
+
+
+def _spread_by_structure(
+    estimate: AirEstimate, gains: Sequence[Array], structure: Sequence[Structure]
+) -> Array:
+    """Covariance (P, P) that the parameters have beyond the noise's, as residuals show it."""
+    spread = np.zeros_like(estimate.covariance)
+    for gain, seen, each in zip(gains, estimate.observations, structure, strict=True):
+        of_noise = np.sum(gain @ seen.covariance_px2 @ _turned(gain), axis=0)
+        spread += (each.long_run - 1.0) * of_noise
+    return spread
+
+
+def _families(
+    estimate: AirEstimate, families: Sequence[Sequence[str]] | None, progress: Any
+) -> tuple[OtherFamily, ...]:
+    """The fit in wider families of air; the first is the estimate's own."""
+    known = {*estimate.names, *estimate.known}
+    has = estimate.model.names if estimate.model else ()
+    if families is None:
+        fits = "air" in _kinds(estimate)
+        families = [each for each in _WIDER if fits and {*each} <= {*has} - known]
+    lists = (list, tuple)
+    for added in families if isinstance(families, lists) else [families]:
+        if not (
+            isinstance(added, lists)
+            and added
+            and all(isinstance(name, str) and name in has for name in added)
+            and known.isdisjoint(added)
+        ):
+            raise InputError(
+                f"error_budget: families has {short(added)}; give lists of parameters of the air"
+                f" that were not fitted: {few([n for n in has if n not in known], 9) or 'none'}"
+            )
+    if not families:
+        return ()
+    model, found = _quicker(estimate.model), []
+    for number, added in enumerate([(), *families]):
+        progress(number / (1 + len(families)))
+        found.append(_refitted(estimate, model, tuple(added)))
+    return tuple(found)
+
+
+def _quicker(model: Any) -> Any:
+    """The model on fewer nodes along x."""
+
+    def thinned(field: Any) -> Any:
+        last = field.shape[0] - 1
+        step = max(
+            k
+            for k in range(1, last + 1)
+            if last % k == 0 and last // k >= min(last, _MOST_NODES - 1)
+        )
+        nodes = field.with_nodes(
+            field.nodes[::step], spacing_mm=field.spacing * [step, 1.0, 1.0], source=field.source
+        )
+        return nodes.simplified(field.interpolation, field.dimensions)
+
+    fields = model.fields
+    if hasattr(fields, "fields"):
+        thin = {temperature: thinned(field) for temperature, field in fields.fields.items()}
+        return replace(model, fields=replace(fields, fields=thin), _made={})
+    return replace(model, fields=thinned(fields), _made={})
+
+
+def _thinned(seen: Observation) -> Observation:
+    """Every so many of its pixels, as sure together as all."""
+    step = _step(seen)
+    rows = slice(None, None, step)
+    return replace(
+        seen,
+        pixel=seen.pixel[rows],
+        sigma_px=seen.sigma_px[rows] / np.sqrt(step),
+        coordinate=seen.coordinate[rows],
+        along_mm=None if seen.along_mm is None else seen.along_mm[rows],
+        normal_deg=None if seen.normal_deg is None else seen.normal_deg[rows],
+    )
+
+
+def _step(seen: Observation) -> int:
+    return -(-len(seen.pixel) // _MOST_PIXELS)
+
+
+def _refitted(estimate: AirEstimate, model: Any, added: tuple[str, ...]) -> OtherFamily:
+    """The fit with further parameters, or with none, of the same pixels."""
+    kinds = _kinds(estimate)
+    of = {k: [n for n, kind in zip(estimate.names, kinds, strict=True) if kind == k] for k in KINDS}
+    values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
+    usual = {name: model.parameters[name] for name in added}
+    start = {name: values[name] for name in (*of["air"], *of["pose"])}
+    try:
+        found = estimate_air(
+            [_thinned(each) for each in estimate.observations],
+            model,
+            [*of["air"], *added],
+            shape=estimate.shape,
+            free=of["shape"],
+            pose_names=of["pose"],
+            priors=estimate.priors | {n: Prior(p.default, p.sigma) for n, p in usual.items()},
+            known=estimate.known,
+            start=start | {name: p.start for name, p in usual.items()},
+            tolerance_px=_TOLERANCE * _noise(estimate),
+            max_steps=_MOST_STEPS,
+        )
+    except InputError as error:
+        return OtherFamily(added, None, str(error))
+    return OtherFamily(added, found)
+
+
+@dataclass(frozen=True)
+class _Parted:
+    """Mean square (P,) of the estimate's error, and (N, 3, 3) of the points', in a wider family."""
+
+    of_values: Array
+    of_points: tuple[Array, ...]
+
+
+def _parted(estimate: AirEstimate, narrow: AirEstimate, wider: AirEstimate) -> _Parted:
+    """What a wider family says of a narrow one, both fitted to the same pixels."""
+    at = [wider.names.index(name) for name in narrow.names]
+    lost = np.diag(wider.covariance)[at] - np.diag(narrow.covariance)
+    of_points = []
+    for i, seen in enumerate(estimate.observations):
+        moved = wider.points[i].point_mm - narrow.points[i].point_mm
+        wide, slim = (
+            each.points_by(i) @ each.covariance @ _turned(each.points_by(i))
+            for each in (wider, narrow)
+        )
+        error = moved[:, :, None] * moved[:, None, :] + _positive(wide - slim)
+        of_points.append(_between(error, len(seen.pixel)))
+    of_values = (wider.values[at] - narrow.values) ** 2 + np.maximum(lost, 0.0)
+    return _Parted(of_values, tuple(of_points))
+
+
+def _between(few_rows: Array, count: int) -> Array:
+    """Rows (N, 3, 3) of all points from those of every so many, which change little between."""
+    if len(few_rows) == count:
+        return few_rows
+    at = np.arange(len(few_rows)) * -(-count // _MOST_PIXELS)
+    known = np.isfinite(few_rows).all(axis=(1, 2))
+    flat = few_rows[known].reshape(-1, 9)
+    if not len(flat):
+        return np.full((count, 3, 3), np.nan)
+    columns = [np.interp(np.arange(count), at[known], column) for column in flat.T]
+    return np.stack(columns, axis=-1).reshape(count, 3, 3)
+
+
+def _largest(candidates: Sequence[Array]) -> Array:
+    """Of mean squares (P,) the largest; of (N, 3, 3), for each point, that of the largest trace."""
+    if not candidates:
+        return np.zeros(())
+    every = np.nan_to_num(np.stack(candidates))
+    if every.ndim == 2:
+        return every.max(axis=0)
+    best = np.trace(every, axis1=2, axis2=3).argmax(axis=0)
+    found: Array = every[best, np.arange(every.shape[1])]
+    return found
+
+
+# --------------------------------------------------------------------------------- arithmetic
+
+
+def _turned(matrices: Array) -> Array:
+    return np.swapaxes(matrices, -1, -2)
+
+
+def _along(normal: Array, covariance: Array) -> Array:
+    """Variance (N,) along unit vectors (N, 3)."""
+    found: Array = np.einsum("ni,nij,nj->n", normal, covariance, normal)
+    return found
+
+
+def _outer(columns: Sequence[Array], points: Array) -> Array:
+    """Sum (N, 3, 3) of independent errors' (N, 3) squares; NaN where there is no point."""
+    found = np.where(np.isfinite(points), 0.0, np.nan)[:, :, None] * np.ones(3)
+    for column in columns:
+        found = found + column[:, :, None] * column[:, None, :]
+    return found
+
+
+def _positive(covariance: Array) -> Array:
+    """The nearest matrices (N, 3, 3) without negative variances."""
+    known: Any = np.isfinite(covariance).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(np.where(known[:, None, None], covariance, 0.0))
+    found: Array = (vectors * np.maximum(values, 0.0)[:, None]) @ _turned(vectors)
+    return found
+
+
+def _noise(estimate: AirEstimate) -> float:
+    """The pixels' noise, px."""
+    sigma = np.concatenate([each.sigma_px for each in estimate.observations])
+    return float(np.nanmedian(sigma))
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
