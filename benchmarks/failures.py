@@ -18,8 +18,13 @@ from virtual_sensor.files import written_whole
 from virtual_sensor.records import write_csv
 from virtual_sensor.studies.chart.failures import FILE, table
 
-PANELS = {"rays": "failing_rays", "frames": "failing_frames", "search": "failing_searches"}
-PANELS["lines"] = "failing_lines"
+PANELS = {
+    "rays": "failing_rays",
+    "frames": "failing_frames",
+    "search": "failing_searches",
+    "correction": "failing_corrections",
+    "lines": "failing_lines",
+}
 
 
 def rows(only: str = "", panels: tuple[str, ...] = tuple(PANELS)) -> list[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""The chart's panels of searches and detectors: their tasks know the truth."""
+"""The chart's panels of searches, corrections and detectors: their tasks know the truth."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.drawn_lines import line_shares
-from virtual_sensor.studies.chart import detectors, searches
+from virtual_sensor.studies.chart import corrections, detectors, searches
 from virtual_sensor.studies.chart.benchmark import measure_all
 
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood")
@@ -29,6 +29,19 @@ def test_searches_are_ordered_by_their_march():
     assert newtons.failed == longer.failed == papers.failed == 0
     assert newtons.largest_px < new.largest_px == cached.largest_px <= 1e-3
     assert new.failed == cached.failed == 0
+
+
+def test_corrections_are_ordered_by_what_is_known_of_the_air():
+    """Nothing, other air, air found from one pose and from two; the air itself leaves 0.01 µm."""
+    task = next(corrections.tasks(quick=True))
+    left = {m.name: m for m in measure_all("correction", [task], lambda *now: None, 1)}
+    assert all(m.failed == 0 and m.time_s > 0.0 for m in left.values())
+    um = {name: m.rms_um for name, m in left.items()}
+    assert um["not_corrected"] == pytest.approx(255.0, abs=5.0)
+    assert um["own_air_new_maps"] == um["own_air_cached_maps"] < 0.02
+    assert um["own_air_marched"] < 0.02
+    assert um["own_air_marched"] < um["found_on_a_known_shape"] < um["found_from_one_pose"]
+    assert um["found_from_two_poses"] < um["found_from_one_pose"] < um["other_air"] < 20.0
 
 
 def test_detectors_know_their_truth_and_their_bound():

@@ -22,7 +22,7 @@ def chart(
         typer.Option(
             "--panel",
             metavar="NAME",
-            help="rays, frames, search or lines; repeatable. All of them without it.",
+            help="rays, frames, search, correction or lines; repeatable. All of them without it.",
         ),
     ] = None,
     quick: Annotated[
@@ -34,7 +34,8 @@ def chart(
 ) -> None:
     """Chart error against time on this machine, and say how little is enough.
 
-    Every configuration is measured: bent rays, rendered frames, searches, line detectors. Leave
+    Every configuration is measured: bent rays, rendered frames, searches, corrections, line
+    detectors. Leave
     the machine idle meanwhile: some eight minutes on two cores. A CUDA device that is found gets
     rows of its own.
     """

@@ -42,10 +42,23 @@ TITLES = {
     "rays": "Bent rays",
     "frames": "Rendered frames",
     "search": "Search for laser points",
+    "correction": "Correction",
     "lines": "Line detectors",
 }
-_JOBS = {"rays": "Rays", "frames": "Frames", "search": "Laser points", "lines": "Line centres"}
-ITEMS = {"rays": "ray", "frames": "frame", "search": "laser point", "lines": "column"}
+_JOBS = {
+    "rays": "Rays",
+    "frames": "Frames",
+    "search": "Laser points",
+    "correction": "Corrected points",
+    "lines": "Line centres",
+}
+ITEMS = {
+    "rays": "ray",
+    "frames": "frame",
+    "search": "laser point",
+    "correction": "point",
+    "lines": "column",
+}
 _METHODS = {
     "euler": "Euler",
     "rk4": "RK4",
@@ -60,6 +73,13 @@ _METHODS = {
     "gaussian": "Gaussian fit",
     "weighted_gaussian": "weighted Gaussian fit",
     "max_likelihood": "maximum likelihood",
+    "other_air": "air of 1100 °C",
+    "own_air_new_maps": "own air, new maps",
+    "own_air_cached_maps": "own air, cached maps",
+    "own_air_marched": "own air, marched",
+    "found_on_a_known_shape": "air found on a known shape",
+    "found_from_one_pose": "air found from one pose",
+    "found_from_two_poses": "air found from two poses",
     "fir4": "FIR 4",
     "fir8": "FIR 8",
 }

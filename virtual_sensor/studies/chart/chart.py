@@ -61,6 +61,7 @@ PANELS = {
     "rays": Panel("rays", 0.35, on_gpu=True),
     "frames": Panel("frames", 0.5, on_gpu=True),
     "search": Panel("searches", 0.12),
+    "correction": Panel("corrections", 0.1),
     "lines": Panel("detectors", 0.03),
 }
 

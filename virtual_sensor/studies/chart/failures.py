@@ -29,7 +29,7 @@ class Failures(Table):
     Attributes
     ----------
     panel : sequence of str
-        Panel of the chart whose methods they are: rays, frames, search or lines.
+        Panel of the chart whose methods they are: rays, frames, search, correction or lines.
     trouble : sequence of str
         What is made worse.
     method : sequence of str
