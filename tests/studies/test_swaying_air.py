@@ -10,7 +10,11 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
+from virtual_sensor.errors import InputError
 from virtual_sensor.medium.netcdf import field_times
+from virtual_sensor.studies.correct.asked import Settings
+from virtual_sensor.studies.correct.correct import correct
+from virtual_sensor.studies.correct.measured import Measured
 
 AIR = Path(__file__).parent / "air"
 CYLINDER = vs.CylinderShape(13.5, 0.0, -13.5)
@@ -49,3 +53,59 @@ def test_two_parameters_of_each_frame_leave_a_third_of_the_sway_at_most():
     assert (sway["straight"] > [140.0, 340.0]).all()
     assert (sway["lean"] < sway["straight"] / 5.0).all()
     assert (sway["offset"] < sway["straight"] / 3.0).all()
+
+
+TRUTHS = {"a": {"lean": 1.2, "width": 1.05}, "b": {"lean": -0.7, "width": 0.97}}
+NAMES, FREE = ("lean", "width"), ("radius_mm", "y_mm", "z_mm")
+
+
+@pytest.fixture(scope="module")
+def still():
+    """The scene in the steady air."""
+    return vs.load_scene("hot_cylinder", field=AIR / "steady_section.nc")
+
+
+@pytest.fixture(scope="module")
+def pixels(still):
+    """Searched in leaning air, by the names of `TRUTHS`."""
+    model = vs.AirModel.of(still.medium)
+    y = np.linspace(-10.0, 10.0, 15)
+    return {
+        name: vs.ray_search(still.with_medium(model.at(**values)), y, "newton").pixel
+        for name, values in TRUTHS.items()
+    }
+
+
+def test_frames_of_one_part_in_airs_of_their_own_tell_both_apart(still, pixels):
+    """Rationale: the shape is common, the air is not."""
+    frames = [vs.Observation(still, pixel, name=name) for name, pixel in pixels.items()]
+    asked = {"shape": vs.CylinderShape(13.0, 0.2, -13.0), "free": FREE}
+    found = vs.estimate_air(frames, still.medium, NAMES, each=NAMES, **asked)
+    for name, values in TRUTHS.items():
+        for parameter, value in values.items():
+            assert found[f"{name}.{parameter}"] == pytest.approx(value, abs=2e-4)
+    assert found["radius_mm"] == pytest.approx(13.5, abs=2e-4)
+    assert found.medium is None
+    assert len({id(air) for air in found.media}) == 2
+    with pytest.raises(InputError, match="each has 'offset', which is not sought; sought are lean"):
+        vs.estimate_air(frames, still.medium, NAMES, each=("offset",), **asked)
+
+
+@pytest.mark.slow
+def test_the_frames_of_a_burst_are_corrected_as_views_of_one_part(still, pixels):
+    """Rationale: one frame's shape and air pass for each other; all frames' shape is a prior."""
+    frames = []
+    for name, pixel in pixels.items():
+        sigma, up = np.full(len(pixel), 0.02), np.full(len(pixel), 90.0)
+        ok = np.full(len(pixel), vs.Status.OK, np.uint8)
+        frames.append(Measured(name, still, pixel, sigma, up, ok, one_of_many=True))
+    told = []
+    result = correct(frames, Settings(estimate=NAMES), lambda *said: told.append(said))
+    assert any("that of all 2 frames together (radius_mm 13.5 ±" in note for note in result.notes)
+    assert all(abs(each.distance_um).max() < 0.3 for each in result.measurements)
+    for each in result.measurements:
+        assert each.estimate["lean"] == pytest.approx(TRUTHS[each.name]["lean"], abs=1e-3)
+    stages, parts = zip(*told, strict=True)
+    assert stages[0].startswith("all frames: estimating lean")
+    assert stages[-1].startswith("b: estimating lean")
+    assert max(parts) <= 1.0

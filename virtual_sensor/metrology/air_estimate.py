@@ -261,7 +261,9 @@ class AirEstimate(Displayed):
         Parameters of the air that were given.
     model : AirModel or None
     medium : IndexField or None
-        The air as found.
+        The air as found; None where each observation has an air of its own.
+    media : tuple of IndexField or None
+        The air of each observation.
     shape : Shape or None
         As found.
     observations : tuple of Observation
@@ -301,6 +303,7 @@ class AirEstimate(Displayed):
     known: dict[str, float]
     model: Any
     medium: Any
+    media: tuple[Any, ...]
     shape: Any
     observations: tuple[Observation, ...]
     points: tuple[Any, ...]
@@ -370,6 +373,7 @@ def estimate_air(
     model: Any = None,
     names: Sequence[str] = ("scale", "width"),
     *,
+    each: Sequence[str] = (),
     shape: Shape | None = None,
     free: Sequence[str] = (),
     pose_names: Sequence[str] = (),
@@ -392,6 +396,9 @@ def estimate_air(
         The family of air; None: light runs straight.
     names : sequence of str
         Parameters of the air to be found; () where it is known.
+    each : sequence of str
+        Those of them that every observation has for itself, such as frames of a plume that sways;
+        they bear its name ("2.lean").
     shape : Shape, optional
         That points of lines lie on. Needed unless all observations are dots, whose residual is
         then the epipolar one alone.
@@ -429,7 +436,8 @@ def estimate_air(
     """
     number_within("estimate_air: tolerance_px", tolerance_px, 1e-12, 1e3, "a positive number of px")
     problem = _problem(
-        observations, model, names, shape, free, pose_names, priors, known, pivot_mm, progress
+        *(observations, model, names, each, shape, free, pose_names, priors, known, pivot_mm),
+        progress,
     )
     problem = _started(problem, _mapping("start", start))
     problem, state, before = _begun(problem, max_condition)
@@ -451,6 +459,7 @@ def identifiability(
     model: Any = None,
     names: Sequence[str] = ("scale", "width"),
     *,
+    each: Sequence[str] = (),
     shape: Shape | None = None,
     free: Sequence[str] = (),
     pose_names: Sequence[str] = (),
@@ -465,7 +474,8 @@ def identifiability(
 
     Parameters
     ----------
-    observations, model, names, shape, free, pose_names, priors, known, max_condition, pivot_mm
+    observations, model, names, each, shape, free, pose_names, priors, known, pivot_mm
+    max_condition
         As those of `estimate_air`.
 
     Raises
@@ -474,7 +484,7 @@ def identifiability(
         As `estimate_air` does.
     """
     problem = _problem(
-        observations, model, names, shape, free, pose_names, priors, known, pivot_mm, None
+        *(observations, model, names, each, shape, free, pose_names, priors, known, pivot_mm), None
     )
     return _begun(problem, max_condition)[2]
 
@@ -559,7 +569,7 @@ class _State:
     """Where the fit stands: parameters, and what follows from them, of each observation."""
 
     x: Array
-    medium: Any
+    media: tuple[Any, ...]
     shape: Shape | None
     points: tuple[Any, ...]
     linear: tuple[_Linear, ...]
@@ -604,20 +614,36 @@ class _Problem:
 
     def at(self, x: Array, before: _State | None = None) -> _State:
         """Everything at some values of the unknowns; `before` gives points that are near."""
-        air = self.known | self._of("air", x)
-        wanted = [u.parameter for u in self.unknowns if u.kind == "air"]
-        medium = self.model.at(**air) if self.model else None
-        by_air = self.model.derivatives(wanted, **air) if wanted else {}
         shape = self.shape.with_values(**self._of("shape", x)) if self.shape else None
-        found = [
-            self._observed(i, x, medium, by_air, shape, before)
-            for i in range(len(self.observations))
-        ]
-        return _State(x, medium, shape, *(tuple(each) for each in zip(*found, strict=True)))
+        media: list[Any] = []
+        found = []
+        for i in range(len(self.observations)):
+            if self.own_air or not media:
+                medium, by_air = self._air(x, i)
+            media.append(medium)
+            found.append(self._observed(i, x, medium, by_air, shape, before))
+        return _State(x, tuple(media), shape, *(tuple(each) for each in zip(*found, strict=True)))
 
-    def _of(self, kind: str, x: Array) -> dict[str, float]:
+    @property
+    def own_air(self) -> bool:
+        """Whether a parameter of the air is each observation's own."""
+        return any(u.kind == "air" and u.observation is not None for u in self.unknowns)
+
+    def _air(self, x: Array, i: int) -> tuple[Any, Mapping[str, Any]]:
+        """The air of an observation, and its derivatives by what is sought of it."""
+        values = self._of("air", x, i)
+        air = self.known | values
+        medium = self.model.at(**air) if self.model else None
+        return medium, self.model.derivatives(list(values), **air) if values else {}
+
+    def _of(self, kind: str, x: Array, i: int | None = None) -> dict[str, float]:
+        """Values of all unknowns of a kind, or of all that are of an observation."""
         pairs = zip(self.unknowns, x.tolist(), strict=True)
-        return {u.parameter: value for u, value in pairs if u.kind == kind}
+        return {
+            u.parameter: value
+            for u, value in pairs
+            if u.kind == kind and u.observation in (None, i)
+        }
 
     def _observed(
         self,
@@ -654,7 +680,7 @@ class _Problem:
         point_by = np.zeros((count, 3, len(self.unknowns)))
         along_by = np.zeros((count, len(self.unknowns)))
         for k, unknown in enumerate(self.unknowns):
-            if unknown.kind == "air":
+            if unknown.kind == "air" and unknown.observation in (None, i):
                 point_by[:, :, k] = points.point_by[unknown.parameter]
                 along_by[:, k] = points.along_by[unknown.parameter]
         for k, motion in poses:
@@ -776,6 +802,7 @@ def _problem(
     observations: Observation | Sequence[Observation],
     model: Any,
     names: Sequence[str],
+    each: Sequence[str],
     shape: Shape | None,
     free: Sequence[str],
     pose_names: Sequence[str],
@@ -786,9 +813,12 @@ def _problem(
 ) -> _Problem:
     """What is sought in what, checked."""
     seen = _named([observations] if isinstance(observations, Observation) else observations)
-    names, free, pose_names = (
+    names, each, free, pose_names = (
         _words(name, given)
-        for name, given in (("names", names), ("free", free), ("pose_names", pose_names))
+        for name, given in (
+            *(("names", names), ("each", each)),
+            *(("free", free), ("pose_names", pose_names)),
+        )
     )
     known = {
         name: number_within(f"estimate_air: known: {name}", value, -LARGEST, LARGEST, "a number")
@@ -813,7 +843,12 @@ def _problem(
     for name in names:
         if name in known:
             raise InputError(f"estimate_air: '{name}' is both known and to be found; leave out one")
-    unknowns = [_of_air(model, name) for name in names]
+    if strange := [name for name in each if name not in names]:
+        raise InputError(
+            f"estimate_air: each has '{strange[0]}', which is not sought; sought are"
+            f" {few(names, 20) or 'none'}{nearest(strange[0], names)}"
+        )
+    unknowns = [u for name in names for u in _of_air(model, name, seen if name in each else None)]
     for name in shape.checked(free) if shape else ():
         start = float(getattr(shape, name))
         unknowns.append(_Unknown(name, _unit(name), "shape", name, start=start))
@@ -872,7 +907,8 @@ def _named(given: Any) -> list[Observation]:
     return named
 
 
-def _of_air(model: Any, name: str) -> _Unknown:
+def _of_air(model: Any, name: str, seen: Sequence[Observation] | None) -> list[_Unknown]:
+    """A parameter of the air: one for all, or one for each of the observations."""
     if name not in model.names:
         raise InputError(
             f"estimate_air: names: the air has no '{name}'; it has {', '.join(model.names)}"
@@ -880,7 +916,10 @@ def _of_air(model: Any, name: str) -> _Unknown:
         )
     p = model.parameters[name]
     usual = Prior(p.default, p.sigma)
-    return _Unknown(name, p.unit, "air", name, None, p.start, p.low, p.high, None, usual)
+    one = _Unknown(name, p.unit, "air", name, None, p.start, p.low, p.high, None, usual)
+    if seen is None:
+        return [one]
+    return [replace(one, name=f"{s.name}.{name}", observation=i) for i, s in enumerate(seen)]
 
 
 def _unit(name: str) -> str:
@@ -1235,7 +1274,8 @@ def _result(
         {u.name: p for u in problem.unknowns if (p := _prior(u)) is not None},
         problem.known,
         problem.model,
-        state.medium,
+        None if problem.own_air else state.media[0],
+        state.media,
         state.shape,
         problem.observations,
         state.points,

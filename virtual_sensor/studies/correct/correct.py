@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError, nearest
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
-from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, estimate_air
+from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, Prior, estimate_air
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.triangulation import triangulate
@@ -40,6 +40,7 @@ Report = Callable[[str, float], None]
 USUAL = Settings()
 
 _EVALUATIONS = 10  # of a usual estimate
+_OF_A_FRAME = 60  # centres of a frame that tell of the shape which all frames show
 
 
 def correct(
@@ -49,7 +50,8 @@ def correct(
 ) -> Correction:
     """Give the points that measurements hold, along bent lines of sight and laser rays.
 
-    Measurements in one air are corrected together; each frame of a burst has an air of its own.
+    Measurements in one air are corrected together; each frame of a burst has an air of its own, and
+    all show one part.
 
     Parameters
     ----------
@@ -73,10 +75,19 @@ def correct(
     estimates: list[AirEstimate] = []
     caveats: list[str] = []
     groups = _groups(measured, bool(settings.estimate))
+    shared = 0
+    if settings.estimate and sum(each.one_of_many for each in measured) > 1:
+        shared = 1
+        settings, said = _with_shared_shape(
+            *(measured, own, settings),
+            lambda stage, part: report(f"all frames: {stage}", part / (len(groups) + shared)),
+        )
+        notes += said
     for number, group in enumerate(groups):
 
-        def tell(stage: str, part: float, number: int = number) -> None:
-            report(stage, (number + part) / len(groups))
+        def tell(stage: str, part: float, number: int = number + shared) -> None:
+            name = groups[number - shared][0].name
+            report(f"{name}: {stage}", (number + part) / (len(groups) + shared))
 
         if settings.estimate:
             estimate = _estimate(group, own[group[0].name], settings, tell)
@@ -85,7 +96,7 @@ def correct(
             caveats += _from_one_pose(group, estimate)
             found += [_by_estimate(each, i, estimate) for i, each in enumerate(group)]
         else:
-            tell(f"{group[0].name}: points through the air", 0.0)
+            tell("points through the air", 0.0)
             found += [_through(each) for each in group]
     caveats += _lost(found)
     if estimates:
@@ -170,10 +181,57 @@ def _groups(measured: Sequence[Measured], estimated: bool) -> list[list[Measured
     return list(groups.values())
 
 
+def _with_shared_shape(
+    measured: Sequence[Measured], own: Mapping[str, Scene], settings: Settings, report: Report
+) -> tuple[Settings, list[str]]:
+    """Settings that know the shape which all frames of a burst show together, and notes.
+
+    One frame can't tell shape and air apart; in many the air is different, and the shape the same.
+    """
+    frames = [each for each in measured if each.one_of_many]
+    few = [_thinned(each) for each in frames]
+    together = _estimate(few, own[frames[0].name], settings, report, each_air=True)
+    shape = together.shape
+    free = [name for name in together.names if shape is not None and name in shape.names]
+    if not free:
+        return settings, []
+    excess = max(1.0, float(np.sqrt(together.chi2)))  # of residuals over their noise
+    found = {name: Prior(together[name], excess * together.sigma_of(name)) for name in free}
+    said = ", ".join(f"{name} {each.value:.6g} ± {each.sigma:.2g}" for name, each in found.items())
+    notes = [
+        f"the shape of the part is that of all {len(frames)} frames together ({said}): with its"
+        " standard deviation it is a prior of each frame's estimate"
+    ]
+    return replace(settings, priors=found | dict(settings.priors)), notes
+
+
+def _thinned(measured: Measured) -> Measured:
+    """The same with some of its centres, which tell as much of what is smooth along the line."""
+    rows = np.flatnonzero(np.isfinite(measured.pixel).all(axis=1))
+    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _OF_A_FRAME)).astype(int)]
+    along = measured.along_mm
+    return replace(
+        measured,
+        pixel=measured.pixel[rows],
+        sigma_px=measured.sigma_px[rows],
+        normal_deg=measured.normal_deg[rows],
+        centre_status=measured.centre_status[rows],
+        along_mm=None if along is None else along[rows],
+    )
+
+
 def _estimate(
-    group: Sequence[Measured], own: Scene, settings: Settings, report: Report
+    group: Sequence[Measured],
+    own: Scene,
+    settings: Settings,
+    report: Report,
+    *,
+    each_air: bool = False,
 ) -> AirEstimate:
-    """The air of measurements, from them; `own` is the scene of the first, in its own air."""
+    """The air of measurements, from them; `own` is the scene of the first, in its own air.
+
+    With `each_air` every one has an air of its own.
+    """
     scene = group[0].scene
     if scene.medium is None:
         raise InputError(
@@ -187,13 +245,15 @@ def _estimate(
             model = replace(model, temperature_c=settings.temperature_c)
     _check_names(settings, model)
     shape, free = shape_of(settings, group, [triangulate(m.scene, m.pixel) for m in group])
-    stage = f"{group[0].name}: estimating {', '.join(settings.estimate)}"
+    stage = f"estimating {', '.join(settings.estimate)}"
     report(stage, 0.0)
+    of_air = [name for name in settings.estimate if name in model.names]
     with _as_options():
         return estimate_air(
             [_observation(each) for each in group],
             model,
-            [name for name in settings.estimate if name in model.names],
+            of_air,
+            each=of_air if each_air else (),
             shape=shape,
             free=free,
             pose_names=[name for name in settings.estimate if name not in model.names],
