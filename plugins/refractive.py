@@ -32,6 +32,7 @@ class Refractive(mi.SamplingIntegrator):
     time             ""          Flow time, s, in a field with a time axis; empty: its last
     widen            1           Factor by which the field is stretched along y; 1: none
     blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
+    pressure         ""          Of the air, Pa, which n - 1 goes with; empty: as the field has it
     wavelength       532         Vacuum wavelength of the light, nm
     transport        "tabulated" From tables of the bent rays; "marched": each sample's rays are
                                  marched, its laser ray found by Newton; "first_order": so, but
@@ -62,9 +63,10 @@ class Refractive(mi.SamplingIntegrator):
         with naming("refractive"):
             self.air = MediumDescription(
                 find_field(name, folders_of_files()).absolute() if name else None,
-                _instant(str(props.get("time", ""))),
+                _number(props, "time", "a flow time in s, or empty for the last"),
                 widen=float(props.get("widen", 1.0)),
                 blur_mm=float(props.get("blur", 0.0)),
+                pressure_pa=_number(props, "pressure", "of air in Pa, or empty for the field's"),
                 wavelength_nm=float(props.get("wavelength", 532.0)),
                 interpolation=str(props.get("interpolation", "cubic")),
                 dimensions=int(props.get("dimensions", 3)),
@@ -140,14 +142,13 @@ def _pose(props: mi.Properties) -> Pose | None:
     return Pose.from_matrix(matrix)
 
 
-def _instant(text: str) -> float | None:
-    """A flow time in s; None of an empty text."""
+def _number(props: mi.Properties, name: str, wanted: str) -> float | None:
+    """A number that a text has; None of an empty one."""
+    text = str(props.get(name, ""))
     try:
         return float(text) if text else None
     except ValueError:
-        raise InputError(
-            f"'time' must be a flow time in s, or empty for the last, not \"{text}\""
-        ) from None
+        raise InputError(f"'{name}' must be {wanted}, not \"{text}\"") from None
 
 
 def folders_of_files() -> list[Path]:

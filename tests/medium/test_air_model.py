@@ -22,7 +22,7 @@ VALUES = {
     "offset": 1.7,
     "height": -2.3,
     "blur": 1.9,
-    "pressure": 930.0,
+    "pressure": 93e3,
     "temperature": 1010.0,
 }
 
@@ -67,7 +67,7 @@ def expected(points, scale, lean, width, offset, height, blur, pressure, tempera
     distance = np.einsum("ni,ij,nj->n", across, np.linalg.inv(after), across)
     hot = np.exp(-0.5 * ((points[:, 0] / SIZE[0]) ** 2 + distance))
     hot *= np.sqrt(np.linalg.det(before) / np.linalg.det(after))
-    return pressure / 1013.25 * (AMBIENT - scale * contrast(temperature) * hot)
+    return pressure / 101325.0 * (AMBIENT - scale * contrast(temperature) * hot)
 
 
 def test_the_transforms_make_the_plume_that_a_formula_gives(model, points):
@@ -79,12 +79,13 @@ def test_the_transforms_make_the_plume_that_a_formula_gives(model, points):
         np.testing.assert_allclose(found.refractivity(points), n, rtol=0, atol=atol)
         again = found.with_nodes(found.nodes)  # another spline, through the same nodes
         np.testing.assert_allclose(again.refractivity(points), n, rtol=0, atol=atol)
-        assert found.ambient == pytest.approx(AMBIENT * 930.0 / 1013.25, rel=1e-12)
+        assert found.pressure_pa == 93e3
+        assert found.ambient == pytest.approx(AMBIENT * 93e3 / 101325.0, rel=1e-12)
 
 
 def test_every_derivative_is_that_of_a_difference(model, points):
     """Of n - 1 and of its gradient, within 1e-5 of the largest; of one moved and turned too."""
-    steps = {"temperature": 1.0, "pressure": 1.0, "width": 1e-4, "scale": 1e-3}
+    steps = {"temperature": 1.0, "pressure": 100.0, "width": 1e-4, "scale": 1e-3}
     turned = vs.AirModel.of({t: each.moved(TURNED) for t, each in model.fields.fields.items()})
     for each, places in ((model, points), (turned, TURNED.to_world(points))):
         found = each.derivatives(VALUES, **VALUES)
@@ -181,10 +182,12 @@ def test_what_it_does_not_have_is_refused(model):
 
 
 def test_it_says_what_it_is_and_travels(model):
+    air = model.at(width=1.25, offset=0.5, temperature=1000.0)
+    assert air.source == "width 1.25, offset 0.5 mm, temperature 1000 degC"
     assert repr(model).startswith("AirModel: fields at 900, 1000, 1250 degC, scale, width, offset")
     again = pickle.loads(pickle.dumps(model))
     assert again == model
     units = {name: each.unit for name, each in model.parameters.items()}
-    assert units["pressure"] == "hPa"
+    assert units["pressure"] == "Pa"
     assert units["offset"] == "mm"
     assert all(each.low <= each.start <= each.high for each in model.parameters.values())

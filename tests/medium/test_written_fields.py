@@ -198,3 +198,28 @@ def test_an_unfit_quantity_is_not_written(path, changes, message):
         write_quantity(path, gridded(**changes))
     assert str(error.value).startswith(f"{path}: ")
     assert not path.exists()
+
+
+def test_air_of_another_pressure(tmp_path):
+    """Against files of the same temperatures that say so, by Ciddor's formula; there and back."""
+    hot = np.linspace(293.15, 1500.0, 120).reshape(4, 5, 6)
+    made = {}
+    for pressure in (101325.0, 90e3):
+        ambient = {"ambient_temperature": 293.15, "ambient_pressure": pressure}
+        quantity = GriddedQuantity("temperature", hot, np.zeros(3), np.ones(3), ambient=ambient)
+        write_quantity(tmp_path / f"{pressure:.0f}.nc", quantity)
+        made[pressure] = IndexField.read(tmp_path / f"{pressure:.0f}.nc")
+        assert made[pressure].pressure_pa == pressure
+    thin = made[101325.0].at_pressure(90e3)
+    np.testing.assert_allclose(thin.nodes, made[90e3].nodes, rtol=1e-4)
+    assert thin.ambient == pytest.approx(made[90e3].ambient, rel=1e-4)
+    assert abs(thin.ambient / made[101325.0].ambient - 90 / 101.325) < 1e-12
+    np.testing.assert_allclose(thin.at_pressure(101325).nodes, made[101325.0].nodes, rtol=1e-12)
+    assert thin.at_pressure(90e3) is thin
+    thin.write(tmp_path / "thin.nc")
+    assert IndexField.read(tmp_path / "thin.nc").pressure_pa == 90e3
+    flat = made[101325.0].simplified("linear").at_pressure(90e3)
+    assert (flat.interpolation, flat.pressure_pa) == ("linear", 90e3)
+    for wrong in (950, np.nan, "low", 2e5):
+        with pytest.raises(InputError, match=r"pressure_pa is .*give 10000 to 140000 Pa"):
+            thin.at_pressure(wrong)

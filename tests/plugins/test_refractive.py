@@ -272,13 +272,28 @@ def test_another_blur_runs_the_same_kernels():
         ({"widen": 0}, r"quarter\.nc: widen: the factor is 0"),
         ({"field": "", "blur": 7}, "'widen' and 'blur' are of a field; give the 'field'"),
         ({"field": "", "widen": 2}, "'widen' and 'blur' are of a field; give the 'field'"),
+        ({"field": "", "pressure": 9e4}, "'pressure' is that of a field's air; give the 'field'"),
+        ({"pressure": 950}, r"'pressure' is 950.*; give 10000 to 140000 Pa \(1 hPa is 100 Pa\)"),
+        ({"pressure": "low"}, "'pressure' must be of air in Pa, or empty for the field's"),
     ],
 )
-def test_air_that_cannot_be_broadened_is_refused(parameters, expected):
+def test_air_that_cannot_be_is_refused(parameters, expected):
     """Rationale: with the scene and the line in it, as for any other property."""
     with pytest.raises(vs.InputError, match=expected) as refusal:
         vs.load_scene("hot_cylinder", **parameters)
     assert "hot_cylinder.xml, line " in str(refusal.value)
+
+
+def test_thinner_air_bends_light_less():
+    """Rationale: n - 1 is proportional to pressure, and at 90 % of it the line lies 0.6 px back."""
+    hot, thin = (vs.load_scene("hot_cylinder", pressure=p) for p in ("", 0.9 * 101325))
+    assert hot.medium is vs.load_scene("hot_cylinder").medium
+    assert thin.medium.ambient == pytest.approx(vs.air_refractivity(pressure_pa=91192.5), rel=1e-4)
+    y = np.linspace(-9.5, 9.5, 9)
+    full, less, cold = (vs.ray_search(s, y, "newton").pixel for s in (hot, thin, hot.cold()))
+    shift = np.linalg.norm(full - less, axis=1)
+    np.testing.assert_allclose(shift, 0.1 * np.linalg.norm(full - cold, axis=1), rtol=0.15)
+    assert 0.5 < np.sqrt(np.mean(shift**2)) < 0.7
 
 
 def test_another_transport_keeps_the_air_and_what_is_said_of_it():

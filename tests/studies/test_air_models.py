@@ -18,10 +18,10 @@ VALUES = {
     "offset": 0.7,
     "height": -1.2,
     "scale": 1.05,
-    "pressure": 960.0,
+    "pressure": 96e3,
     "blur": 1.4,
 }
-STEPS = {"temperature": 2.0, "pressure": 2.0, "width": 1e-3, "scale": 2e-3}
+STEPS = {"temperature": 2.0, "pressure": 200.0, "width": 1e-3, "scale": 2e-3}
 MARCH = March(0.5, "leapfrog")  # whose kernels compile quickly
 Y = np.array([-9.3, -4.1, 0.7, 5.2, 9.1])
 PIXEL = np.column_stack([1024 + 48.0 * Y, 1024.0 + 2.0 * Y**2])

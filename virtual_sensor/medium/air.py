@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from virtual_sensor.arrays import numbers_of
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
+from virtual_sensor.medium.units import ATMOSPHERE_PA, LEAST_PA, MOST_PA, ZERO_CELSIUS_K
 
 _R = 8.314510  # J/(mol K), the value that Ciddor's constants go with
 _M_WATER = 0.018015  # kg/mol
@@ -65,7 +65,7 @@ def air_refractivity(
     """
     wavelength = _within("wavelength_nm", wavelength_nm, 300.0, 1700.0)
     t = _within("temperature_c", temperature_c, -40.0, 1e4)
-    p = _within("pressure_pa", pressure_pa, 10e3, 140e3)
+    p = _within("pressure_pa", pressure_pa, LEAST_PA, MOST_PA)
     h = _within("relative_humidity", relative_humidity, 0.0, 1.0)
     x_c = _within("co2_ppm", co2_ppm, 0.0, 2000.0)
 

@@ -17,9 +17,8 @@ from virtual_sensor.medium.field_derivative import FieldDerivative
 from virtual_sensor.medium.field_family import FieldFamily
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.medium.leaning import STEEPEST_DEG, lean_derivative, leaned
+from virtual_sensor.medium.units import LEAST_PA, MOST_PA
 from virtual_sensor.poses import Pose
-
-STANDARD_HPA = 1013.25
 
 _REACH = 6.0  # standard deviations: where the Gaussian ends, its weight is 2e-9, and none is felt
 
@@ -74,7 +73,7 @@ class AirModel(Displayed):
     4. ``blur``, mm: then blurred in y and z by a Gaussian of this standard deviation;
     5. ``offset`` and ``height``, mm: then moved along y and z, what lies in the solid included;
     6. ``scale``, a factor at the difference from the surrounding air;
-    7. ``pressure``, hPa: n - 1 goes with it, of the surrounding air too; the flow stays.
+    7. ``pressure``, Pa: n - 1 goes with it, of the surrounding air too; the flow stays.
 
     Attributes
     ----------
@@ -82,8 +81,6 @@ class AirModel(Displayed):
         Fields of several wall temperatures, or one field.
     temperature_c : float or None
         Of the wall, unless another is given; by default the middle of the family's.
-    pressure_hpa : float
-        At which the fields were computed.
 
     Raises
     ------
@@ -100,7 +97,6 @@ class AirModel(Displayed):
 
     fields: FieldFamily | IndexField
     temperature_c: float | None = None
-    pressure_hpa: float = STANDARD_HPA
     _made: dict[tuple[float, ...], IndexField] = field(
         default_factory=dict, repr=False, compare=False
     )
@@ -136,7 +132,6 @@ class AirModel(Displayed):
         fields: IndexField | FieldFamily | Mapping[float, IndexField],
         *,
         temperature_c: float | None = None,
-        pressure_hpa: float = STANDARD_HPA,
     ) -> AirModel:
         """A model of one field, or of fields by their wall temperatures in degC.
 
@@ -147,7 +142,7 @@ class AirModel(Displayed):
         """
         if isinstance(fields, Mapping):
             fields = FieldFamily(dict(fields))
-        return cls(fields, temperature_c, pressure_hpa)
+        return cls(fields, temperature_c)
 
     def _line(self) -> str:
         known = ", ".join(f"{t:g}" for t in self._temperatures())
@@ -157,18 +152,26 @@ class AirModel(Displayed):
     def parameters(self) -> dict[str, AirParameter]:
         """Those that it has, by name."""
         low, high = self._first.box
-        extent = (high - low)[1:].min()
+        most_blur, pressure = min(20.0, (high - low)[1:].min()), self._first.pressure_pa
         known = [
-            AirParameter("scale", "", 1.0, 1.0, 0.01, 10.0, 0.1, "of the difference from ambient"),
-            AirParameter("width", "", 1.0, 1.0, 0.1, 10.0, 0.2, "of the air along y"),
-            AirParameter("offset", "mm", 0.0, 0.0, -50.0, 50.0, 1.0, "of the air along y"),
             AirParameter(
-                "lean", "°", 0.0, 0.0, -STEEPEST_DEG, STEEPEST_DEG, 1.0, "from z towards y"
+                *("scale", "", 1.0, 1.0, 0.01, 10.0, 0.1),
+                "what n - 1 differs by from that of the surrounding air, times so much",
             ),
-            AirParameter("height", "mm", 0.0, 0.0, -50.0, 50.0, 2.0, "of the air along z"),
-            AirParameter("blur", "mm", 0.0, 1.0, 0.0, min(20.0, extent), 2.0, "in y and z"),
+            AirParameter(*("width", "", 1.0, 1.0, 0.1, 10.0, 0.2), "stretched along y so much"),
+            AirParameter(*("offset", "mm", 0.0, 0.0, -50.0, 50.0, 1.0), "moved along y"),
             AirParameter(
-                "pressure", "hPa", self.pressure_hpa, self.pressure_hpa, 10.0, 1e4, 10.0, "of air"
+                *("lean", "°", 0.0, 0.0, -STEEPEST_DEG, STEEPEST_DEG, 1.0),
+                "sheared along y, from z towards y, about z = 0",
+            ),
+            AirParameter(*("height", "mm", 0.0, 0.0, -50.0, 50.0, 2.0), "moved along z"),
+            AirParameter(
+                *("blur", "mm", 0.0, 1.0, 0.0, float(most_blur), 2.0),
+                "standard deviation of a Gaussian, in y and z",
+            ),
+            AirParameter(
+                *("pressure", "Pa", pressure, pressure, LEAST_PA, MOST_PA, 1000.0),
+                "which n - 1 goes with",
             ),
         ]
         if temperatures := self._temperatures():
@@ -203,7 +206,9 @@ class AirModel(Displayed):
         v = self._checked(values)
         key = tuple(v.values())
         if key not in self._made:
-            made = self._shaped(self._leaning(v), v)
+            wall = self._leaning(v)
+            made = self._shaped(wall, v)
+            made = made if made is wall else self._named(made, v)
             self._made.clear()  # the last one is what derivatives are asked at
             self._made[key] = made
         return self._made[key]
@@ -265,6 +270,15 @@ class AirModel(Displayed):
         air = blurred(widened(air, v["width"]), v["blur"], _REACH)
         return self._seen(self._placed(air, v))
 
+    def _named(self, made: IndexField, v: Mapping[str, float]) -> IndexField:
+        """With words of what is not at its default."""
+        changed = [
+            f"{name} {v[name]:.6g}{f' {each.unit}'.rstrip()}"
+            for name, each in self.parameters.items()
+            if v[name] != each.default
+        ]
+        return replace(made, source=", ".join(filter(None, [self._first.source, *changed])))
+
     def _seen(self, air: IndexField) -> IndexField:
         """With the interpolation and the dimensions that the model's fields have."""
         kinds = [(each.interpolation, each.dimensions) for each in (air, self._first)]
@@ -272,17 +286,13 @@ class AirModel(Displayed):
 
     def _placed(self, air: IndexField, v: Mapping[str, float]) -> IndexField:
         """Air that has its shape: moved, and with its contrast."""
-        thinner, shift = (
-            v["pressure"] / self.pressure_hpa,
-            np.array([0.0, v["offset"], v["height"]]),
-        )
-        if shift.any():
+        if v["offset"] or v["height"]:
             stands = air.pose or Pose(np.eye(3), np.zeros(3))
-            air = replace(air, pose=Pose(stands.rotation, stands.to_world(shift)))
-        if (v["scale"], thinner) == (1.0, 1.0):
-            return air
-        ambient = thinner * air.ambient
-        return IndexField.sum_of([(v["scale"] * thinner, air)], ambient=ambient, source=air.source)
+            shifted = stands.to_world([0.0, v["offset"], v["height"]])
+            air = replace(air, pose=Pose(stands.rotation, shifted))
+        if v["scale"] != 1.0:
+            air = IndexField.sum_of([(v["scale"], air)], ambient=air.ambient, source=air.source)
+        return air.at_pressure(v["pressure"])
 
     def _derivative(self, name: str, here: IndexField, v: Mapping[str, float]) -> FieldDerivative:
         self._check_name(name)

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from virtual_sensor.arrays import number_within
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.broadening import blurred, widened
 from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.medium.units import LEAST_PA, MOST_PA, PRESSURES
 from virtual_sensor.poses import Pose
 
 _LOCK = threading.Lock()
@@ -41,6 +43,8 @@ class MediumDescription(Displayed):
         Between the nodes: "cubic" or "linear".
     dimensions : int
         3, or 2: the section x = 0, extruded along x.
+    pressure_pa : float or None
+        Of the air, which n - 1 goes with while the flow stays; None: the file's.
     pose : Pose or None
         Then: where all this is moved; None: it stays where the file has it.
 
@@ -57,6 +61,7 @@ class MediumDescription(Displayed):
     wavelength_nm: float = 532.0
     interpolation: str = "cubic"
     dimensions: int = 3
+    pressure_pa: float | None = None
     pose: Pose | None = None
 
     def __post_init__(self) -> None:
@@ -68,6 +73,10 @@ class MediumDescription(Displayed):
             raise InputError("'time' is one of a field's; give the 'field', or no time")
         if self.path is None and (self.widen, self.blur_mm) != (1.0, 0.0):
             raise InputError("'widen' and 'blur' are of a field; give the 'field', or neither")
+        if self.path is None and self.pressure_pa is not None:
+            raise InputError("'pressure' is that of a field's air; give the 'field', or neither")
+        if self.pressure_pa is not None:
+            number_within("'pressure'", self.pressure_pa, LEAST_PA, MOST_PA, PRESSURES)
         if self.path is None and self.pose is not None:
             raise InputError("'to_world' moves a field; give the 'field', or none of both")
 
@@ -79,9 +88,10 @@ class MediumDescription(Displayed):
         time = f"at {self.time_s:g} s" if self.time_s is not None else ""
         grid = "" if self.interpolation == "cubic" else self.interpolation
         flat = "" if self.dimensions == 3 else "its section x = 0"
+        pressure = f"at {self.pressure_pa:g} Pa" if self.pressure_pa is not None else ""
         moved = "moved" if self.pose else ""
         light = f"for {self.wavelength_nm:g} nm"
-        return listed(self.path.name, time, widen, blur, grid, flat, moved, light)
+        return listed(self.path.name, time, widen, blur, pressure, grid, flat, moved, light)
 
     def read(self) -> IndexField | None:
         """Read the field; None of homogeneous air.
@@ -112,6 +122,8 @@ class MediumDescription(Displayed):
         air = IndexField.read(path, wavelength_nm=self.wavelength_nm, time_s=self.time_s)
         with naming(path):
             broad = blurred(widened(air, self.widen), self.blur_mm)
+            if self.pressure_pa is not None:
+                broad = broad.at_pressure(self.pressure_pa)
             simple = broad.simplified(self.interpolation, self.dimensions)
             placed = simple if self.pose is None else simple.moved(self.pose)
         return replace(placed, notes=air.notes)

@@ -39,6 +39,7 @@ from virtual_sensor.medium.netcdf_elements import check_box
 from virtual_sensor.medium.quantities import AMBIENT_LIMITS, check_limits
 from virtual_sensor.medium.solid import fill_solid
 from virtual_sensor.medium.spline import MIN_NODES
+from virtual_sensor.medium.units import ATMOSPHERE_PA, LEAST_PA, MOST_PA, PRESSURES
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import vectors
 
@@ -62,6 +63,8 @@ class IndexField(Evaluated):
         n - 1 of the surrounding air, also outside the box.
     mirror : tuple of three bool
         Whether the field is even about the plane through an axis's first node.
+    pressure_pa : float
+        Of the surrounding air, Pa; 1 atm where nobody says.
     source : str
         Where the field comes from, in words.
     interpolation : str
@@ -87,6 +90,7 @@ class IndexField(Evaluated):
     notes: tuple[str, ...] = ()
     pose: Pose | None = None
     solid: np.ndarray | None = None
+    pressure_pa: float = ATMOSPHERE_PA
     _lookups: dict[tuple[str, str], GridLookup] = field(default_factory=dict, repr=False)
     _parts: tuple[tuple[float, IndexField], ...] = field(default=(), repr=False)
 
@@ -113,6 +117,7 @@ class IndexField(Evaluated):
         ambient: float | None = None,
         mirror: Sequence[bool] = (False, False, False),
         solid: ArrayLike | None = None,
+        pressure_pa: float = ATMOSPHERE_PA,
         source: str = "",
     ) -> IndexField:
         """Make a field of values at grid nodes.
@@ -130,6 +135,8 @@ class IndexField(Evaluated):
             True: the field is even about the plane through this axis's first node.
         solid : array_like of bool of shape (nx, ny, nz), optional
             True inside the solid, where the values are replaced (`fill_solid`).
+        pressure_pa : float
+            Of the surrounding air, Pa: what `at_pressure` compares with.
         source : str
             Where the field comes from, in words.
 
@@ -171,10 +178,13 @@ class IndexField(Evaluated):
             ambient = _ambient_of(nodes, even)
         low, high, _ = AMBIENT_LIMITS["ambient_refractivity"]
         number_within("ambient", ambient, low, high, "n - 1 of the surrounding air")
+        low, high, _ = AMBIENT_LIMITS["ambient_pressure"]
+        pressure = number_within("pressure_pa", pressure_pa, low, high, "it in Pa, as 101325")
         marked = solid if solid is not None and solid.any() else None
         for array in (nodes, origin, spacing, *([] if marked is None else [marked])):
             array.flags.writeable = False
-        return cls(nodes, origin, spacing, float(ambient), even, source, solid=marked)
+        around = float(ambient), even, source
+        return cls(nodes, origin, spacing, *around, solid=marked, pressure_pa=pressure)
 
     @classmethod
     @public
@@ -241,7 +251,7 @@ class IndexField(Evaluated):
             self.nodes,
             self.to_world(self.origin),
             self.spacing,
-            ambient={"ambient_refractivity": self.ambient},
+            ambient={"ambient_refractivity": self.ambient, "ambient_pressure": self.pressure_pa},
             mirror=self.mirror,
             solid=self.solid,
             attributes={"source": self.source} if self.source else {},
@@ -268,9 +278,37 @@ class IndexField(Evaluated):
             ambient=self.ambient,
             mirror=self.mirror,
             solid=solid,
+            pressure_pa=self.pressure_pa,
             source=source,
         )
         return replace(made, pose=self.pose)
+
+    @public
+    def at_pressure(self, pressure_pa: float) -> IndexField:
+        """The same flow in air of another pressure: n - 1 goes with it, of the surroundings too.
+
+        A real flow changes a little: denser air is driven harder. What is simulated at a pressure
+        (`virtual-sensor field simulate --pressure`) has that, too.
+
+        Parameters
+        ----------
+        pressure_pa : float
+            10e3 to 140e3 Pa; that of the field: the same object.
+
+        Raises
+        ------
+        InputError
+            If it is none of air's.
+        """
+        pressure = number_within("pressure_pa", pressure_pa, LEAST_PA, MOST_PA, PRESSURES)
+        if pressure == self.pressure_pa:
+            return self
+        denser = pressure / self.pressure_pa
+        kind = self.interpolation, self.dimensions
+        whole = [(denser, self)]
+        made = IndexField.sum_of(whole, ambient=denser * self.ambient, source=self.source)
+        made = replace(made, pressure_pa=pressure, solid=self.solid, notes=self.notes)
+        return made if kind == ("cubic", 3) else made.simplified(*kind)
 
     @staticmethod
     def sum_of(
@@ -309,6 +347,7 @@ class IndexField(Evaluated):
             first.spacing * np.asarray(stretch),
             ambient=around,
             mirror=first.mirror,
+            pressure_pa=first.pressure_pa,
             source=source,
         )
         smooth = all((each.interpolation, each.dimensions) == ("cubic", 3) for _, each in parts)

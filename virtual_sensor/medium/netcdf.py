@@ -11,8 +11,9 @@ and equally spaced, and one variable ``temperature`` (K or degC), ``density`` (k
   whatever the file has there, fill values or NaN, is ignored;
 - the surrounding air, as attributes of the variable or of the file: ``ambient_temperature`` (in the
   variable's units), ``ambient_pressure`` (Pa) and ``ambient_relative_humidity`` (0 to 1) go with a
-  temperature, ``ambient_density`` with a density, ``ambient_refractivity`` with a refractivity.
-  Without them it is dry air at 20 degC and 1 atm;
+  temperature, ``ambient_density`` with a density, ``ambient_refractivity`` with a refractivity,
+  and an ``ambient_pressure`` for other pressures to be compared with. Without them it is dry air at
+  20 degC and 1 atm;
 - ``mirror_planes`` of the file, such as ``"x=0 y=0"`` or ``"none"``: planes through an axis's first
   node about which the field is even. The fields shipped first say "mirror at x=0" in their title
   instead.
@@ -80,8 +81,8 @@ from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
 
 AMBIENT = {
     "temperature": ("ambient_temperature", "ambient_pressure", "ambient_relative_humidity"),
-    "density": ("ambient_density",),
-    "refractivity": ("ambient_refractivity",),
+    "density": ("ambient_density", "ambient_pressure"),
+    "refractivity": ("ambient_refractivity", "ambient_pressure"),
 }
 AMBIENT_TEMPERATURE_K = 293.15
 AMBIENT_DENSITY = 1.2041  # kg/m^3, dry air at 20 degC and 1 atm as an ideal gas
@@ -136,6 +137,8 @@ class FieldFile(Displayed):
         As those of `GriddedQuantity`.
     ambient : float
         n - 1 of the surrounding air.
+    pressure_pa : float
+        Its pressure, Pa.
     source : str
         Where the field comes from, in words; empty if the file does not say.
     notes : tuple of str
@@ -148,6 +151,7 @@ class FieldFile(Displayed):
     ambient: float
     mirror: tuple[bool, ...]
     solid: np.ndarray | None = None
+    pressure_pa: float = ATMOSPHERE_PA
     source: str = ""
     notes: tuple[str, ...] = ()
 
@@ -189,9 +193,11 @@ def read_field_file(
         if mirror is None:
             mirror = read_mirror(nc, origin, spacing, scale)
         source = text(nc, "source")
+        pressure = ambient_of(nc, _kind(nc), "ambient_pressure", ATMOSPHERE_PA)
         further = sorted(nc.variables.keys() - {*AXES, "time", "solid", _kind(nc)})
     notes = (f"{path}: ignored: {printable(', '.join(further))}",) if further else ()
-    return FieldFile(refractivity, origin, spacing, ambient, tuple(mirror), solid, source, notes)
+    where = origin, spacing, ambient, tuple(mirror), solid
+    return FieldFile(refractivity, *where, pressure, source, notes)
 
 
 def field_times(path: str | Path) -> np.ndarray | None:

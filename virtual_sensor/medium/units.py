@@ -7,6 +7,9 @@ from collections.abc import Iterable
 
 ZERO_CELSIUS_K = 273.15
 ATMOSPHERE_PA = 101325.0
+LEAST_PA, MOST_PA = 10e3, 140e3
+PRESSURES = f"{LEAST_PA:g} to {MOST_PA:g} Pa (1 hPa is 100 Pa)"
+"""Of air, for messages: for more and less there is no formula of its refractivity."""
 
 # The name that is used here, and how else it is spelt, without blanks, _, ^, * and dots.
 _SPELLINGS = {

@@ -77,6 +77,7 @@ def _air(said: NewScene, field: str) -> Rows:
         *(hot if said.temperature_c is not None else []),
         ("field", field, "of the hot air: a file, or one that is installed; empty: none"),
         ("time", "", "flow time of the air, s; empty: the field's last"),
+        ("pressure", "", "of the air, Pa; empty: as the field has it"),
         ("wavelength", said.wavelength_nm or WAVELENGTH_NM, "of the laser, nm"),
     ]
 

@@ -7,7 +7,13 @@ from pathlib import Path
 
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
-from virtual_sensor.medium.units import ATMOSPHERE_PA, ZERO_CELSIUS_K
+from virtual_sensor.medium.units import (
+    ATMOSPHERE_PA,
+    LEAST_PA,
+    MOST_PA,
+    PRESSURES,
+    ZERO_CELSIUS_K,
+)
 
 GAS_CONSTANT = 8.314462618  # J/(mol K)
 MOLAR_MASS = 28.9647e-3  # kg/mol, dry air
@@ -87,8 +93,10 @@ class HeatFlow(Displayed):
                 f"a part of {hot:g} degC in air of {air:g} degC: the part must be the hotter one,"
                 f" and both between {COLDEST_C:g} and {MELTED_C:g} degC"
             )
-        if min(self.radius_mm, self.length_mm, self.cell_mm, self.pressure_pa) <= 0.0:
-            raise InputError("radius, length, cell width and pressure must be positive")
+        if min(self.radius_mm, self.length_mm, self.cell_mm) <= 0.0:
+            raise InputError("radius, length and cell width must be positive")
+        if not LEAST_PA <= self.pressure_pa <= MOST_PA:
+            raise InputError(f"the pressure is {self.pressure_pa:g} Pa; give {PRESSURES}")
         if self.time_step_s is not None and self.time_step_s <= 0.0:
             raise InputError("the time step must be positive")
         if self.stl and (self.section or self.whole):
