@@ -128,10 +128,11 @@ def test_many_measurements_are_drawn_alike_and_unnamed(corrections):
 
 
 def test_what_is_missing_is_said_once_with_its_reason(corrections):
-    (table,) = reporting.missing(corrections["two"].summary)
-    assert [row[:2] for row in table.rows] == [("flat", "1"), ("turned $a$ <b>", "1")]
+    (folded,) = reporting.missing(corrections["two"].summary)
+    assert folded.summary == "Why 2 line centres have no point"
+    assert [row[:2] for row in folded.content[0].rows] == [("flat", "1"), ("turned $a$ <b>", "1")]
     (lost,) = reporting.missing(corrections["none"].summary)
-    assert sum(int(row[1]) for row in lost.rows) == 21
+    assert sum(int(row[1]) for row in lost.content[0].rows) == 21
 
 
 def test_objects_are_drawn(corrections):
@@ -150,6 +151,24 @@ def test_an_estimate_is_shown_with_what_tells_how_sure_it_is(corrections):
     written = {(text.get_position(), text.get_text()) for text in axes.texts}
     assert ((0, 0), "1.00") in written
     assert len(written) == 4
+
+
+def test_estimates_of_many_frames_are_summed_up(corrections):
+    """Rationale: of a burst each frame has its own; how they spread is what its user asks."""
+    one = corrections["estimated"]
+    found = [
+        replace(one.estimate, values=one.estimate.values + np.array([0.0, d])) for d in (-1.0, 3.0)
+    ]
+    both = zip(one.measurements, found, strict=True)
+    many = replace(one, measurements=tuple(replace(m, estimate=e) for m, e in both), estimate=None)
+    table = reporting.on_console(many)[2]
+    assert [row[:2] for row in table.rows] == [("scale", "2"), ("offset, mm", "2")]
+    assert [float(cell) for cell in table.rows[1][2:6]] == pytest.approx(
+        [1.0, -1.0, 3.0, 2.8], abs=0.01
+    )
+    figure = Figure()
+    reporting.estimates_panel(many.estimate_table).draw(figure)
+    assert [axes.get_ylabel() for axes in figure.axes] == ["scale", "offset, mm"]
 
 
 def test_the_estimated_air_can_be_taken_for_the_next_correction(corrections, folders):

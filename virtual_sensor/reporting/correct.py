@@ -19,7 +19,7 @@ from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import unit_of, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import PAGE, Content, Page, Section
+from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import (
     Panel,
     PanelPicture,
@@ -32,12 +32,13 @@ from virtual_sensor.reporting.pictures import (
 )
 from virtual_sensor.reporting.style import ALONG, CYCLE, GREY, LINES, colour, drawable, letters_on
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
-from virtual_sensor.reporting.words import counted, micrometres
+from virtual_sensor.reporting.words import counted, listed, micrometres
 from virtual_sensor.studies.correct.correction import (
     Corrected,
     CorrectedTable,
     Correction,
     CorrectionSummary,
+    EstimateTable,
 )
 from virtual_sensor.studies.section import SectionErrors
 
@@ -63,6 +64,7 @@ FILES = (
     FileOf("report.png", "The correction at a glance."),
     FileOf(RESULTS_SIGN, "The figures of the correction.", CorrectionSummary),
     FileOf("points.csv", "All points with their covariance.", CorrectedTable),
+    FileOf("estimates.csv", "What was estimated, and how well.", EstimateTable),
     FileOf(
         "corrected.ply",
         "The corrected points, mm, world; their intensity is how far they were moved, in µm, and"
@@ -98,6 +100,8 @@ def save(
         if result.estimate is not None and result.medium is not None:
             result.medium.write(place / AIR)
         contents: dict[str, Any] = {"points.csv": result.table}
+        if result.estimates:
+            contents["estimates.csv"] = result.estimate_table
         panels: Mapping[str, PanelPicture] = {}
         if result.points:
             contents["report.png"], panels = picture(result)
@@ -117,6 +121,8 @@ def on_console(result: Correction) -> list[TextTable | str]:
         shown.append(radius_table(result.summary))
     if result.estimate is not None:
         shown.append(estimate_table(result.estimate))
+    elif result.estimates:
+        shown.append(estimates_table(result.estimate_table))
     return shown
 
 
@@ -137,25 +143,21 @@ def measurement_table(figures: CorrectionSummary) -> TextTable:
     )
 
 
-def missing(figures: CorrectionSummary) -> list[TextTable]:
+def missing(figures: CorrectionSummary) -> list[Details]:
     """Why centres or points are missing, where some are."""
-    rows = []
+    found: list[tuple[str, str, str]] = []
+    total = 0
     for name, each in figures.measurements.items():
         centres, points = dict(each.centre_status), dict(each.status)
         points["no_pixel"] -= sum(centres.values()) - centres["ok"]  # said of the centre already
         for kind, counts in ((Status, centres), (CrossingStatus, points)):
-            found = {kind[status.upper()]: count for status, count in counts.items() if count > 0}
-            rows += [
-                {"name": name, "count": count, "words": status.message}
-                for status, count in found.items()
-                if status
-            ]
-    columns = (
-        Column("name", "measurement"),
-        Column("count", "missing", "{}"),
-        Column("words", "why"),
-    )
-    return [text_table(rows, columns)] if rows else []
+            for status, count in counts.items():
+                if status != "ok" and count > 0:
+                    found.append((name, f"{count}", kind[status.upper()].message))
+                    total += count
+    table = TextTable(("measurement", "missing", "why"), tuple(found))
+    why = f"Why {counted(total, 'line centre has', 'line centres have')} no point"
+    return [Details(why, (table,))] if found else []
 
 
 def radius_table(figures: CorrectionSummary) -> TextTable:
@@ -181,11 +183,10 @@ def estimate_table(estimate: AirEstimate) -> TextTable:
     rows = []
     for i, name in enumerate(estimate.names):
         prior, unit = estimate.priors.get(name), estimate.units[i]
-        stem = name.rpartition("_")[0] if unit_of(name) else name
         digits = _digits(float(estimate.sigma[i]))
         rows.append(
             {
-                "name": f"{stem}, {unit}" if unit else stem,
+                "name": _with_unit(name, unit),
                 "value": f"{estimate.values[i]:.{digits}f}",
                 "sigma": estimate.sigma[i],
                 "bound": float(estimate.bound[i]),
@@ -205,6 +206,44 @@ def estimate_table(estimate: AirEstimate) -> TextTable:
         ),
         f"Estimated; what is left in the images: {estimate.rms_px:.2g} px rms",
     )
+
+
+def estimates_table(table: EstimateTable) -> TextTable:
+    """How several estimates of a parameter spread, such as of the frames of a burst."""
+    rows = []
+    for name in dict.fromkeys(table.parameter.tolist()):
+        mine = table.parameter == name
+        values, sigma = table.value[mine], float(np.median(table.sigma[mine]))
+        spread = float(values.std(ddof=1)) if len(values) > 1 else np.nan
+        unit, digits = table.unit[mine][0], _digits(sigma)
+        rows.append(
+            {
+                "name": _with_unit(name, unit),
+                "count": len(values),
+                "mean": f"{values.mean():.{digits}f}",
+                "least": f"{values.min():.{digits}f}",
+                "largest": f"{values.max():.{digits}f}",
+                "spread": spread,
+                "sigma": sigma,
+            }
+        )
+    return text_table(
+        rows,
+        (
+            Column("name", "parameter"),
+            Column("count", "estimates", "{}"),
+            *("mean", "least", "largest"),
+            Column("spread", "spread", "{:.2g}"),
+            Column("sigma", "sigma of one", "{:.2g}"),
+        ),
+        "Estimated, measurement by measurement",
+    )
+
+
+def _with_unit(name: str, unit: str) -> str:
+    """A parameter's name without its unit at the end, and the unit."""
+    stem = name.rpartition("_")[0] if unit_of(name) else name
+    return f"{stem}, {unit}" if unit else stem
 
 
 def _digits(sigma: float) -> int:
@@ -269,7 +308,7 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
     if result.circle:
         sections.append(Section("The radius", radius_table(figures)))
     if panels:
-        sections.append(Section("How far to trust it", beside(panels, "left", "budget")))
+        sections.append(Section("How far to trust it", *_trust(result, panels)))
     sections.append(Section("The air", *_air(result, panels)))
     return Page(
         f"{', '.join(sorted(names))}: {counted(len(result.measurements), 'measurement')} corrected",
@@ -282,25 +321,47 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
     )
 
 
-def _estimated(estimate: AirEstimate, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
-    """How well the estimate is known, and what it can't know."""
-    yield estimate_table(estimate)
-    yield beside(panels, "correlation", "residual")
-    yield from estimate.notes
-    yield (
-        f"Singular values of the derivatives, columns of unit length:"
-        f" {', '.join(f'{value:.2g}' for value in estimate.singular_values)}; condition"
-        f" {estimate.condition:.3g}. Of what is left in the images, chi² is {estimate.chi2:.3g} for"
-        " each degree of freedom: 1 where nothing but noise is left. A small residual does not show"
-        " that the air is right: air of another kind can leave as little."
-    )
-
-
 def _air(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
     facts = {"where it is from": result.air.origin, "field": Path(result.air.source).name or "none"}
     yield pair_table(("the air", ""), facts)
     if result.estimate is not None:
-        yield from _estimated(result.estimate, panels)
+        yield estimate_table(result.estimate)
+        yield beside(panels, "correlation", "residual")
+        yield _condition(result.estimate)
+    elif result.estimates:
+        yield estimates_table(result.estimate_table)
+        yield beside(panels, "estimates", "residual")
+    if result.estimates:
+        yield (
+            "A small residual does not show that the air is right: air of another kind can leave as"
+            " little. Two poses of the sensor tell most of it apart."
+        )
+
+
+def _condition(estimate: AirEstimate) -> str:
+    """What the problem's numbers say, in words."""
+    values = ", ".join(f"{value:.2g}" for value in estimate.singular_values)
+    return (
+        f"Singular values of the images' derivatives, columns of unit length: {values}; condition"
+        f" with priors {estimate.condition:.3g}. Chi² of what is left in the images:"
+        f" {estimate.chi2:.3g} for each degree of freedom, 1 where nothing but noise is left."
+    )
+
+
+def _trust(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[Content]:
+    yield beside(panels, "left", "budget")
+    if "budget" in panels:
+        yield (
+            "The interval of 95 % holds what all sources of error make together. What a source adds"
+            " is its share in the variance; an estimate follows the noise, which may take some of"
+            " it off again (correlation)."
+        )
+    else:
+        estimated = " and of what was estimated" if result.estimates else ""
+        yield (
+            f"The interval of 95 % is that of the centres' noise{estimated}. It knows nothing of"
+            " air that is of another kind, nor of the sensor's pose and calibration."
+        )
 
 
 # The picture.
@@ -314,10 +375,12 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
     if any(each.budget is not None for each in shown):
         panels |= {"budget": budget_panel(shown)}
-    if result.estimate is not None:
+    if result.estimates:
         panels |= {"residual": residual_panel(shown)}
-        if len(result.estimate.names) > 1:
-            panels |= {"correlation": correlation_panel(result.estimate)}
+    if result.estimate is None and result.estimates:
+        panels |= {"estimates": estimates_panel(result.estimate_table)}
+    elif result.estimate is not None and len(result.estimate.names) > 1:
+        panels |= {"correlation": correlation_panel(result.estimate)}
     names = ", ".join(dict.fromkeys(drawable(each.scene.path.stem) for each in shown))
     drawn = draw_picture(f"{names}: {lead(result.summary)}", list(panels.values()), columns=3)
     return drawn, dict(zip(panels, drawn.panels, strict=True))
@@ -496,6 +559,25 @@ def residual_panel(measurements: Sequence[Corrected]) -> Panel:
 
     alt = "What the estimate leaves in the images, with the interval of 95 % of the noise."
     return Panel("What is left in the images, and 95 % of noise", draw, alt, layout=None)
+
+
+def estimates_panel(table: EstimateTable) -> Panel:
+    """Several estimates one after the other, with their intervals of 95 %."""
+    names = list(dict.fromkeys(table.parameter.tolist()))
+
+    def draw(figure: Any) -> None:
+        rows = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, name, paint in zip(rows, names, cycle(CYCLE), strict=False):
+            mine = table.parameter == name
+            number, value = np.arange(1, mine.sum() + 1), table.value[mine]
+            bars = {"yerr": _CERTAIN * table.sigma[mine], "color": paint, "ms": 3.0, "capsize": 1.5}
+            axes.errorbar(number, value, fmt="o", **bars)
+            axes.set_ylabel(_with_unit(name, table.unit[mine][0]))
+            axes.xaxis.get_major_locator().set_params(integer=True)
+        rows[-1].set_xlabel("estimate, in the order of the measurements")
+
+    alt = f"Estimates of {listed(names)}, one after the other, with their intervals of 95 %."
+    return Panel("What was estimated", draw, alt, height=-(-len(names) // 3), axes=False)
 
 
 def correlation_panel(estimate: AirEstimate) -> Panel:

@@ -81,6 +81,38 @@ class CorrectedTable(Table):
 
 
 @dataclass(frozen=True)
+class EstimateTable(Table):
+    """What was estimated, a row for each parameter of each estimate.
+
+    Attributes
+    ----------
+    measurement : ndarray of str of shape (N,)
+        From which it comes; the first of several that share an air.
+    measurements : ndarray of int of shape (N,)
+        How many share it.
+    parameter, unit : ndarray of str of shape (N,)
+    value, sigma : ndarray of shape (N,)
+        With the standard deviation that noise and priors leave.
+    bound : ndarray of shape (N,)
+        Cramer and Rao's, of the images alone; infinite where they leave a choice.
+    status : ndarray of str of shape (N,)
+        "found", or why not.
+    rms_px : ndarray of shape (N,)
+        What the estimate leaves in the images.
+    """
+
+    measurement: NDArray[np.str_]
+    measurements: NDArray[np.int64]
+    parameter: NDArray[np.str_]
+    unit: NDArray[np.str_]
+    value: Array
+    sigma: Array
+    bound: Array
+    status: NDArray[np.str_]
+    rms_px: Array
+
+
+@dataclass(frozen=True)
 class Corrected(Displayed):
     """One measurement, corrected; N line centres or dots, as they were given.
 
@@ -439,6 +471,26 @@ class Correction(Displayed):
         names = [each.name for each in fields(CorrectedTable)]
         joined = {name: np.concatenate([getattr(t, name) for t in tables]) for name in names}
         return CorrectedTable(**joined)
+
+    @property
+    def estimate_table(self) -> EstimateTable:
+        """What was estimated; each row is a parameter."""
+        rows = [
+            (
+                each.observations[0].name,
+                len(each.observations),
+                name,
+                each.units[i],
+                each.values[i],
+                each.sigma[i],
+                each.bound[i],
+                EstimateStatus(each.status[i]).name.lower(),
+                each.rms_px,
+            )
+            for each in self.estimates
+            for i, name in enumerate(each.names)
+        ]
+        return EstimateTable(*(np.array(column) for column in zip(*rows, strict=True)))
 
     @property
     def points(self) -> int:
