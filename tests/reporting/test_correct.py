@@ -13,6 +13,7 @@ from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.air_estimate import Observation, Prior, estimate_air
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.error_budget import PointBudget
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.reporting import correct as reporting
@@ -151,6 +152,23 @@ def test_an_estimate_is_shown_with_what_tells_how_sure_it_is(corrections):
     written = {(text.get_position(), text.get_text()) for text in axes.texts}
     assert ((0, 0), "1.00") in written
     assert len(written) == 4
+
+
+def test_the_error_budget_adds_up_to_the_interval(corrections):
+    """Rationale: shares of the variance; an estimate that follows the noise takes some off."""
+    parts = {"detection": [3.0, 3.0], "air": [4.0, 5.0], "correlation": [-3.0, 0.0]}
+    along = np.array([[0.0, 0.0, 1.0]] * 2)
+    square = {n: np.einsum("n,ni,nj->nij", np.sign(u) * np.square(u), along, along) * 1e-6
+              for n, u in ((n, np.array(um)) for n, um in parts.items())}  # fmt: skip
+    budget = PointBudget(np.zeros((2, 3)), along, square, {})
+    np.testing.assert_allclose(sum(reporting.shares(budget).values()), [4.0, np.sqrt(34.0)])
+    axes = budget.plot(Figure().add_subplot())
+    assert axes.get_legend_handles_labels()[1] == [*parts, "in all"]
+    each = replace(corrections["one"].measurements[0], budget=budget, point_mm=np.zeros((2, 3)))
+    for several, labels in (([each], [*parts, "in all"]), ([each, each], [*parts])):
+        axes = Figure().add_subplot()
+        reporting.budget_panel(several).draw(axes)
+        assert axes.get_legend_handles_labels()[1] == labels
 
 
 def test_estimates_of_many_frames_are_summed_up(corrections):

@@ -44,6 +44,7 @@ from virtual_sensor.studies.section import SectionErrors
 
 if TYPE_CHECKING:  # measurements through known air need no estimate
     from virtual_sensor.metrology.air_estimate import AirEstimate, Identifiability
+    from virtual_sensor.metrology.error_budget import PointBudget
 
 Array = NDArray[np.float64]
 
@@ -474,7 +475,7 @@ def budget_panel(measurements: Sequence[Corrected]) -> Panel:
     return Panel("What makes them uncertain", draw, alt, layout=None)
 
 
-def shares(budget: Any) -> dict[str, Array]:
+def shares(budget: PointBudget) -> dict[str, Array]:
     """What each source adds (N,) to the standard deviation along the normal, in µm.
 
     It is the source's share in the variance: they add up to the standard deviation.
@@ -483,7 +484,7 @@ def shares(budget: Any) -> dict[str, Array]:
     return {name: um * np.abs(um) / whole for name, um in budget.sigma_um.items() if np.any(um)}
 
 
-def draw_budget(axes: Axes, budget: Any, along: Array) -> None:
+def draw_budget(axes: Axes, budget: PointBudget, along: Array) -> None:
     """The shares of the sources along a line, on top of each other; what they take off, below."""
     above = below = np.zeros(len(along))
     for name, share in shares(budget).items():

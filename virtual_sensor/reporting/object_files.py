@@ -213,6 +213,7 @@ def _arrays(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
 _MESHES = ("imaging.parts.Part", "imaging.part_survey.Mesh")
 _POINTS = {
     "metrology.triangulation.TriangulatedPoints": "point_mm",
+    "metrology.error_budget.PointBudget": "point_mm",
     "optics.bent_points.BentPoints": "point_mm",
     "optics.crossings.Crossings": "point_mm",
     "optics.ray_maps.RayPoints": "point_mm",

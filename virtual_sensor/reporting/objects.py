@@ -657,6 +657,16 @@ def _estimate(axes: Axes, found: Any) -> None:
     axes.set_title("correlations of what is estimated")
 
 
+@draws("metrology.error_budget.PointBudget")
+def _budget(axes: Axes, budget: Any) -> None:
+    """What makes each point uncertain."""
+    from virtual_sensor.reporting.correct import draw_budget
+
+    draw_budget(axes, budget, np.arange(float(len(budget.point_mm))))
+    axes.set_xlabel("point")
+    axes.legend(fontsize="small")
+
+
 @draws("studies.correct.correction.Correction")
 def _correction(axes: Axes, result: Any) -> None:
     """How far the points are from the part, before and after."""

@@ -91,8 +91,9 @@ class EstimateTable(Table):
     measurements : ndarray of int of shape (N,)
         How many share it.
     parameter, unit : ndarray of str of shape (N,)
+        Its name and unit.
     value, sigma : ndarray of shape (N,)
-        With the standard deviation that noise and priors leave.
+        What was found, and the standard deviation that noise and priors leave.
     bound : ndarray of shape (N,)
         Cramer and Rao's, of the images alone; infinite where they leave a choice.
     status : ndarray of str of shape (N,)
