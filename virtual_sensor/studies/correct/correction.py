@@ -200,7 +200,7 @@ class Corrected(Displayed):
         """Standard deviation (N,) of the corrected points along the normal of the scene's part."""
         normal = self.part.normals(self.point_mm)
         variance = np.einsum("ni,nij,nj->n", normal, self.covariance_mm2, normal)
-        sigma: Array = UM_PER_MM * np.sqrt(variance)
+        sigma: Array = UM_PER_MM * np.sqrt(np.maximum(variance, 0.0))  # less by rounding
         return sigma
 
     @cached_property

@@ -47,6 +47,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 USUAL_SIGMA_PX = 0.02
+LEAST_SIGMA_PX = 1e-3  # of a rendered frame without noise, whose detector knows of no other error
 """Of a centre whose standard deviation nobody says."""
 
 _TABLES = (".csv", ".txt", ".tsv")
@@ -350,11 +351,13 @@ def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -
 
 
 def _known_sigma(sigma: Array, u: Array) -> tuple[Array, tuple[str, ...]]:
-    """Standard deviations, the usual one where none is known."""
+    """Standard deviations, the usual one where none is known, and none that is beyond frames."""
     known = np.isfinite(sigma) & (sigma > 0.0)
     missing = int(np.sum(np.isfinite(u) & ~known))
-    note = f"{missing} centres have no standard deviation: {USUAL_SIGMA_PX:g} px is taken"
-    return np.where(known, sigma, USUAL_SIGMA_PX), (note,) if missing else ()
+    centres = "one centre has" if missing == 1 else f"{missing} centres have"
+    note = f"{centres} no standard deviation: {USUAL_SIGMA_PX:g} px is taken (or give --sigma)"
+    sigma = np.where(known, np.maximum(sigma, LEAST_SIGMA_PX), USUAL_SIGMA_PX)
+    return sigma, (note,) if missing else ()
 
 
 def _statuses(path: Path, names: NDArray[Any] | None, pixel: Array) -> NDArray[np.uint8]:
@@ -393,7 +396,9 @@ def read_centres(path: Path) -> dict[str, NDArray[Any]]:
     numbered = [(n, line) for n, line in enumerate(lines, 1) if line and not line.startswith("#")]
     if not numbered:
         raise InputError(f"{path}: is empty; give a table with columns u and v, px")
-    mark = next((each for each in ",;\t" if each in numbered[0][1]), None)
+    mark = next((each for each in ";\t," if each in numbered[0][1]), None)
+    if mark in (";", "\t"):  # then a comma is a decimal one
+        numbered = [(n, re.sub(r"(?<=\d),(?=\d)", ".", line)) for n, line in numbered]
     rows = [
         (n, next(csv.reader([line], delimiter=mark)) if mark else line.split())
         for n, line in numbered
