@@ -7,11 +7,11 @@ import pytest
 from scipy.io import netcdf_file
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.checks import JUMP_TOLD_PX, check_scene
+from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.optics.field_border import JUMP_REFUSED_PX
+from virtual_sensor.optics.field_border import JUMP_REFUSED_PX, JUMP_TOLD_PX
 
 AMBIENT = 2.7e-4
 TOP_MM = 100.0

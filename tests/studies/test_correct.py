@@ -220,6 +220,20 @@ def test_what_cannot_be_corrected_is_refused_with_the_remedy(folder):
             Settings(**kwargs)
 
 
+def test_air_that_ends_a_little_early_is_told(folder, searched):
+    """Cut at 160 mm above the part, where it has faded to a tenth of what is refused: 1 µm left."""
+    scene, found = searched[0]
+    field = scene.medium
+    top = round((160.0 - field.origin[2]) / field.spacing[2]) + 1
+    (measured,) = read_measured([str(folder(0, "flat"))], Scenes())
+    for nodes, short in ((None, False), (top, True)):
+        cut = field.with_nodes(field.nodes[:, :, :nodes])
+        result = correct([replace(measured, scene=scene.with_medium(cut))])
+        off_um = 1e3 * np.abs(result.measurements[0].point_mm - found.laser_point_mm).max()
+        assert (off_um > 0.1) == short
+        assert any("the field of the air is short" in each for each in result.caveats) == short
+
+
 def test_options_say_names_and_priors():
     assert names_of(" scale, width,scale,") == ("scale", "width")
     assert priors_of(["scale=1:0.05,width=1:.2", "offset=-1:2"]) == {

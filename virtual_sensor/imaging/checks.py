@@ -17,6 +17,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField, border_of
 from virtual_sensor.optics.field_border import (
     JUMP_REFUSED_PX,
+    JUMP_TOLD_PX,
     BorderCrossing,
     border_crossing,
 )
@@ -25,9 +26,6 @@ from virtual_sensor.optics.sensor_geometry import check_geometry
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
-
-JUMP_TOLD_PX = 0.003
-"""A border jump that moves the image by more than this is noted; from JUMP_REFUSED_PX, refused."""
 
 FACETS_TOLD_PX = 0.03
 """Facets that lie beside their surface by more than this are noted."""

@@ -17,8 +17,11 @@ Mask = NDArray[np.bool_]
 FACES = ("x-", "x+", "y-", "y+", "z-", "z+")
 """Of a field's box, in the order of `IndexField.border_jump`."""
 
+JUMP_TOLD_PX = 0.003
+"""A border jump that moves the image by more than this is noted..."""
+
 JUMP_REFUSED_PX = 0.1
-"""A border jump that moves the image by more than this is refused."""
+"""...and one that moves it by more than this is refused."""
 
 FADED = 1e-6
 """So little n may differ from the surroundings where points lie beyond a border."""
@@ -87,8 +90,17 @@ def uncovered(field: Field, camera: Pinhole, source: RayFamily, points_mm: Array
     return short
 
 
-def cover_words(field: Field, camera: Pinhole, source: RayFamily, points_mm: Array) -> str:
-    """Why some of the points (N, 3) are `uncovered`, for messages: where the worst is; else ""."""
+def cover_words(
+    field: Field,
+    camera: Pinhole,
+    source: RayFamily,
+    points_mm: Array,
+    least_px: float = JUMP_REFUSED_PX,
+) -> str:
+    """Why some of the points (N, 3) are `uncovered`, for messages: where the worst is; else "".
+
+    With a smaller `least_px`, also of points that a smaller jump moves by more than that.
+    """
     beyond = np.flatnonzero(_beyond(field, points_mm))
     if beyond.size:
         place = field.to_local(points_mm[beyond])
@@ -101,7 +113,7 @@ def cover_words(field: Field, camera: Pinhole, source: RayFamily, points_mm: Arr
         )
     for name, family in (("camera", camera), ("source", source)):
         crossing = border_crossing(field, camera, family, points_mm)
-        if np.any(crossing.shift_px > JUMP_REFUSED_PX):
+        if np.any(crossing.shift_px > least_px):
             worst = int(np.argmax(crossing.shift_px))
             entry = place_words(crossing.place_mm[worst])
             return (

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import printable
 from virtual_sensor.files import written_whole
-from virtual_sensor.imaging.checks import JUMP_TOLD_PX
 from virtual_sensor.metrology.truth import FINE_PX
-from virtual_sensor.optics.field_border import JUMP_REFUSED_PX
+from virtual_sensor.optics.field_border import JUMP_REFUSED_PX, JUMP_TOLD_PX
 from virtual_sensor.records import write_json
 from virtual_sensor.reporting.files import FileOf
 from virtual_sensor.reporting.page import Content, Details, Page, Section, page_html

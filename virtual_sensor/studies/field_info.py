@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import by_rows, to_vectors
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import (
-    JUMP_TOLD_PX,
     LitLine,
     border_crossings,
     lit_line,
@@ -28,7 +27,7 @@ from virtual_sensor.medium.netcdf import AMBIENT_TEMPERATURE_K, UNITS, ambient_o
 from virtual_sensor.medium.netcdf_elements import open_netcdf, read_times, text
 from virtual_sensor.medium.quantities import implied_temperature_c
 from virtual_sensor.metrology.truth import FINE_PX
-from virtual_sensor.optics.field_border import FACES, JUMP_REFUSED_PX
+from virtual_sensor.optics.field_border import FACES, JUMP_REFUSED_PX, JUMP_TOLD_PX
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.optics.trace import trace
 from virtual_sensor.records import Record

@@ -27,6 +27,9 @@ from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 Array = NDArray[np.float64]
 
 SCENE = "hot_cylinder"
+FINEST = March(0.02, "leapfrog", "double")
+"""Of the pixels and points that are given: finer than any that is charted."""
+
 HALF_LINE_MM = 10.0
 OTHER_C = 1100.0
 """Wall temperature of the air that is assumed, or scaled and widened: the true one's is 1250."""
@@ -49,7 +52,7 @@ def _task(beta_deg: float, name: str, quick: bool) -> Task:
     y_mm = np.linspace(-HALF_LINE_MM, HALF_LINE_MM, _QUICK_POINTS if quick else _POINTS)
     poses = (beta_deg, _TURNED_DEG - beta_deg)
     scenes = [load_scene(SCENE, beta=beta) for beta in poses]
-    searched = [ray_search(scene, y_mm, "newton") for scene in scenes]
+    searched = [ray_search(scene, y_mm, "newton", march=FINEST) for scene in scenes]
     pixels = [each.pixel for each in searched]
     scene, pixel, truth = scenes[0], pixels[0], searched[0].laser_point_mm
     mm_per_px = scene.camera.pixel_mm(truth)
@@ -87,7 +90,7 @@ def _task(beta_deg: float, name: str, quick: bool) -> Task:
                 work = partial(_estimated, seen, other, free, px)
                 yield _configuration(words, "air that is found", work, tolerance_px=px)
 
-    reference = "points that Newton's search went out from"
+    reference = f"points that a search went out from, {FINEST.method} of {FINEST.step_mm:g} mm"
     return Task(name, reference, len(y_mm), score, list(choices()))
 
 

@@ -21,7 +21,7 @@ from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.bent_points import bent_points
 from virtual_sensor.optics.crossing_status import CrossingStatus
-from virtual_sensor.optics.field_border import cover_words
+from virtual_sensor.optics.field_border import JUMP_TOLD_PX, cover_words
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.studies.air_models import air_model_of
 from virtual_sensor.studies.correct.asked import Settings, shape_of
@@ -98,7 +98,7 @@ def correct(
         else:
             tell("points through the air", 0.0)
             found += [_through(each) for each in group]
-    caveats += _lost(found)
+    caveats += [*_lost(found), *_ends_early(found)]
     if estimates:
         air = replace(air, origin="estimate")
     media = {id(each.scene.medium): each.scene.medium for each in found}
@@ -375,6 +375,20 @@ def _lost(found: Iterable[Corrected]) -> list[str]:
                 raise InputError(f"{each.name}: none of {count} centres has a point. {why}")
             notes.append(f"{each.name}: {count} centres have no point. {why}")
     return notes
+
+
+def _ends_early(found: Iterable[Corrected]) -> Iterator[str]:
+    """Notes on fields that have not quite faded where light of corrected points enters them."""
+    for each in found:
+        scene = each.scene
+        points = each.point_mm[np.isfinite(each.point_mm).all(axis=1)]
+        if scene.medium is not None and len(points):
+            lights = scene.camera, scene.source.family
+            if words := cover_words(scene.medium, *lights, points, JUMP_TOLD_PX):
+                yield (
+                    f"{each.name}: the field of the air is short: {words}, and what it lacks may"
+                    " move it by several times as much; give one that reaches further out"
+                )
 
 
 def _where(corrected: Corrected, status: CrossingStatus) -> str:
