@@ -211,6 +211,11 @@ def sway_rows(sway: Path, steady: Path, every: int) -> list[tuple[str, ...]]:
             points.append(found.points[0].point_mm)
         return np.array(points)
 
+    def together(names: Sequence[str]) -> Array:
+        lines = [each.observation for each in seen]
+        found = vs.estimate_air(lines, model, names, each=names, shape=CYLINDER, free=FREE)
+        return np.array([each.point_mm for each in found.points])
+
     def through(medium: vs.IndexField | None) -> Array:
         return np.array([vs.triangulate(s.scene, s.pixel, medium=medium) for s in seen])
 
@@ -228,8 +233,12 @@ def sway_rows(sway: Path, steady: Path, every: int) -> list[tuple[str, ...]]:
         "offset, width of each frame": lambda: each_estimated(("offset", "width")),
         "lean, width of each frame": lambda: each_estimated(("lean", "width")),
         "lean, width, scale of each frame": lambda: each_estimated(("lean", "width", "scale")),
-        "lean, width of each frame, cylinder unknown": lambda: each_estimated(
+        "lean, width, cylinder unknown, frame by frame": lambda: each_estimated(
             ("lean", "width"), FREE
+        ),
+        "lean, width of each frame, unknown cylinder of all": lambda: together(("lean", "width")),
+        "offset, width of each frame, unknown cylinder of all": lambda: together(
+            ("offset", "width")
         ),
         "two numbers of each frame at best": lambda: through(None),
         "its own air in each frame": lambda: np.array(

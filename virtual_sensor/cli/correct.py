@@ -52,9 +52,10 @@ def correct(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Parameters that are found from the measurements: scale, width, offset, height,"
-            " blur, pressure, temperature of the air; of poses sensor_x ... camera_turn_z, of one"
-            " measurement NAME.sensor_x; of the laser plane laser_offset, laser_tilt, laser_roll.",
+            help="Parameters that are found from the measurements: scale, width, offset, lean,"
+            " height, blur, pressure, temperature of the air; of poses sensor_x ... camera_turn_z,"
+            " of one measurement NAME.sensor_x; of the laser plane laser_offset, laser_tilt,"
+            " laser_roll.",
         ),
     ] = None,
     shape: Annotated[

@@ -259,6 +259,11 @@ def error_budget(
         raise InputError(
             f"error_budget: estimate is {short(estimate)}; give an AirEstimate of estimate_air"
         )
+    if estimate.model is not None and estimate.medium is None:
+        raise InputError(
+            "error_budget: in this estimate observations have airs of their own (each=); estimate"
+            " them one by one, with the shape of all as a prior, and give one of these"
+        )
     check_progress("error_budget", progress)
     known = _sigmas("error_budget", sigmas, estimate.observations[0].scene, ())
     pivot = _pivot("error_budget", pivot_mm)

@@ -39,6 +39,7 @@ from virtual_sensor.studies.correct.correction import (
     Correction,
     CorrectionSummary,
     EstimateTable,
+    FrameSway,
 )
 from virtual_sensor.studies.section import SectionErrors
 
@@ -124,7 +125,18 @@ def on_console(result: Correction) -> list[TextTable | str]:
         shown.append(estimate_table(result.estimate))
     elif result.estimates:
         shown.append(estimates_table(result.estimate_table))
+    if result.sway is not None:
+        shown.append(sway_words(result.sway))
     return shown
+
+
+def sway_words(sway: FrameSway) -> str:
+    """How much a burst's frames sway, before and after."""
+    return (
+        f"Over {sway.frames} frames the distance from the part sways by"
+        f" {micrometres(sway.before_um)} before and {micrometres(sway.after_um)} after the"
+        " correction (standard deviation at equal columns, rms along the line)."
+    )
 
 
 def measurement_table(figures: CorrectionSummary) -> TextTable:
@@ -301,6 +313,7 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
             "What was removed",
             *([beside(panels, "distance", "removed", "part")] if panels else []),
             measurement_table(figures),
+            *([sway_words(result.sway)] if result.sway else []),
             *missing(figures),
             "The scene's part is as its file has it. Where a part of your own differs from it, so"
             " do the corrected points.",

@@ -29,6 +29,7 @@ from virtual_sensor.studies.correct.correction import (
     AirFacts,
     Corrected,
     Correction,
+    FrameSway,
     RadiusFit,
 )
 from virtual_sensor.studies.correct.measured import Measured
@@ -101,6 +102,7 @@ def correct(
     caveats += [*_lost(found), *_ends_early(found)]
     if estimates:
         air = replace(air, origin="estimate")
+    frames = {each.name for each in measured if each.one_of_many}
     media = {id(each.scene.medium): each.scene.medium for each in found}
     one = estimates[0] if len(estimates) == 1 else None
     return Correction(
@@ -114,6 +116,7 @@ def correct(
         tuple(dict.fromkeys([*notes, *caveats])),
         tuple(caveats),
         time.perf_counter() - began,
+        FrameSway.of([each for each in found if each.name in frames]),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, ClassVar
@@ -389,6 +390,38 @@ class EstimateFacts(Record):
 
 
 @dataclass(frozen=True)
+class FrameSway(Record):
+    """How much points of a burst's frames sway, before and after their correction.
+
+    Attributes
+    ----------
+    frames : int
+        Of the burst.
+    before_um, after_um : float
+        Standard deviation over the frames of the distance from the scene's part, at equal columns;
+        its root mean square along the line. After: what of it is left. The points themselves sway,
+        since light falls on other places; their distance from the part does not.
+    """
+
+    frames: int
+    before_um: float
+    after_um: float
+
+    @staticmethod
+    def of(frames: Sequence[Corrected]) -> FrameSway | None:
+        """Of frames with centres in the same columns; None of fewer than three."""
+        from virtual_sensor.studies.burst import MIN_FRAMES, spread  # which renders
+
+        if len(frames) < MIN_FRAMES or len({len(each.pixel) for each in frames}) > 1:
+            return None
+        before, after = (
+            rms(spread(np.array([getattr(each, name) for each in frames])[..., None]).std)
+            for name in ("distance_uncorrected_um", "distance_um")
+        )
+        return FrameSway(len(frames), before, after)
+
+
+@dataclass(frozen=True)
 class CorrectionSummary(Record):
     """What shows whether a correction is sound, and how good it is.
 
@@ -402,6 +435,8 @@ class CorrectionSummary(Record):
         One, or of a burst one for each frame; none where the air is known.
     circle, circle_uncorrected : RadiusFit or None
         Through all corrected, and uncorrected, points; None where the part is no cylinder.
+    sway : FrameSway or None
+        Of the frames of a burst.
     notes : tuple of str
         What the user should know.
     caveats : tuple of str
@@ -417,6 +452,7 @@ class CorrectionSummary(Record):
     estimates: tuple[EstimateFacts, ...]
     circle: RadiusFit | None
     circle_uncorrected: RadiusFit | None
+    sway: FrameSway | None
     notes: tuple[str, ...]
     caveats: tuple[str, ...]
     made_with: MadeWith
@@ -444,6 +480,8 @@ class Correction(Displayed):
     caveats : tuple of str
         Those of the notes that make the figures worth little.
     time_s : float
+    sway : FrameSway or None
+        Of the frames of a burst.
     """
 
     measurements: tuple[Corrected, ...]
@@ -456,6 +494,7 @@ class Correction(Displayed):
     notes: tuple[str, ...]
     caveats: tuple[str, ...]
     time_s: float
+    sway: FrameSway | None = None
 
     def _line(self) -> str:
         names = f"{len(self.measurements)} measurements, air from {self.air.origin}"
@@ -513,6 +552,7 @@ class Correction(Displayed):
             estimates=tuple(EstimateFacts.of(each) for each in self.estimates),
             circle=self.circle,
             circle_uncorrected=self.circle_uncorrected,
+            sway=self.sway,
             notes=self.notes,
             caveats=self.caveats,
             made_with=made_with(self.measurements[0].scene),
