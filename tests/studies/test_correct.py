@@ -291,6 +291,7 @@ def test_what_is_no_measurement_is_refused_with_the_remedy(tmp_path, folder):
     (tmp_path / "over").mkdir()
     folder(0, "over/one")
     (tmp_path / "other").mkdir()
+    (tmp_path / "small").mkdir()
     (tmp_path / "other/summary.json").write_text("{}")
     (tmp_path / "broken").mkdir()
     (tmp_path / "broken/summary.json").write_text("{")
@@ -301,6 +302,9 @@ def test_what_is_no_measurement_is_refused_with_the_remedy(tmp_path, folder):
         "short.csv": "u,v\n1,2\n3\n",
         "status.csv": "u,v,status\n1,2,fine\n",
         "none.csv": "\n",
+        "wide.csv": "u,v\n3,4\n3000,12\n",
+        "small/1.csv": "u,v\n3,4\n",
+        "small/summary.json": '{"images": {"1": {"columns": 640, "rows": 480}}}',
         "line.doc": "1,2",
     }.items():
         (tmp_path / name).write_text(text)
@@ -317,6 +321,8 @@ def test_what_is_no_measurement_is_refused_with_the_remedy(tmp_path, folder):
         "short.csv": "line 3: has too few columns",
         "status.csv": "knows a status 'fine'",
         "none.csv": "is empty",
+        "wide.csv": r"\(3000, 12\) lies beside the camera",
+        "small": r"1.csv: is of 640 x 480 px, but the camera .* has 2048 x 2048",
         "line.doc": "is no measurement",
     }.items():
         with pytest.raises(InputError, match=said):

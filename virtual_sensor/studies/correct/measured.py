@@ -272,9 +272,11 @@ def _of_folder(folder: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Me
     elif "columns_in_every_frame" in facts:
         yield from _of_burst(folder, scenes.of_results(folder, facts, own))
     elif "images" in facts:
-        for name in facts["images"]:
+        for name, image in facts["images"].items():
             table = folder / f"{name}.csv"
-            yield _of_columns(table, read_centres(table), scenes.of(table, own))
+            scene = scenes.of(table, own)
+            _check_size(table, (image["columns"], image["rows"]), scene)
+            yield _of_columns(table, read_centres(table), scene)
     else:
         raise InputError(
             f"{folder}: holds results of another kind; give a folder of `measure`, `burst` or"
@@ -313,15 +315,18 @@ def _of_burst(folder: Path, scene: Scene) -> Iterator[Measured]:
 
 def _of_image(path: Path, scene: Scene) -> Measured:
     image = read_image(path)
-    width, height = scene.sensor.camera.size
-    if image.pixels.shape != (height, width):
-        raise InputError(
-            f"{path}: is {image.pixels.shape[1]} x {image.pixels.shape[0]} px, but the camera of"
-            f" {scene.path} has {width} x {height}; give the scene's width and height (-D), or the"
-            " scene of this camera"
-        )
+    _check_size(path, image.pixels.shape[::-1], scene)
     line = line_centres(image.pixels, saturation=image.largest)
     return replace(_of_line(path.stem, line, scene), notes=tuple(image.notes))
+
+
+def _check_size(path: Path, size: tuple[int, ...], scene: Scene) -> None:
+    width, height = scene.sensor.camera.size
+    if tuple(size) != (width, height):
+        raise InputError(
+            f"{path}: is of {size[0]} x {size[1]} px, but the camera of {scene.path} has {width} x"
+            f" {height}; give the scene's width and height (-D), or the scene of this camera"
+        )
 
 
 def _of_line(name: str, line: LineCentres, scene: Scene) -> Measured:
@@ -342,6 +347,15 @@ def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -
     pixel = np.stack([columns["u"], columns["v"]], axis=1)
     status = _statuses(path, columns.get("status"), pixel)
     pixel[status != Status.OK] = np.nan
+    width, height = scene.sensor.camera.size
+    beside = np.abs(pixel - [(width - 1) / 2, (height - 1) / 2]) > [width / 2, height / 2]
+    if (far := beside.any(axis=1)).any():
+        u, v = pixel[far][0]
+        raise InputError(
+            f"{path}: a centre at ({u:g}, {v:g}) lies beside the camera of {scene.path}, which has"
+            f" {width} x {height} px; give the scene's width and height (-D), or the scene of this"
+            " camera"
+        )
     blank = np.full(len(pixel), np.nan)
     sigma, notes = _known_sigma(columns.get("sigma", blank), pixel[:, 0])
     along = columns.get("along")
