@@ -20,6 +20,7 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable, scratch_folder, sha256_of
+from virtual_sensor.imaging.expansion import grow
 from virtual_sensor.imaging.part_kinds import AS_MESH, EXACT_KINDS, KINDS
 from virtual_sensor.imaging.part_survey import faults
 from virtual_sensor.imaging.parts import Part, read_part
@@ -208,6 +209,7 @@ def load(
             notes = [
                 note for node in state.nodes for note in _check_node(main, state, node, values)
             ]
+            notes += _grow(main, state)
             notes += _prepare_parts(main, state, temporary)
             notes += _check_films(main, state)
             samples = _samples(main, state)
@@ -416,6 +418,13 @@ def _check_film(where: str, width: int, height: int) -> None:
             f"{where}: a film of {width} x {height} px needs {width * height * _PIXEL_BYTES:.2g}"
             f" bytes or more, and this machine has {memory:.2g}; give a smaller one"
         )
+
+
+def _grow(main: Path, state: Any) -> list[str]:
+    """Have shapes with an expansion grow; give notes of it."""
+    shapes = [node for node in state.nodes if node.type == mi.ObjectType.Shape]
+    said = dict.fromkeys(grow(node, _where(main, state, node)) for node in shapes)
+    return [f"{main}: {note}" for note in said if note]
 
 
 def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:

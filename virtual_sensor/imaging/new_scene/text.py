@@ -71,6 +71,7 @@ def _numbered(stem: str, each: tuple[float, ...], *parameters: str) -> list[dict
 def _air(said: NewScene, field: str) -> Rows:
     hot: Rows = [
         ("temperature", said.temperature_c, "of the part, degC"),
+        ("expansion", 0, "of the part from 20 degC on, 1/K: 0, none; steel: 12e-6"),
         ("emissivity", 0, "of the part at the wavelength: 0, no glow; oxidised steel: 0.8"),
     ]
     return [
