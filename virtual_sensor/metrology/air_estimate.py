@@ -21,10 +21,18 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import lsq_linear
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, numbers_of, points_of
+from virtual_sensor.arrays import (
+    LARGEST,
+    SMALLEST,
+    number_within,
+    numbers_of,
+    points_of,
+    whole_number,
+)
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, nearest, short
@@ -40,14 +48,24 @@ Mask = NDArray[np.bool_]
 SIGMA_PX = 0.02
 """Noise of a line's centre where nobody says another one."""
 MAX_STEPS = 60
-MAX_CONDITION = 1e4
+"""Of a fit."""
+MAX_CONDITION = 1e3
 """Condition of the problem, its columns of equal length, from which on it is taken as singular."""
 
 _ALIKE = 0.95  # correlation from which on two parameters are named as hard to tell apart
 _ADDS_NOTHING = 0.9  # of the prior's standard deviation: data that leave more have told nothing
+_INVISIBLE = 1e-9  # changes of all residuals, in noise per unit of a parameter
+_TELLS_LITTLE = 0.5  # likewise, of a usual value that stands in where the data leave a choice
 _IN_GROUP = 0.3  # of the largest component of a singular vector: what takes part in it
 _OUTLIER = 6.0  # robust standard deviations
-_MOST_ROUNDS = 4
+_NEIGHBOURS = 5  # of which the median is taken
+_MOST_ROUNDS = 5
+_LONGEST = 5.0  # usual standard deviations of the air, in a step
+_LEAST_DAMPED, _MOST_DAMPED = 1e-6, 1e2  # of unit columns
+_ROUNDING = 1e-12  # bounds that are no interval are refused
+_FLAT, _MOST_FLAT = 1e-3, 4  # steps that lower the sum of squares by less, until it is left
+_STALLED = 100.0  # tolerances: steps no longer that make nothing better are at rounding's end
+_STEP_MM = 0.5  # of marches on the way: they err by 3e-4 um on the shipped fields
 _SAME_WEIGHTS = 1e-3
 _BLIND = 1e-3  # cosine between noise and a residual's gradient: below it a pixel tells nothing
 _EXCESS = 1.5  # of residuals over their noise, from which on the model is doubted
@@ -440,17 +458,21 @@ def estimate_air(
         progress,
     )
     problem = _started(problem, _mapping("start", start))
+    whole_number("estimate_air: max_steps", max_steps, 1, 10_000)
     problem, state, before = _begun(problem, max_condition)
     count, converged = 0, True
-    for _ in range(_MOST_ROUNDS if problem.unknowns else 0):
+    for _ in range(_MOST_ROUNDS):
         found, steps, converged = _least(problem, state, tolerance_px, max_steps - count)
         count += steps
-        again = problem.weighed(found)
-        settled = again.like(state)
-        state = again
+        exact = replace(problem, step_mm=None)
+        again = exact.weighed(replace(exact.at(found.x, found), used=found.used))
+        moved = again.rows()[0] - replace(again, linear=found.linear).rows()[0]
+        moved_px = again.rms_px(problem.observations, moved)
+        settled = again.like(state) and moved_px <= tolerance_px
+        problem, state = exact, again
         if settled or count >= max_steps:
             break
-    return _result(problem, state, before, count, converged)
+    return _result(problem, state, before, count, converged, max_condition)
 
 
 @public
@@ -584,6 +606,13 @@ class _State:
             for one, two, a, b in pairs
         )
 
+    def rms_px(self, observations: Sequence[Observation], white: Array) -> float:
+        """Root mean square, in px, of changes of `rows`, those of priors behind them."""
+        parts = zip(observations, self.used, self.factor, strict=True)
+        sigma = [np.repeat(o.sigma_px[used], f.shape[1]) for o, used, f in parts]
+        noise = np.concatenate(sigma)
+        return float(np.sqrt(np.mean((white[: len(noise)] * noise) ** 2))) if noise.size else 0.0
+
     def rows(self) -> tuple[Array, Array]:
         """Residuals (M,) over their noise, and derivatives (M, P), of pixels that take part."""
         white = [each.whitened(f) for each, f in zip(self.linear, self.factor, strict=True)]
@@ -604,6 +633,7 @@ class _Problem:
     unknowns: tuple[_Unknown, ...]
     pivot_mm: Array
     progress: Any = None
+    step_mm: float | None = _STEP_MM  # of marches; None: the searches' own
 
     @cached_property
     def motions(self) -> dict[str, Any]:
@@ -655,6 +685,7 @@ class _Problem:
         before: _State | None,
     ) -> tuple[Any, _Linear]:
         from virtual_sensor.optics.bent_points import bent_points
+        from virtual_sensor.optics.sight import REFERENCE
 
         seen = self.observations[i]
         poses = [
@@ -674,6 +705,7 @@ class _Problem:
             variations=by_air,
             coordinate=seen.coordinate,
             pivot_mm=self.pivot_mm,
+            march=replace(REFERENCE, step_mm=self.step_mm) if self.step_mm else REFERENCE,
             start_mm=before.points[i].point_mm if before else None,
         )
         count = len(points.point_mm)
@@ -746,21 +778,36 @@ class _Problem:
             by[row, k] = 1.0 / prior.sigma
         return np.array([(x[k] - p.value) / p.sigma for k, p in rows]), by
 
+    def reach(self, x: Array) -> tuple[Array, Array]:
+        """Between which values (P,) a step from there may end: bounds, and trust in linearity."""
+        ends = []
+        for unknown, value in zip(self.unknowns, x.tolist(), strict=True):
+            far = _LONGEST * unknown.usual.sigma if unknown.usual else np.inf
+            low, high = value - far, value + far
+            if unknown.low > 0.0:  # a factor
+                low, high = max(low, value / 2.0), min(high, value * 2.0)
+            ends.append((max(low, unknown.low), min(high, unknown.high)))
+        low, high = np.array(ends).reshape(-1, 2).T
+        return low, high
+
     def weighed(self, state: _State) -> _State:
         """The state with each residual's noise at its points, and with the pixels that take part.
 
-        Outliers are those that lie far beyond the spread of the others of the same observation.
+        Outliers lie far beyond the spread of the others of the same observation; before a fit,
+        when all residuals are large, far beyond their neighbours along the line.
         """
         factors, used = [], []
-        for seen, linear in zip(self.observations, state.linear, strict=True):
-            factor = _whitening(linear.by_pixel, seen.covariance_px2, seen.sigma_px)
+        for seen, points, linear in zip(self.observations, state.points, state.linear, strict=True):
+            factor = _whitening(linear.by_pixel, seen, points)
             known: Any = np.isfinite(factor).all(axis=(1, 2))
             known = known & np.isfinite(linear.by).all(axis=(1, 2))
             factors.append(np.where(known[:, None, None], factor, 0.0))
-            if state.used and known.any():
-                white = np.abs(linear.whitened(factor).residual)
-                spread = np.maximum(1.0, 1.4826 * np.median(white[known], axis=0))
-                known = known & (np.nan_to_num(white) <= _OUTLIER * spread).all(axis=1)
+            if known.any():
+                white = linear.whitened(factor).residual
+                if not state.used:
+                    white = white - _of_neighbours(white, points.along_mm, known)
+                spread = np.maximum(1.0, 1.4826 * np.median(np.abs(white[known]), axis=0))
+                known = known & (np.abs(np.nan_to_num(white)) <= _OUTLIER * spread).all(axis=1)
             used.append(known)
         return replace(state, factor=tuple(factors), used=tuple(used))
 
@@ -781,18 +828,33 @@ def _shares(motion: Any) -> list[tuple[str, float]]:
     return [(f"{_body(motion)}_{name}", float(share)) for name, share in named if share]
 
 
-def _whitening(by_pixel: Array, noise: Array, sigma: Array) -> Array:
+def _whitening(by_pixel: Array, seen: Observation, points: Any) -> Array:
     """Factors (N, K, K) that make residuals (N, K) independent, of unit noise; NaN: blind ones."""
-    spread = by_pixel @ noise @ np.swapaxes(by_pixel, 1, 2)
+    spread = by_pixel @ seen.covariance_px2 @ np.swapaxes(by_pixel, 1, 2)
     steep = np.sum(by_pixel**2, axis=2)
-    seen = np.diagonal(spread, axis1=1, axis2=2) > steep * (sigma[:, None] * _BLIND) ** 2
+    felt = np.diagonal(spread, axis1=1, axis2=2) > steep * (seen.sigma_px[:, None] * _BLIND) ** 2
     good: Any = np.isfinite(spread).all(axis=(1, 2))
-    good = good & seen.all(axis=1)
+    good = good & felt.all(axis=1)
+    # A shape that the light runs along, such as its own plane, is nearer and farther nowhere.
+    good = good & (
+        steep > (_BLIND**2 * np.sum(points.point_by_pixel**2, axis=(1, 2)))[:, None]
+    ).all(axis=1)
     if spread.shape[1] == 2:
         good[good] = np.linalg.det(spread[good]) > 0.0
     factor = np.full_like(spread, np.nan)
     factor[good] = np.linalg.inv(np.linalg.cholesky(spread[good]))
     return factor
+
+
+def _of_neighbours(white: Array, along: Array, known: Mask) -> Array:
+    """The median (N, K) of residuals and of their neighbours along the line; NaN where unknown."""
+    found, order = np.full_like(white, np.nan), np.argsort(along[known], kind="stable")
+    if len(order) <= _NEIGHBOURS:
+        return np.where(known[:, None], np.median(white[known], axis=0), np.nan)
+    rows, half = np.flatnonzero(known)[order], _NEIGHBOURS // 2
+    padded = np.pad(white[rows], ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+    found[rows] = np.median(sliding_window_view(padded, _NEIGHBOURS, axis=0), axis=-1)
+    return found
 
 
 # ------------------------------------------------------------------------- set up, before a fit
@@ -996,17 +1058,29 @@ def _begun(problem: _Problem, max_condition: float) -> tuple[_Problem, _State, I
     """The problem with parameters held that the data leave open, and where the fit starts."""
     number_within("estimate_air: max_condition", max_condition, 1.0, LARGEST, "a condition")
     state = problem.at(np.array([u.start for u in problem.unknowns]))
-    for i, (seen, points) in enumerate(zip(problem.observations, state.points, strict=True)):
-        if not np.isfinite(state.linear[i].residual).any():
-            why = next(iter(CrossingStatus.counts(points.status)), None)
-            said = why.message if why else "It has no pixels."
-            if why == CrossingStatus.OK:
-                said = "Its points lie nowhere near the shape: check shape and pose."
-            raise InputError(f"estimate_air: observation '{seen.name}' has no point. {said}")
+    _check_points(problem, state.points, [each.residual for each in state.linear])
     problem, state = _near_shape(problem, state)
     state = problem.weighed(state)
+    _check_points(problem, state.points, [np.where(used, 0.0, np.nan) for used in state.used])
     problem, told = _told(problem, state, max_condition)
     return problem, state, told
+
+
+def _check_points(problem: _Problem, points: Sequence[Any], residuals: Sequence[Array]) -> None:
+    """Raise InputError unless each observation has something to tell."""
+    for seen, found, residual in zip(problem.observations, points, residuals, strict=True):
+        if np.isfinite(residual).any():
+            continue
+        why = next(iter(CrossingStatus.counts(found.status)), None)
+        said = why.message if why is not None else "It has no pixels."
+        if why == CrossingStatus.OK:
+            said = (
+                "Its points lie nowhere near the shape, or the shape lies in the laser's plane:"
+                " check shape, place and pose."
+            )
+        raise InputError(
+            f"estimate_air: observation '{seen.name}' has no point that counts. {said}"
+        )
 
 
 def _near_shape(problem: _Problem, state: _State) -> tuple[_Problem, _State]:
@@ -1020,7 +1094,11 @@ def _near_shape(problem: _Problem, state: _State) -> tuple[_Problem, _State]:
     by = np.column_stack([off.by_parameter[name] for name in free])
     by = by[np.isfinite(off.distance_mm)]
     size = np.linalg.norm(by, axis=0)
-    if len(points) < len(free) or not size.all() or np.linalg.cond(by / size) > MAX_CONDITION:
+    if (
+        len(points) < len(free)
+        or not size.min() > _INVISIBLE
+        or np.linalg.cond(by / size) > MAX_CONDITION
+    ):
         return problem, state
     near = problem.shape.fitted(points, free).values
     unknowns = tuple(
@@ -1047,11 +1125,10 @@ def _told(
         if not names:
             break
         if values[0] > max_condition * values[-1]:
-            share = np.abs(vectors[-1])
-            group = np.flatnonzero(share > _IN_GROUP * share.max()).tolist()
+            group = _group(vectors[-1])
             those = [k for k in open_ if k in group]
             if not those:
-                raise InputError(_refusal([names[k] for k in group], values[0] / values[-1]))
+                raise InputError(_refusal([names[k] for k in group], _condition(values)))
         else:
             sigma = np.sqrt(np.diag(_covariance(both)))
             those = [k for k in open_ if sigma[k] > problem.unknowns[k].usual.sigma]  # type: ignore[union-attr]
@@ -1107,9 +1184,11 @@ def _refusal(group: Sequence[str], condition: float) -> str:
 
 
 def _unit_columns(by: Array) -> tuple[Array, Array]:
-    """Derivatives (M, P) with columns of unit length, or zero ones; and their lengths."""
+    """Derivatives (M, P) with columns of unit length; and their lengths, 0 of rounding's alone."""
     size = np.linalg.norm(by, axis=0)
-    return by / np.where(size > 0.0, size, 1.0), size
+    size = np.where(size > _INVISIBLE, size, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(size > 0.0, by / size, 0.0), size
 
 
 def _singular(unit: Array) -> tuple[Array, Array]:
@@ -1118,6 +1197,13 @@ def _singular(unit: Array) -> tuple[Array, Array]:
     spare = np.zeros((max(count - len(unit), 0), count))
     _, values, vectors = np.linalg.svd(np.concatenate([unit, spare]), full_matrices=False)
     return values, vectors
+
+
+def _group(vector: Array) -> list[int]:
+    """Which parameters make up a singular vector."""
+    share = np.abs(vector)
+    found: list[int] = np.flatnonzero(share > _IN_GROUP * share.max()).tolist()
+    return found
 
 
 def _condition(values: Array) -> float:
@@ -1165,17 +1251,21 @@ def _alike(names: Sequence[str], correlation: Array) -> list[str]:
     return [f"hard to tell apart (correlation): {few(pairs, 8)}"] if pairs else []
 
 
+def _at_bound(unknown: _Unknown, value: float) -> bool:
+    return min(value - unknown.low, unknown.high - value) <= 1e-6 * max(abs(value), 1e-3)
+
+
 def _statuses(problem: _Problem, x: Array, sigma: Array) -> NDArray[np.int64]:
     """`EstimateStatus` (P,) of values with these standard deviations."""
     found = []
     for unknown, value, spread in zip(problem.unknowns, x, sigma, strict=True):
-        status = EstimateStatus.FOUND
-        if unknown.prior and spread > _ADDS_NOTHING * unknown.prior.sigma:
-            status = EstimateStatus.PRIOR
-        if unknown.held:
-            status = EstimateStatus.NOT_TOLD_APART
-        elif min(value - unknown.low, unknown.high - value) <= 1e-6 * max(abs(value), 1e-3):
+        status, prior = EstimateStatus.FOUND, _prior(unknown)
+        if _at_bound(unknown, value):
             status = EstimateStatus.AT_BOUND
+        elif prior and spread > _ADDS_NOTHING * prior.sigma:
+            status = EstimateStatus.PRIOR
+        if unknown.held and spread > _TELLS_LITTLE * prior.sigma:  # type: ignore[union-attr]
+            status = EstimateStatus.NOT_TOLD_APART
         found.append(int(status))
     return np.array(found, np.int64)
 
@@ -1186,48 +1276,67 @@ def _statuses(problem: _Problem, x: Array, sigma: Array) -> NDArray[np.int64]:
 def _least(
     problem: _Problem, start: _State, tolerance_px: float, max_steps: int
 ) -> tuple[_State, int, bool]:
-    """The state of least squares with the start's weights and pixels, and in how many steps."""
-    last, steps = start, 0
-    lost = 10.0 + 2.0 * np.abs(start.rows()[0]).max(
-        initial=0.0
-    )  # dearer than any point that is there
+    """The state of least squares with the start's weights and pixels, and in how many steps.
 
-    def at(x: Array) -> _State:
-        nonlocal last, steps
-        if not np.array_equal(x, last.x):
-            found = problem.at(x, last)
-            last = replace(found, factor=start.factor, used=start.used)
-            steps += 1
-            if problem.progress:
-                problem.progress(steps)
-        return last
+    Gauss and Newton's method: each step is that of the linear problem, within the bounds and no
+    longer than the air's usual spread allows; damped as Levenberg and Marquardt's while steps make
+    nothing better.
+    """
+    lost = 10.0 + 2.0 * np.abs(start.rows()[0]).max(initial=0.0)  # dearer than any that is there
 
-    def residuals(x: Array) -> Array:
-        white = at(x).rows()[0]
-        return np.concatenate([np.where(np.isfinite(white), white, lost), problem.priors(x)[0]])
+    def rows(state: _State) -> tuple[Array, Array]:
+        (white, by), (off, by_prior) = state.rows(), problem.priors(state.x)
+        white = np.where(np.isfinite(white), white, lost)
+        return np.concatenate([white, off]), np.concatenate([np.nan_to_num(by), by_prior])
 
-    def derivatives(x: Array) -> Array:
-        return np.concatenate([np.nan_to_num(at(x).rows()[1]), problem.priors(x)[1]])
-
-    sigma = np.median([np.nanmedian(each.sigma_px) for each in problem.observations])
-    found = least_squares(
-        residuals,
-        start.x,
-        derivatives,
-        bounds=([u.low for u in problem.unknowns], [u.high for u in problem.unknowns]),
-        x_scale="jac",
-        ftol=max((tolerance_px / sigma) ** 2, 1e-15),
-        xtol=1e-12,
-        gtol=1e-12,
-        max_nfev=max_steps,
-    )
-    return at(found.x), steps, bool(found.status > 0)
+    state, damping, flat, moves_px = start, 0.0, 0, 0.0
+    gained: Any
+    residual, by = rows(state)
+    for steps in range(max_steps + 1 if problem.unknowns else 1):
+        unit, size = _unit_columns(by)
+        size = np.where(size > 0.0, size, 1.0)
+        low, high = problem.reach(state.x)
+        ends = (low - state.x) * size - _ROUNDING, (high - state.x) * size + _ROUNDING
+        damped = np.concatenate([unit, np.sqrt(damping) * np.eye(len(size))])
+        step = lsq_linear(damped, np.concatenate([-residual, 0.0 * size]), ends).x / size
+        moves_px = start.rms_px(problem.observations, by @ step)
+        if moves_px <= tolerance_px or damping > _MOST_DAMPED or flat > _MOST_FLAT:
+            break
+        if steps == max_steps:  # the last, which is only looked at
+            break
+        if problem.progress:
+            problem.progress(steps)
+        try:
+            tried = problem.at(np.clip(state.x + step, low, high), state)
+            tried = replace(tried, factor=start.factor, used=start.used)
+            found, found_by = rows(tried)
+            gained = 1.0 - (found @ found) / (residual @ residual)
+        except InputError:  # no such air
+            gained = -np.inf
+        if gained > 0.0:
+            flat = flat + 1 if gained < _FLAT else 0
+            damping = damping / 10.0 if damping > _LEAST_DAMPED else 0.0
+            state, residual, by = tried, found, found_by
+        else:
+            damping = max(10.0 * damping, _LEAST_DAMPED)
+    return state, steps, moves_px <= _STALLED * tolerance_px
 
 
 def _result(
-    problem: _Problem, state: _State, before: Identifiability, steps: int, converged: bool
+    problem: _Problem,
+    state: _State,
+    before: Identifiability,
+    steps: int,
+    converged: bool,
+    max_condition: float,
 ) -> AirEstimate:
     white, by = state.rows()
+    # What ended at a bound tells nothing by its derivatives there: its usual spread stands in.
+    unknowns = [
+        replace(u, held=u.held or (_at_bound(u, value) and u.prior is None))
+        for u, value in zip(problem.unknowns, state.x.tolist(), strict=True)
+    ]
+    problem = replace(problem, unknowns=tuple(unknowns))
     off_prior, by_prior = problem.priors(state.x)
     both = np.concatenate([by, by_prior])
     covariance = _covariance(both)
@@ -1246,7 +1355,18 @@ def _result(
     chi2 = float((white @ white + off_prior @ off_prior) / freedom)
     names, x = tuple(u.name for u in problem.unknowns), state.x
     status = _statuses(problem, x, sigma)
+    values, vectors = _singular(_unit_columns(both)[0])
+    condition = _condition(values)
+    blurred = []
+    if condition > max_condition:
+        group = _group(vectors[-1])
+        status[group] = EstimateStatus.NOT_TOLD_APART
+        blurred = [
+            f"the images can't tell {' and '.join(names[k] for k in group)} apart where they were"
+            f" found (condition {condition:.1g}): measure from a second pose"
+        ]
     notes = [note for note in before.notes if not note.startswith("hard to tell")]
+    notes += blurred
     notes += _alike(names, correlation)
     notes += _of_pixels(problem.observations, state)
     for name, each in zip(names, status, strict=True):
@@ -1269,7 +1389,7 @@ def _result(
         correlation,
         _bound(by),
         _singular(_unit_columns(by)[0])[0],
-        _condition(_singular(_unit_columns(both)[0])[0]),
+        condition,
         before,
         {u.name: p for u in problem.unknowns if (p := _prior(u)) is not None},
         problem.known,
