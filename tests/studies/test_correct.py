@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import Prior
 from virtual_sensor.metrology.calibration import (
     Calibration,
@@ -23,7 +24,7 @@ from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import write_csv, write_json
 from virtual_sensor.studies.correct.asked import Settings, names_of, priors_of
-from virtual_sensor.studies.correct.correct import correct
+from virtual_sensor.studies.correct.correct import correct, few_alike
 from virtual_sensor.studies.correct.measured import (
     Scenes,
     given_parameters,
@@ -108,8 +109,42 @@ def test_the_covariance_is_that_of_points_of_noisy_pixels(tmp_path, searched):
     scale = np.sqrt(np.diag(drawn))
     assert np.abs((one.covariance_mm2[0] - drawn) / np.outer(scale, scale)).max() < 0.25
     assert 0.8 < np.std(noisy.distance_um) / one.sigma_um[0] < 1.2
+    # What is known of the air and of the pose only so well adds to it.
+    priors = {"scale": Prior(1.0, 0.05), "camera_y": Prior(0.0, 0.01)}
+    (measured,) = read_measured(both[1:], Scenes("hot_cylinder"))
+    (doubtful,) = correct([measured], Settings(priors=priors)).measurements
+    thicker = measured.scene.medium.with_nodes(
+        measured.scene.medium.ambient
+        + 1.05 * (measured.scene.medium.nodes - measured.scene.medium.ambient)
+    )
+    other = correct([replace(measured, scene=measured.scene.with_medium(thicker))]).measurements[0]
+    moved = other.distance_um - one.distance_um
+    np.testing.assert_allclose(doubtful.budget.sigma_um["air"], np.abs(moved), rtol=0.02)
+    assert doubtful.sigma_um[0] > one.sigma_um[0]
+    with pytest.raises(InputError, match="--prior"):
+        correct([measured], Settings(priors={"nothing": Prior(0.0, 1.0)}))
 
 
+def test_air_is_found_from_the_measurements(folder):
+    """A frame of a burst, on the known part: the field itself is found again from another."""
+    (flat,) = read_measured([str(folder(0, "flat"))], Scenes())
+    model = AirModel.of(flat.scene.medium)
+    thinner = flat.scene.with_medium(model.at(scale=0.9))
+    frame = replace(flat, scene=thinner, one_of_many=True)
+    told = []
+    settings = Settings(estimate=("scale",), shape="part", priors={"scale": Prior(1.0, 0.2)})
+    result = correct([frame], settings, lambda stage, part: told.append(part))
+    assert result.estimate["scale"] == pytest.approx(1.0 / 0.9, abs=1e-4)
+    assert rms(result.measurements[0].distance_um) < 0.05
+    assert sorted(told) == told
+    (facts,) = result.summary.to_dict()["estimates"]
+    assert facts["measurements"] == ["flat"]
+    assert facts["status"] == {"scale": "found"}
+    assert facts["sigma_total"]["scale"] >= facts["sigma"]["scale"] > 0.0
+    assert facts["priors"] == {"scale": {"value": 1.0, "sigma": 0.2}}
+
+
+@pytest.mark.slow
 def test_two_poses_give_the_radius_through_air_of_another_family(folder):
     """The issue's headline: 1250 degC, by the field of 1100 degC, scaled and widened: 2 um."""
     both = [str(folder(0, "flat")), str(folder(30, "turned"))]
@@ -123,10 +158,14 @@ def test_two_poses_give_the_radius_through_air_of_another_family(folder):
     for each in result.measurements:
         assert np.abs(each.distance_um).max() < 4.0
         assert np.abs(each.residual_px).max() < 0.2
+        assert each.covariance_mm2.shape == (len(Y), 3, 3)
+        within = np.abs(each.distance_um) < 2.0 * each.budget.total_um
+        assert within.mean() > 0.9
     (facts,) = result.summary.to_dict()["estimates"]
     assert facts["measurements"] == ["flat", "turned"]
     assert facts["status"]["scale"] == "found"
     assert 1.05 < facts["values"]["scale"] < 1.12
+    assert facts["sigma_total"]["radius_mm"] > facts["sigma"]["radius_mm"]
     # One pose alone errs by far more, and says so.
     alone = correct(read_measured(both[:1], Scenes()), settings)
     assert any("from one pose" in caveat for caveat in alone.caveats)
@@ -152,6 +191,7 @@ def test_each_kind_of_known_air_is_taken(folder):
     assert left[0] < 0.05 < left[1] < left[2] < 30.0
     (cold,) = read_measured([str(folder(0, "again"))], Scenes(given={"field": ""}))
     straight = correct([cold])
+    assert any("nothing is to be corrected" in note for note in straight.notes)
     assert straight.air.origin == "none"
     np.testing.assert_allclose(straight.measurements[0].moved_um, 0.0, atol=1e-6)
     with pytest.raises(InputError, match="no air whose parameters"):
@@ -234,6 +274,14 @@ def test_air_that_ends_a_little_early_is_told(folder, searched):
         assert any("the field of the air is short" in each for each in result.caveats) == short
 
 
+def test_points_off_the_part_and_notes_that_repeat_are_told(folder):
+    turned = str(folder(30, "turned"))
+    (far,) = read_measured([turned], Scenes())
+    far = replace(far, pixel=far.pixel + np.array([0.0, 150.0]))  # of a sensor that was moved
+    assert any("mm rms off the part" in caveat for caveat in correct([far]).caveats)
+    assert few_alike(["a 1", "b", "a 2.5e-3", "b"]) == ["a 1 (and 1 more like this)", "b"]
+
+
 def test_options_say_names_and_priors():
     assert names_of(" scale, width,scale,") == ("scale", "width")
     assert priors_of(["scale=1:0.05,width=1:.2", "offset=-1:2"]) == {
@@ -253,6 +301,8 @@ def test_folders_name_their_scene_and_may_be_changed(folder, searched):
     assert as_it_was.scene == searched[30][0]
     (colder,) = read_measured([turned], Scenes(given={"temperature": "1100"}))
     assert colder.scene == load_scene("hot_cylinder", beta=30, temperature=1100)
+    (line,) = read_measured([f"{turned}/line_hot.csv"], Scenes())
+    assert line.scene == searched[30][0]
     (other,) = read_measured([f"{turned}:beta=15"], Scenes())
     assert other.scene.parameters["beta"] == "15"
     path = searched[0][0].path

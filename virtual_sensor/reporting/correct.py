@@ -371,10 +371,9 @@ def _trust(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[C
             " it off again (correlation)."
         )
     else:
-        estimated = " and of what was estimated" if result.estimates else ""
         yield (
-            f"The interval of 95 % is that of the centres' noise{estimated}. It knows nothing of"
-            " air that is of another kind, nor of the sensor's pose and calibration."
+            "The interval of 95 % is that of the centres' noise. It knows nothing of how well air"
+            " and pose are known: say so by --prior, such as scale=1:0.02 or camera_x=0:0.01."
         )
 
 
@@ -387,7 +386,7 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
     panels = {"removed": removed_panel(shown), "part": part_panel(shown)}
     if any(each.summary.distance.points for each in shown):
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
-    if any(each.budget is not None for each in shown):
+    if any(len(each.budget.covariance_mm2) > 1 for each in shown):  # more than noise
         panels |= {"budget": budget_panel(shown)}
     if result.estimates:
         panels |= {"residual": residual_panel(shown)}
@@ -457,7 +456,7 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for each, paint, label in _marked(measurements):
-            band = _CERTAIN * (each.budget.total_um if each.budget else each.sigma_um)
+            band = _CERTAIN * each.budget.total_um
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.distance_um, ".", **dots)
             if label:
@@ -474,14 +473,13 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
 
 def budget_panel(measurements: Sequence[Corrected]) -> Panel:
     """What makes the points uncertain: along the line, or of several measurements their medians."""
-    known = [each for each in measurements if each.budget is not None]
 
     def draw(axes: Axes) -> None:
-        if len(known) == 1:
-            draw_budget(axes, known[0].budget, known[0].along_mm)
+        if len(measurements) == 1:
+            draw_budget(axes, measurements[0].budget, measurements[0].along_mm)
             axes.set_xlabel(ALONG)
         else:
-            _budget_bars(axes, known)
+            _budget_bars(axes, measurements)
         key_above(axes)
 
     alt = "Shares that sources of error have in the standard deviation of the corrected points."

@@ -49,7 +49,8 @@ class Settings(Record):
     free : tuple of str or None
         Parameters of the shape that are found too; None: those that one section determines.
     priors : dict of Prior
-        By the parameters' names.
+        By the parameters' names, of what is found; of poses that are not, and of known air, the
+        standard deviations go into the error budget.
     tolerance_px : float
         Change of the residuals, rms, below which the estimate ends.
     """
@@ -69,10 +70,10 @@ class Settings(Record):
             )
         if self.medium is not None and self.temperature_c is not None:
             raise InputError("--medium and --temperature: choose one of them")
-        if not self.estimate and (self.shape or self.free or self.priors):
+        if not self.estimate and (self.shape or self.free):
             raise InputError(
-                "--shape, --free and --prior are of an estimate; say what is to be found, such as"
-                " --estimate scale,width"
+                "--shape and --free are of an estimate; say what is to be found, such as --estimate"
+                " scale,width"
             )
 
 
@@ -130,18 +131,31 @@ def shape_of(
         "sphere": _sphere,
     }[kind](scene, known)
     if settings.free is not None:
-        free = tuple(_full(name, shape) for name in settings.free if name != "none")
+        free = tuple(_of_shape(name, shape) for name in settings.free if name != "none")
     return shape, free
 
 
-def _full(name: str, shape: Shape) -> str:
-    """A parameter's name, from one without its unit."""
-    by_stem = {full.rpartition("_")[0]: full for full in shape.names}
-    full = by_stem.get(name, name)
+def full_name(name: str, shape: Shape | None) -> str:
+    """A parameter's name, of a shape's from one without its unit: ``radius`` is radius_mm."""
+    return next((full for full in (shape.names if shape else ()) if name == _stem(full)), name)
+
+
+def _stem(full: str) -> str:
+    return full.rpartition("_")[0]
+
+
+def _of_shape(name: str, shape: Shape) -> str:
+    """The full name of a shape's parameter.
+
+    Raises
+    ------
+    InputError
+        If it has none of that name.
+    """
+    full = full_name(name, shape)
     if full not in shape.names:
-        raise InputError(
-            f"--free {name}: the shape has {', '.join(by_stem)}{nearest(name, by_stem)}"
-        )
+        stems = [_stem(each) for each in shape.names]
+        raise InputError(f"--free {name}: the shape has {', '.join(stems)}{nearest(name, stems)}")
     return full
 
 

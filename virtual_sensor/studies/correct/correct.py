@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,14 +19,20 @@ from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, Prior, estimate_air
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.error_budget import (
+    ErrorBudget,
+    PointBudget,
+    error_budget,
+    known_air_budget,
+)
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import rms
-from virtual_sensor.optics.bent_points import bent_points
+from virtual_sensor.optics.bent_points import BentPoints, bent_points
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.field_border import JUMP_TOLD_PX, cover_words
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.studies.air_models import air_model_of
-from virtual_sensor.studies.correct.asked import Settings, shape_of
+from virtual_sensor.studies.correct.asked import Settings, full_name, shape_of
 from virtual_sensor.studies.correct.correction import (
     AirFacts,
     Corrected,
@@ -42,6 +50,9 @@ USUAL = Settings()
 
 _EVALUATIONS = 10  # of a usual estimate
 _OF_A_FRAME = 60  # centres of a frame that tell of the shape which all frames show
+_POSES = "camera_", "laser_", "sensor_"  # what parameters of poses begin with
+_FAR_UM = 1000.0  # off the scene's part: no air does that
+_FURTHER, _FURTHER_UM = 1.2, 5.0  # off it than uncorrected points
 
 
 def correct(
@@ -93,13 +104,22 @@ def correct(
         if settings.estimate:
             estimate = _estimate(group, own[group[0].name], settings, tell)
             estimates.append(estimate)
-            notes += estimate.notes
-            caveats += _from_one_pose(group, estimate)
-            found += [_by_estimate(each, i, estimate) for i, each in enumerate(group)]
+            told = [f"{group[0].name}: {n}" if len(groups) > 1 else n for n in estimate.notes]
+            notes += told
+            if not (shared and group[0].one_of_many):
+                caveats += _from_one_pose(group, estimate)
+            budget = error_budget(
+                estimate,
+                sigmas=_of_poses(settings),
+                families=() if group[0].one_of_many else None,  # it takes seconds
+                progress=lambda part, tell=tell: tell("error budget", (1.0 + part) / 2.0),
+            )
+            found += [_by_estimate(each, i, estimate, budget) for i, each in enumerate(group)]
         else:
             tell("points through the air", 0.0)
-            found += [_through(each) for each in group]
-    caveats += [*_lost(found), *_ends_early(found)]
+            found += [_through(each, settings) for each in group]
+    notes = few_alike(notes)
+    caveats += [*_lost(found), *_ends_early(found), *_doubts(found)]
     if estimates:
         air = replace(air, origin="estimate")
     frames = {each.name for each in measured if each.one_of_many}
@@ -130,9 +150,12 @@ def _in_known_air(
         medium, origin = first.with_medium(settings.medium).medium, "medium"
     elif settings.temperature_c is not None:
         family = _family(first, settings.temperature_c)
-        medium, origin = family.at(temperature=settings.temperature_c), "temperature"
+        with _as_options("--temperature", "AirModel: temperature "):
+            medium, origin = family.at(temperature=settings.temperature_c), "temperature"
     elif first.medium is None:
         origin = "none"
+        if not settings.estimate:
+            notes.append(f"{first.path}: light runs straight in it: nothing is to be corrected")
     elif not settings.estimate:
         notes.append(
             f"nothing is said of the air: the scene's own is taken ({first.air_name}); --medium"
@@ -251,7 +274,8 @@ def _estimate(
     stage = f"estimating {', '.join(settings.estimate)}"
     report(stage, 0.0)
     of_air = [name for name in settings.estimate if name in model.names]
-    with _as_options():
+    done = (number / (number + _EVALUATIONS) for number in count(1))
+    with _as_options("--estimate", "estimate_air: "):
         return estimate_air(
             [_observation(each) for each in group],
             model,
@@ -260,32 +284,34 @@ def _estimate(
             shape=shape,
             free=free,
             pose_names=[name for name in settings.estimate if name not in model.names],
-            priors=dict(settings.priors),
+            priors={
+                full_name(name, shape): prior
+                for name, prior in settings.priors.items()
+                if name not in _of_poses(settings)
+            },
             tolerance_px=settings.tolerance_px,
-            progress=lambda count: report(stage, count / (count + _EVALUATIONS)),
+            progress=lambda _: report(stage, 0.5 * next(done)),
         )
 
 
 def _check_names(settings: Settings, model: AirModel) -> None:
     """Refuse names that are neither the air's nor like a pose's or the laser plane's."""
     for name in settings.estimate:
-        poses = name.rpartition(".")[2].startswith(("camera_", "laser_", "sensor_"))
+        poses = name.rpartition(".")[2].startswith(_POSES)
         if name not in model.names and not poses:
             hint = nearest(name, model.names)
             raise InputError(f"--estimate {name}: the air has {', '.join(model.names)}{hint}")
 
 
 @contextmanager
-def _as_options() -> Iterator[None]:
-    """Have errors of an estimate name the command's options, not the function's arguments."""
+def _as_options(option: str, python: str) -> Iterator[None]:
+    """Have errors of a function name the command's options, not its arguments."""
     try:
         yield
     except InputError as error:
-        said = f"{error}".removeprefix("estimate_air: ")
-        said = said.replace("priors has", "--prior has").replace(
-            "priors={name: Prior(value, sigma)}", "--prior NAME=VALUE:SIGMA"
-        )
-        raise type(error)(f"--estimate: {said}") from None
+        said = f"{error}".removeprefix(python).replace("priors has", "--prior has")
+        said = said.replace("priors={name: Prior(value, sigma)}", "--prior NAME=VALUE:SIGMA")
+        raise type(error)(f"{option}: {said}") from None
 
 
 def _from_one_pose(group: Sequence[Measured], estimate: AirEstimate) -> list[str]:
@@ -314,35 +340,44 @@ def _observation(measured: Measured) -> Observation:
     )
 
 
-def _by_estimate(measured: Measured, i: int, estimate: AirEstimate) -> Corrected:
+def _of_poses(settings: Settings) -> dict[str, float]:
+    """Standard deviations of pose parameters that are not estimated."""
+    return {
+        name: prior.sigma
+        for name, prior in settings.priors.items()
+        if name.startswith(_POSES) and name not in settings.estimate
+    }
+
+
+def _by_estimate(
+    measured: Measured, i: int, estimate: AirEstimate, budget: ErrorBudget
+) -> Corrected:
     """One of the measurements that an estimate comes from."""
-    points = estimate.points[i]
-    return _corrected(
-        measured,
-        measured.scene.with_medium(estimate.medium),
-        points,
-        estimate.covariance_of_points(i),
-        estimate.residual_px[i],
-        estimate,
+    scene = measured.scene.with_medium(estimate.medium)
+    found = _corrected(measured, scene, estimate.points[i], budget.points[i])
+    return replace(
+        found, residual_px=estimate.residual_px[i], estimate=estimate, whole_budget=budget
     )
 
 
-def _through(measured: Measured) -> Corrected:
-    """One measurement through its scene's air."""
-    points = bent_points(measured.scene, measured.pixel)
-    noise = _observation(measured).covariance_px2
-    by_pixel = points.point_by_pixel
-    covariance = by_pixel @ noise @ np.swapaxes(by_pixel, 1, 2)
-    return _corrected(measured, measured.scene, points, covariance)
+def _through(measured: Measured, settings: Settings) -> Corrected:
+    """One measurement through its scene's air, which is as sure as the priors say."""
+    seen, scene = _observation(measured), measured.scene
+    points = bent_points(scene, measured.pixel)
+    if settings.priors:
+        sigmas = {name: prior.sigma for name, prior in settings.priors.items()}
+        with _as_options("--prior", "known_air_budget: "):
+            budget = known_air_budget(seen, None, sigmas)
+    else:
+        by_pixel = points.point_by_pixel
+        covariance = by_pixel @ seen.covariance_px2 @ np.swapaxes(by_pixel, 1, 2)
+        normals = ScenePart.of(scene).normals(points.point_mm)
+        budget = PointBudget(points.point_mm, normals, {"detection": covariance}, {})
+    return _corrected(measured, scene, points, budget)
 
 
 def _corrected(
-    measured: Measured,
-    scene: Scene,
-    points: Any,
-    covariance: Array,
-    residual_px: Array | None = None,
-    estimate: AirEstimate | None = None,
+    measured: Measured, scene: Scene, points: BentPoints, budget: PointBudget
 ) -> Corrected:
     return Corrected(
         measured.name,
@@ -353,10 +388,8 @@ def _corrected(
         points.status,
         triangulate(scene, measured.pixel),
         points.point_mm,
-        covariance,
-        residual_px,
+        budget,
         ScenePart.of(scene),
-        estimate,
     )
 
 
@@ -370,13 +403,13 @@ def _lost(found: Iterable[Corrected]) -> list[str]:
     """
     notes = []
     for each in found:
-        for status, count in CrossingStatus.counts(each.status).items():
+        for status, number in CrossingStatus.counts(each.status).items():
             if status in (CrossingStatus.OK, CrossingStatus.NO_PIXEL):
                 continue
             why = f"{status.message}{_where(each, status)}"
             if not each.points:
-                raise InputError(f"{each.name}: none of {count} centres has a point. {why}")
-            notes.append(f"{each.name}: {count} centres have no point. {why}")
+                raise InputError(f"{each.name}: none of {number} centres has a point. {why}")
+            notes.append(f"{each.name}: {number} centres have no point. {why}")
     return notes
 
 
@@ -392,6 +425,37 @@ def _ends_early(found: Iterable[Corrected]) -> Iterator[str]:
                     f"{each.name}: the field of the air is short: {words}, and what it lacks may"
                     " move it by several times as much; give one that reaches further out"
                 )
+
+
+def _doubts(found: Iterable[Corrected]) -> list[str]:
+    """Caveats where points are off the part by more than air could do, or than before."""
+    notes = []
+    for each in found:
+        before, after = (rms(e) for e in (each.distance_uncorrected_um, each.distance_um))
+        if not np.isfinite(after):
+            continue
+        if after > _FAR_UM:
+            notes.append(
+                f"{each.name}: the points lie {after / UM_PER_MM:.2g} mm rms off the part of"
+                f" {each.scene.path.name}: part or sensor stand elsewhere than the scene has them"
+            )
+        elif after > _FURTHER * before and after > _FURTHER_UM:
+            notes.append(
+                f"{each.name}: the correction moves points off the scene's part, from {before:.3g}"
+                f" to {after:.3g} um rms: is this the air, and is the sensor's pose the scene's?"
+            )
+    return notes
+
+
+def few_alike(notes: Iterable[str]) -> list[str]:
+    """Notes, each once; of those that differ in numbers alone, such as a burst's, the first."""
+    alike: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        alike.setdefault(re.sub(r"\d[\d.e+-]*", "0", note), []).append(note)
+    return [
+        first + (f" (and {len(others)} more like this)" if others else "")
+        for first, *others in alike.values()
+    ]
 
 
 def _where(corrected: Corrected, status: CrossingStatus) -> str:

@@ -17,6 +17,7 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.air_estimate import AirEstimate, EstimateStatus
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.error_budget import ErrorBudget, PointBudget
 from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import Record, Table, counts_of, status_names
@@ -136,16 +137,16 @@ class Corrected(Displayed):
         As if light ran straight, world.
     point_mm : ndarray of shape (N, 3)
         Through the air, world; NaN unless OK.
-    covariance_mm2 : ndarray of shape (N, 3, 3)
-        Of the corrected points: from the noise of detection, and from the estimate of the air.
-    residual_px : ndarray of shape (N,) or None
-        What an estimate leaves: distance from the shape, or along the light, in px.
+    budget : PointBudget
+        What makes the points uncertain.
     part : ScenePart
         The scene's part, where its file has it.
+    residual_px : ndarray of shape (N,) or None
+        What an estimate leaves: distance from the shape, or along the light, in px.
     estimate : AirEstimate or None
         That its air comes from.
-    budget : Any
-        Error budget; None where there is none yet.
+    whole_budget : ErrorBudget or None
+        Of all measurements of the estimate, and of its parameters.
     """
 
     _statuses: ClassVar = {"centre_status": Status, "status": CrossingStatus}
@@ -158,11 +159,11 @@ class Corrected(Displayed):
     status: NDArray[np.uint8]
     point_uncorrected_mm: Array
     point_mm: Array
-    covariance_mm2: Array
-    residual_px: Array | None
+    budget: PointBudget
     part: ScenePart
+    residual_px: Array | None = None
     estimate: AirEstimate | None = None
-    budget: Any = None
+    whole_budget: ErrorBudget | None = None
 
     def _line(self) -> str:
         moved = f"moved by {rms(euclidean(self.moved_um)):.3g} µm rms"
@@ -175,6 +176,11 @@ class Corrected(Displayed):
     def points(self) -> int:
         """How many corrected points there are."""
         return int(np.isfinite(self.point_mm).all(axis=1).sum())
+
+    @property
+    def covariance_mm2(self) -> Array:
+        """Covariance (N, 3, 3) of the corrected points, of all sources of error together."""
+        return self.budget.total_mm2
 
     @cached_property
     def moved_um(self) -> Array:
@@ -334,6 +340,8 @@ class EstimateFacts(Record):
         "" of a plain factor.
     status : dict of str
         "found", or why it is none ("prior", "not_told_apart", "at_bound").
+    sigma_total : dict of float
+        With errors of poses and of the model too (`ErrorBudget`).
     bound : dict of float
         Cramer and Rao's: the least standard deviation that the data alone allow; null: none.
     priors : dict of dict
@@ -354,6 +362,7 @@ class EstimateFacts(Record):
     measurements: tuple[str, ...]
     values: dict[str, float]
     sigma: dict[str, float]
+    sigma_total: dict[str, float]
     units: dict[str, str]
     status: dict[str, str]
     bound: dict[str, float]
@@ -366,7 +375,7 @@ class EstimateFacts(Record):
     iterations: int
 
     @classmethod
-    def of(cls, estimate: AirEstimate) -> EstimateFacts:
+    def of(cls, estimate: AirEstimate, budget: ErrorBudget | None) -> EstimateFacts:
         """The facts of an estimate."""
 
         def named(values: Any) -> dict[str, Any]:
@@ -376,6 +385,7 @@ class EstimateFacts(Record):
             tuple(each.name for each in estimate.observations),
             named(estimate.values.tolist()),
             named(estimate.sigma.tolist()),
+            named((budget.total if budget else np.full(len(estimate.names), np.nan)).tolist()),
             named(estimate.units),
             named(status_names(estimate.status, EstimateStatus).tolist()),
             named(estimate.bound.tolist()),
@@ -540,8 +550,11 @@ class Correction(Displayed):
     @property
     def estimates(self) -> list[AirEstimate]:
         """All estimates, each once, in the order of the measurements."""
-        found = {id(each.estimate): each.estimate for each in self.measurements}
-        return [estimate for estimate in found.values() if estimate is not None]
+        return [estimate for estimate, _ in self._estimates()]
+
+    def _estimates(self) -> list[tuple[AirEstimate, ErrorBudget | None]]:
+        found = {id(m.estimate): (m.estimate, m.whole_budget) for m in self.measurements}
+        return [(estimate, budget) for estimate, budget in found.values() if estimate is not None]
 
     @cached_property
     def summary(self) -> CorrectionSummary:
@@ -549,7 +562,7 @@ class Correction(Displayed):
         return CorrectionSummary(
             air=self.air,
             measurements={each.name: each.summary for each in self.measurements},
-            estimates=tuple(EstimateFacts.of(each) for each in self.estimates),
+            estimates=tuple(EstimateFacts.of(*each) for each in self._estimates()),
             circle=self.circle,
             circle_uncorrected=self.circle_uncorrected,
             sway=self.sway,

@@ -125,7 +125,15 @@ class Scenes:
     loaded: dict[Any, Scene] = field(default_factory=dict)
 
     def of(self, what: Path, own: Mapping[str, str]) -> Scene:
-        """The scene of a table or an image; `own` are parameters of it alone."""
+        """The scene of a table or an image; `own` are parameters of it alone.
+
+        Of one in a folder of `measure` it is the folder's, cold where its name says so.
+        """
+        if self.name is None and exists(what.parent / RESULTS_SIGN):
+            facts = _facts(what.parent)
+            if "states" in facts:
+                scene = self.of_results(what.parent, facts, own)
+                return scene.cold() if what.stem.endswith("cold") else scene
         if self.name is None:
             raise InputError(
                 f"{what}: names no scene; say in which it was measured: --scene hot_cylinder, or"
@@ -314,7 +322,12 @@ def _of_burst(folder: Path, scene: Scene) -> Iterator[Measured]:
 
 
 def _of_image(path: Path, scene: Scene) -> Measured:
-    image = read_image(path)
+    try:
+        image = read_image(path)
+    except InputError as error:
+        raise InputError(
+            f"{error}; or find its line by `virtual-sensor detect`, and give that folder"
+        ) from None
     _check_size(path, image.pixels.shape[::-1], scene)
     line = line_centres(image.pixels, saturation=image.largest)
     return replace(_of_line(path.stem, line, scene), notes=tuple(image.notes))
