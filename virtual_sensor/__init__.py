@@ -47,6 +47,8 @@ From images to numbers
     dot_centres          Find the intensity-weighted centroids of bright dots.
     triangulate          Measure the points that pixels see on a source's rays, along straight
                          or bent lines of sight.
+    bent_points          Find the points that pixels see on a source's rays, and their
+                         derivatives, by marched rays.
     triangulated_points  `triangulate` with a status for each pixel, and a tolerance in px.
     fit_cylinder         Fit a circular cylinder by orthogonal least squares.
     compare_line         Compare the centres that are OK with the truth.
@@ -157,6 +159,7 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.triangulation import triangulated_points as triangulated_points
     from virtual_sensor.metrology.truth import TrueLine as TrueLine
     from virtual_sensor.metrology.truth import compare_line as compare_line
+    from virtual_sensor.optics.bent_points import bent_points as bent_points
     from virtual_sensor.optics.crossing_status import CrossingStatus as CrossingStatus
     from virtual_sensor.optics.projection import ProjectionStatus as ProjectionStatus
     from virtual_sensor.optics.projection import project as project
@@ -198,6 +201,7 @@ _HOME = {
     "Status": "metrology.centres",
     "TrueLine": "metrology.truth",
     "air_refractivity": "medium.air",
+    "bent_points": "optics.bent_points",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
     "error_budget": "metrology.error_budget",

@@ -15,7 +15,7 @@ from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.medium.exact_fields import hot_spot
 from virtual_sensor.metrology.calibration import calibration_of
 from virtual_sensor.metrology.triangulation import triangulated_points
-from virtual_sensor.optics.bent_points import bent_points
+from virtual_sensor.optics.bent_points import bent_points, marched_crossings
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.crossings import crossings
 from virtual_sensor.optics.projection import projected_points
@@ -146,6 +146,17 @@ def test_points_on_the_sources_rays_come_back(lens, hot):
         assert (found.status == CrossingStatus.OK).all(), name
         assert np.linalg.norm(found.point_mm - points, axis=1).max() < (1e-4 if hot else 1e-8), name
         assert np.abs(found.along - t).max() < (1e-5 if hot else 1e-10) * size, name
+        marched = marched_crossings(medium, view, family, seen.pixel, s)
+        assert (marched.status == CrossingStatus.OK).all(), name
+        assert np.linalg.norm(marched.point_mm - points, axis=1).max() < 1e-6, name
+        assert np.abs(marched.along_mm - t).max() < 1e-7 * size, name
+        e = 1e-4 * size
+        ends = [
+            marched_crossings(medium, view, family, seen.pixel, s + x).point_mm for x in (e, -e)
+        ]
+        by_s = (ends[0] - ends[1]) / (2.0 * e)
+        off = np.abs(marched.point_by_coordinate - by_s).max()
+        assert off < 1e-4 * np.abs(by_s).max(), name
         if hot:
             straight = crossings(None, view, family, seen.pixel, s, 1e-3)
             assert np.nanmax(np.linalg.norm(straight.point_mm - points, axis=1)) > 0.01, name

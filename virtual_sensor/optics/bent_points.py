@@ -17,14 +17,16 @@ Two or three steps need long marches, and one the march asked for, which gives a
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import by_rows, determinant, numbers_of, points_of, solved
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.carried_rays import (
     CarriedRays,
     Motion,
@@ -37,7 +39,7 @@ from virtual_sensor.optics.crossings import crossings
 from virtual_sensor.optics.field_border import uncovered
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.rays import Field, March, Variation
-from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen
+from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen, scene_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -90,8 +92,9 @@ class BentPoints(Displayed):
         return listed(tally(self.status, CrossingStatus.OK), *spans)
 
 
+@public
 def bent_points(
-    scene: SearchScene,
+    scene: SearchScene | str | Path,
     pixel: ArrayLike,
     parameters: Iterable[str] = (),
     *,
@@ -107,9 +110,9 @@ def bent_points(
 
     Parameters
     ----------
-    scene : Scene
-        From `load_scene`, or what else has a camera, a source, a medium and a surface. The surface
-        hides nothing: only the turn ``beta`` is about it.
+    scene : Scene, str or Path
+        From `load_scene`, or its name or path; or what else has a camera, a source, a medium and a
+        surface. The surface hides nothing: only the turn ``beta`` is about it.
     pixel : array_like of shape (N, 2)
         (u, v) in px, integer at pixel centres.
     parameters : iterable of str, optional
@@ -138,7 +141,7 @@ def bent_points(
         If `pixel` is no list of (u, v), a parameter is unknown, or the air is asked to vary where
         there is none.
     """
-    scene = chosen(scene, camera, source)
+    scene = chosen(scene_of("bent_points", scene), camera, source)
     pixel = points_of("bent_points: pixel", pixel, 2)
     if pixel.ndim != 2 or pixel.shape[1] != 2:
         raise InputError(f"bent_points: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
@@ -148,6 +151,9 @@ def bent_points(
             f"bent_points: coordinate has shape {s.shape}; give one number, or one for each pixel"
         )
     s = np.broadcast_to(np.where(np.isfinite(s), s, np.nan), pixel.shape[:1])
+    if not isinstance(march, March):
+        raise InputError(f"bent_points: march is {short(march)}; give a March, or leave it out")
+    march.check(scene.medium)
     known, asked, air = parameters_of("bent_points", scene, parameters, variations, pivot_mm)
 
     start = None

@@ -7,14 +7,15 @@ of the coordinates that name a ray, is a sum of these.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors
+from virtual_sensor.arrays import numbers_of, to_numpy, to_scalars, to_vectors
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, short
 from virtual_sensor.medium.field_derivative import FieldDerivative
 from virtual_sensor.optics.eikonal import Remaining, bend, in_plane, never
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -97,6 +98,17 @@ def pose_parameters(pivot_mm: ArrayLike = (0.0, 0.0, 0.0)) -> dict[str, Motion]:
     return named
 
 
+def _names(asker: str, names: Iterable[str]) -> list[str]:
+    """The names asked for."""
+    try:
+        found: list[Any] = [None] if isinstance(names, str | bytes) else list(names)
+    except TypeError:
+        found = [None]
+    if not all(isinstance(name, str) for name in found):
+        raise InputError(f"{asker}: parameters is {short(names)}; give a list of names")
+    return found
+
+
 def parameters_of(
     asker: str,
     scene: SearchScene,
@@ -113,17 +125,26 @@ def parameters_of(
     InputError
         If a parameter is unknown, or the air is asked to vary where there is none.
     """
-    known = pose_parameters(pivot_mm)
+    pivot = numbers_of(f"{asker}: pivot_mm", pivot_mm)
+    if pivot.shape != (3,) or not np.isfinite(pivot).all():
+        raise InputError(f"{asker}: pivot_mm is {short(pivot_mm)}; give a point (x, y, z) in mm")
+    air = {} if variations is None else variations
+    if not isinstance(air, Mapping) or not all(hasattr(each, "lookup") for each in air.values()):
+        raise InputError(
+            f"{asker}: variations is {short(variations)}; give derivatives of the field by name,"
+            " such as those of an AirModel"
+        )
+    known = pose_parameters(pivot)
     part = scene.surface
     if isinstance(part, Cylinder):
         axis = (0.0, part.axis_y_mm, part.axis_z_mm)
         known["beta"] = pose_parameters(axis)["sensor_turn_x"]
-    asked = [*known, "field_scale"] if parameters is None else list(parameters)
-    air = dict(variations or {})
+    asked = [*known, "field_scale"] if parameters is None else _names(asker, parameters)
+    air = dict(air)
     unknown = [name for name in asked if name not in (*known, "field_scale", *air)]
     if unknown:
         names = ", ".join([*known, "field_scale", *air])
-        raise InputError(f"{asker}: no parameter '{unknown[0]}'; there are: {names}")
+        raise InputError(f"{asker}: parameters: no parameter '{unknown[0]}'; there are: {names}")
     taken = [name for name in air if name in (*known, "field_scale")]
     if taken:
         raise InputError(f"{asker}: '{taken[0]}' has a meaning; choose another name")
