@@ -171,11 +171,11 @@ def test_what_it_does_not_have_is_refused(model):
         (lambda: one.at(width=np.nan), "width is nan; give 0.1 to 10"),
         (lambda: one.at(scale="big"), "scale is 'big'"),
         (lambda: one.at(lean=60.0), "lean is 60.0; give -45 to 45"),
-        (lambda: model.at(temperature=1300.0), "temperature is 1300.*900 to 1250 degC"),
+        (lambda: model.at(temperature=1300.0), "temperature is 1300.*882.5 to 1267.5 degC"),
         (lambda: vs.AirModel.of(None), "give an IndexField"),
         (lambda: vs.AirModel.of({900.0: plume()}), "two wall temperatures"),
         (lambda: vs.AirModel.of(plume(), temperature_c=900.0), "there is one field"),
-        (lambda: vs.AirModel.of(model.fields, temperature_c=800.0), "from 900 to 1250 degC"),
+        (lambda: vs.AirModel.of(model.fields, temperature_c=800.0), "from 882.5 to 1267.5 degC"),
     ):
         with pytest.raises(InputError, match=match):
             call()

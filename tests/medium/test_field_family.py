@@ -24,7 +24,7 @@ KNOWN = {t: field(AMBIENT * RANDOM.random((5, 4, 6))) for t in (1100.0, 900.0, 1
 BETWEEN = BarycentricInterpolator(list(KNOWN), [each.nodes for each in KNOWN.values()])
 
 
-@pytest.mark.parametrize("temperature", [900.0, 1013.0, 1100.0, 1249.0, 1250.0])
+@pytest.mark.parametrize("temperature", [885.0, 900.0, 1013.0, 1100.0, 1249.0, 1250.0, 1267.0])
 def test_every_node_follows_the_polynomial_through_its_values(temperature):
     """By SciPy's interpolator; at a temperature that was computed, the field that was."""
     found = FieldFamily(KNOWN).at(temperature)
@@ -75,10 +75,20 @@ def test_fields_that_do_not_fit_make_no_family(fields, complaint):
         FieldFamily(fields)
 
 
-@pytest.mark.parametrize("temperature", [899.0, 1251.0, np.nan])
+def test_a_little_beyond_it_errs_no_more_than_between():
+    """Rationale: a parabola through three fields errs by this product times a third derivative."""
+    family = FieldFamily(KNOWN)
+    t = np.linspace(*family.limits, 1001)
+    error = abs(np.prod([t - each for each in KNOWN], axis=0))
+    inside = (t >= 900.0) & (t <= 1250.0)
+    assert 1.0 < (t.max() - 1250.0) < 20.0
+    assert error[~inside].max() <= error[inside].max()
+
+
+@pytest.mark.parametrize("temperature", [880.0, 1270.0, np.nan])
 def test_beyond_what_was_computed_nothing_is_guessed(temperature):
     """Rationale: a parabola through three fields runs away outside them."""
     family = FieldFamily(KNOWN)
     for ask in (family.at, family.derivative):
-        with pytest.raises(InputError, match="is not between 900 and 1250 degC"):
+        with pytest.raises(InputError, match=r"is not between 882\.5 and 1267\.5 degC"):
             ask(temperature)

@@ -67,7 +67,7 @@ class AirModel(Displayed):
 
     In this order, in the field's own frame:
 
-    1. ``temperature``, degC: the field of this wall temperature, between those of a family;
+    1. ``temperature``, degC: the field of this wall temperature, by those of a family;
     2. ``lean``, degrees: the air is sheared along y, and stays where z = 0, as a plume that sways;
     3. ``width``, a factor: then stretched along y about y = 0;
     4. ``blur``, mm: then blurred in y and z by a Gaussian of this standard deviation;
@@ -85,7 +85,7 @@ class AirModel(Displayed):
     Raises
     ------
     InputError
-        If there is no field of nodes, or the temperature is not between those of the family.
+        If there is no field of nodes, or the temperature is not within the family's limits.
 
     Examples
     --------
@@ -107,18 +107,18 @@ class AirModel(Displayed):
                 f"AirModel: fields is {short(self.fields)}; give an IndexField, or a FieldFamily of"
                 " several wall temperatures"
             )
-        known = self._temperatures()
-        if not known:
+        if isinstance(self.fields, IndexField):
             if self.temperature_c is not None:
                 raise InputError(
                     "AirModel: temperature_c is that of a family of fields, and there is one"
                     " field; give several by their temperatures, or leave it out"
                 )
             return
-        middle = (known[0] + known[-1]) / 2.0
+        low, high = self.fields.limits
+        middle = (low + high) / 2.0
         here = middle if self.temperature_c is None else self.temperature_c
-        between = f"one from {known[0]:g} to {known[-1]:g} degC, as the family has"
-        here = number_within("AirModel: temperature_c", here, known[0], known[-1], between)
+        between = f"one from {low:g} to {high:g} degC, as the family has"
+        here = number_within("AirModel: temperature_c", here, low, high, between)
         object.__setattr__(self, "temperature_c", here)
 
     def __getstate__(self) -> dict[str, object]:
@@ -174,9 +174,8 @@ class AirModel(Displayed):
                 "which n - 1 goes with",
             ),
         ]
-        if temperatures := self._temperatures():
-            here = self.temperature_c or 0.0
-            ends = temperatures[0], temperatures[-1]
+        if isinstance(self.fields, FieldFamily):
+            here, ends = self.temperature_c or 0.0, self.fields.limits
             known.append(
                 AirParameter("temperature", "degC", here, here, *ends, 20.0, "of the wall")
             )

@@ -12,12 +12,16 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.medium.index_field import IndexField
 
+_BEYOND = 0.05  # of the temperatures' span
+
 
 @dataclass(frozen=True)
 class FieldFamily(Displayed):
     """Fields of one flow at several wall temperatures, on one grid and in the same surroundings.
 
-    Between them every node follows the polynomial through its values, in Lagrange's form.
+    Between them, and a twentieth of their span beyond, every node follows the polynomial through
+    its values, in Lagrange's form. The bound of its error is there no larger than in between; an
+    estimate of the temperature of the hottest field has room on both sides.
 
     Attributes
     ----------
@@ -58,17 +62,24 @@ class FieldFamily(Displayed):
         temperatures = ", ".join(f"{temperature:g}" for temperature in self.fields)
         return f"fields at {temperatures} degC"
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Lowest and highest wall temperature that it has air of, degC."""
+        low, high = min(self.fields), max(self.fields)
+        beyond = _BEYOND * (high - low)
+        return low - beyond, high + beyond
+
     def at(self, temperature_c: float) -> IndexField:
         """The field at a wall temperature, degC.
 
         Raises
         ------
         InputError
-            If it is not between those of the family.
+            If it is not within `limits`.
         """
         weights = [float(p(temperature_c)) for p in self._weights(temperature_c)]
-        between = ", ".join(f"{t:g}" for t in self.fields)
-        source = f"between {between} degC: {temperature_c:g}"
+        known = ", ".join(f"{t:g}" for t in self.fields)
+        source = f"by those of {known} degC: {temperature_c:g}"
         parts = [*zip(weights, self.fields.values(), strict=True)]
         return IndexField.sum_of(parts, source=source)
 
@@ -78,18 +89,19 @@ class FieldFamily(Displayed):
         Raises
         ------
         InputError
-            If the temperature is not between those of the family.
+            If the temperature is not within `limits`.
         """
         weights = [float(p.deriv()(temperature_c)) for p in self._weights(temperature_c)]
         return IndexField.sum_of([*zip(weights, self.fields.values(), strict=True)], ambient=0.0)
 
     def _weights(self, temperature_c: float) -> list[Polynomial]:
         """Lagrange's polynomials, one for each of the family's temperatures."""
-        known = sorted(self.fields)
-        if not known[0] <= temperature_c <= known[-1]:
+        low, high = self.limits
+        if not low <= temperature_c <= high:
             raise InputError(
-                f"{temperature_c:g} degC is not between {known[0]:g} and {known[-1]:g} degC, the"
-                " wall temperatures of the fields given; give a field beyond it"
+                f"{temperature_c:g} degC is not between {low:g} and {high:g} degC, what the fields"
+                f" of {', '.join(f'{t:g}' for t in sorted(self.fields))} degC allow; give a field"
+                " beyond it"
             )
         others = {t: [other for other in self.fields if other != t] for t in self.fields}
         roots = {t: Polynomial.fromroots(each) for t, each in others.items()}
