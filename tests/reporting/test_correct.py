@@ -13,7 +13,7 @@ from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.air_estimate import Observation, Prior, estimate_air
 from virtual_sensor.metrology.centres import Status
-from virtual_sensor.metrology.error_budget import PointBudget
+from virtual_sensor.metrology.error_budget import PointBudget, error_budget
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.reporting import correct as reporting
@@ -53,9 +53,12 @@ def estimated(result):
     model, priors = AirModel.of(result.medium), {"offset": Prior(0.0, 1e-4)}
     found = estimate_air(seen, model, ("scale", "offset"), shape=CylinderShape(), priors=priors)
     each = zip(result.measurements, found.residual_px, strict=True)
+    budget = error_budget(found, sigmas={"camera_x": 0.01}, families=())
     return replace(
         result,
-        measurements=tuple(replace(one, residual_px=px, estimate=found) for one, px in each),
+        measurements=tuple(
+            replace(one, residual_px=px, estimate=found, whole_budget=budget) for one, px in each
+        ),
         estimate=found,
         medium=model.at(scale=2.0),
     )
@@ -143,11 +146,14 @@ def test_objects_are_drawn(corrections):
 
 
 def test_an_estimate_is_shown_with_what_tells_how_sure_it_is(corrections):
-    found = corrections["estimated"].estimate
+    found, budget = corrections["estimated"].estimate, corrections["estimated"].budget
     table = reporting.on_console(corrections["estimated"])[2]
     assert [row[0] for row in table.rows] == ["scale", "offset, mm"]
-    assert float(table.rows[0][1]) == pytest.approx(found["scale"], abs=0.1 * found.sigma[0])
-    assert [row[4:] for row in table.rows] == [("none", "found"), ("0 ± 0.0001", "prior")]
+    assert float(table.rows[0][1]) == pytest.approx(found["scale"], abs=0.1 * budget.total[0])
+    assert [float(cell) for cell in table.rows[0][2:4]] == pytest.approx(
+        [budget.total[0], found.sigma[0]], rel=0.05
+    )
+    assert [row[5:] for row in table.rows] == [("none", "found"), ("0 ± 0.0001", "prior")]
     axes = found.plot(Figure().add_subplot())
     written = {(text.get_position(), text.get_text()) for text in axes.texts}
     assert ((0, 0), "1.00") in written

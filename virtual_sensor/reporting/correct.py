@@ -45,7 +45,7 @@ from virtual_sensor.studies.section import SectionErrors
 
 if TYPE_CHECKING:  # measurements through known air need no estimate
     from virtual_sensor.metrology.air_estimate import AirEstimate, Identifiability
-    from virtual_sensor.metrology.error_budget import PointBudget
+    from virtual_sensor.metrology.error_budget import ErrorBudget, PointBudget
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def on_console(result: Correction) -> list[TextTable | str]:
     if result.circle:
         shown.append(radius_table(result.summary))
     if result.estimate is not None:
-        shown.append(estimate_table(result.estimate))
+        shown.append(estimate_table(result.estimate, result.budget))
     elif result.estimates:
         shown.append(estimates_table(result.estimate_table))
     if result.sway is not None:
@@ -189,19 +189,20 @@ def radius_table(figures: CorrectionSummary) -> TextTable:
     )
 
 
-def estimate_table(estimate: AirEstimate) -> TextTable:
-    """What was estimated, and how well."""
+def estimate_table(estimate: AirEstimate, budget: ErrorBudget | None = None) -> TextTable:
+    """What was estimated, and how well: by noise and priors, and by all sources of error."""
     from virtual_sensor.metrology.air_estimate import EstimateStatus
 
     rows = []
     for i, name in enumerate(estimate.names):
         prior, unit = estimate.priors.get(name), estimate.units[i]
-        digits = _digits(float(estimate.sigma[i]))
+        whole = float(budget.total[i] if budget else estimate.sigma[i])
         rows.append(
             {
                 "name": _with_unit(name, unit),
-                "value": f"{estimate.values[i]:.{digits}f}",
-                "sigma": estimate.sigma[i],
+                "value": f"{estimate.values[i]:.{_digits(whole)}f}",
+                "whole": whole,
+                "noise": float(estimate.sigma[i]),
                 "bound": float(estimate.bound[i]),
                 "prior": f"{prior.value:g} ± {prior.sigma:.2g}" if prior else "none",
                 "status": EstimateStatus(estimate.status[i]).name.lower(),
@@ -212,7 +213,8 @@ def estimate_table(estimate: AirEstimate) -> TextTable:
         (
             Column("name", "parameter"),
             "value",
-            Column("sigma", "sigma", "{:.2g}"),
+            Column("whole", "sigma", "{:.2g}"),
+            *([Column("noise", "by noise", "{:.2g}")] if budget else []),
             Column("bound", "images alone", lambda v: f"{v:.2g}" if v < np.inf else "nothing"),
             "prior",
             "status",
@@ -339,7 +341,7 @@ def _air(result: Correction, panels: Mapping[str, PanelPicture]) -> Iterator[Con
     facts = {"where it is from": result.air.origin, "field": Path(result.air.source).name or "none"}
     yield pair_table(("the air", ""), facts)
     if result.estimate is not None:
-        yield estimate_table(result.estimate)
+        yield estimate_table(result.estimate, result.budget)
         yield beside(panels, "correlation", "residual")
         yield _condition(result.estimate)
     elif result.estimates:
@@ -386,7 +388,7 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
     panels = {"removed": removed_panel(shown), "part": part_panel(shown)}
     if any(each.summary.distance.points for each in shown):
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
-    if any(len(each.budget.covariance_mm2) > 1 for each in shown):  # more than noise
+    if any(each.budget is not None and len(shares(each.budget)) > 1 for each in shown):
         panels |= {"budget": budget_panel(shown)}
     if result.estimates:
         panels |= {"residual": residual_panel(shown)}
@@ -605,7 +607,7 @@ def draw_correlation(axes: Axes, estimate: AirEstimate | Identifiability) -> Non
     if len(names) <= _WRITTEN:
         for (row, column), value in np.ndenumerate(matrix):
             paint = letters_on(to_hex(drawn.cmap(drawn.norm(value))))
-            words = f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
+            words = f"{round(value, 2) + 0.0:.2f}".replace("-", "\N{MINUS SIGN}")
             axes.text(column, row, words, ha="center", va="center", color=paint)
     else:
         axes.figure.colorbar(drawn, ax=axes)

@@ -96,6 +96,8 @@ class EstimateTable(Table):
         Its name and unit.
     value, sigma : ndarray of shape (N,)
         What was found, and the standard deviation that noise and priors leave.
+    sigma_total : ndarray of shape (N,)
+        With errors of poses and of the model too.
     bound : ndarray of shape (N,)
         Cramer and Rao's, of the images alone; infinite where they leave a choice.
     status : ndarray of str of shape (N,)
@@ -110,6 +112,7 @@ class EstimateTable(Table):
     unit: NDArray[np.str_]
     value: Array
     sigma: Array
+    sigma_total: Array
     bound: Array
     status: NDArray[np.str_]
     rms_px: Array
@@ -533,11 +536,12 @@ class Correction(Displayed):
                 each.units[i],
                 each.values[i],
                 each.sigma[i],
+                budget.total[i] if budget else np.nan,
                 each.bound[i],
                 EstimateStatus(each.status[i]).name.lower(),
                 each.rms_px,
             )
-            for each in self.estimates
+            for each, budget in self._estimates()
             for i, name in enumerate(each.names)
         ]
         return EstimateTable(*(np.array(column) for column in zip(*rows, strict=True)))
@@ -551,6 +555,11 @@ class Correction(Displayed):
     def estimates(self) -> list[AirEstimate]:
         """All estimates, each once, in the order of the measurements."""
         return [estimate for estimate, _ in self._estimates()]
+
+    @property
+    def budget(self) -> ErrorBudget | None:
+        """Of the one estimate, where all measurements share one."""
+        return self.measurements[0].whole_budget if self.estimate is not None else None
 
     def _estimates(self) -> list[tuple[AirEstimate, ErrorBudget | None]]:
         found = {id(m.estimate): (m.estimate, m.whole_budget) for m in self.measurements}
