@@ -24,7 +24,7 @@ from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import write_csv, write_json
 from virtual_sensor.studies.correct.asked import Settings, names_of, priors_of
-from virtual_sensor.studies.correct.correct import correct, few_alike
+from virtual_sensor.studies.correct.correct import _apart, _groups, correct, few_alike
 from virtual_sensor.studies.correct.measured import (
     Scenes,
     given_parameters,
@@ -380,6 +380,14 @@ def test_what_is_no_measurement_is_refused_with_the_remedy(tmp_path, folder):
     (tmp_path / "good.csv").write_text("1,2\n")
     with pytest.raises(InputError, match="--scene"):
         read_measured([str(tmp_path / "good.csv")], Scenes())
+
+
+def test_measurements_in_several_kinds_of_air_are_told(folder):
+    """Rationale: each was estimated by itself without a word, where two poses were meant."""
+    given = [str(folder(0, "flat")), f"{folder(30, 'turned')}:widen=1.1"]
+    (caveat,) = _apart(_groups(read_measured(given, Scenes()), True))
+    assert "2 kinds of air (flat; turned)" in caveat
+    assert not _apart(_groups(read_measured(given[:1] * 2, Scenes()), True))
 
 
 def test_the_command_writes_points_and_says_how_far_they_moved(tmp_path, folder):

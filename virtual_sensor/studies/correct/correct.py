@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError, nearest
+from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, Prior, estimate_air
@@ -85,8 +85,8 @@ def correct(
     notes += said
     found: list[Corrected] = []
     estimates: list[AirEstimate] = []
-    caveats: list[str] = []
     groups = _groups(measured, bool(settings.estimate))
+    caveats = _apart(groups) if settings.estimate else []
     shared = 0
     if settings.estimate and sum(each.one_of_many for each in measured) > 1:
         shared = 1
@@ -205,6 +205,18 @@ def _groups(measured: Sequence[Measured], estimated: bool) -> list[list[Measured
         key = number if each.one_of_many else f"in {id(each.scene.medium)}"
         groups.setdefault(key, []).append(each)
     return list(groups.values())
+
+
+def _apart(groups: Sequence[Sequence[Measured]]) -> list[str]:
+    """A caveat where measurements that could share their air are said to be in several."""
+    single = [group for group in groups if not group[0].one_of_many]
+    if len(single) < 2:
+        return []
+    airs = "; ".join(few([each.name for each in group], 3) for group in single[:4])
+    return [
+        f"the measurements are of scenes in {len(single)} kinds of air ({airs}), each of which is"
+        " estimated by itself; if they were in one, say from which to start: --medium FILE"
+    ]
 
 
 def _with_shared_shape(
