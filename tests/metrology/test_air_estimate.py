@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
@@ -198,3 +199,23 @@ def test_what_images_do_not_tell_is_named_or_refused():
     none = vs.Observation(line.scene, np.full((4, 2), np.nan), name="dark")
     with pytest.raises(InputError, match="'dark' has no point"):
         vs.estimate_air([line, none], model(), shape=START)
+
+
+def test_bounds_are_those_that_were_computed_elsewhere():
+    """Figures of the project's facts, by other derivatives: 850 columns, 0.02 px, 1250 degC."""
+    lit = scene(1250)
+    along = np.linspace(-11.0, 11.0, 101)
+    pixel = np.asarray(vs.ray_search(lit, along, "newton").pixel)
+    seen = np.isfinite(pixel).all(axis=1)
+    u, v = pixel[seen].T
+    columns = np.round(np.median(u)) + np.arange(-425, 425)
+    order = np.argsort(u)
+    line = vs.Observation(lit, np.c_[columns, CubicSpline(u[order], v[order])(columns)])
+    air, part = vs.AirModel.of(lit.medium), vs.CylinderShape()
+    alone = vs.identifiability(line, air, ["scale"], shape=part)
+    assert alone.bound[0] == pytest.approx(0.012e-2, rel=0.05)
+    free = vs.identifiability(line, air, shape=part, free=FREE)
+    expected = {"scale": 0.10e-2, "width": 0.05e-2, "radius_mm": 0.9e-3}
+    bounds = dict(zip(free.names, free.bound, strict=True))
+    for name, bound in expected.items():
+        assert bounds[name] == pytest.approx(bound, rel=0.2), name

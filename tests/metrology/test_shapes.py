@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.shapes import (
     CylinderShape,
@@ -78,3 +79,18 @@ def test_a_fit_finds_the_shape_that_points_lie_on():
         shape.fitted(points, ["radius"])
     with pytest.raises(InputError, match="2 points for 4 unknowns"):
         shape.fitted(points[:2])
+
+
+def test_a_part_of_triangles_is_found_from_its_sensors():
+    scene = vs.load_scene("stepped_shaft")
+    part = PartShape.of(scene)
+    met = vs.ray_search(scene, np.linspace(-9.0, 9.0, 9), "newton")
+    points = met.laser_point_mm[np.isfinite(met.pixel).all(axis=1)]
+    on_it = part.distance(points)
+    assert np.abs(on_it.distance_mm).max() < 1e-3
+    assert np.allclose(np.linalg.norm(on_it.by_point, axis=1), 1.0)
+    off = part.with_values(z_mm=0.01).distance(np.vstack([points, np.full(3, np.nan)]))
+    assert np.allclose(off.distance_mm[:-1], -0.01 * on_it.by_point[:, 2], atol=1e-3)
+    assert np.isnan(off.distance_mm[-1])
+    far = part.distance(points + np.array([0.0, 0.0, 30.0]))
+    assert np.isnan(far.distance_mm).all()

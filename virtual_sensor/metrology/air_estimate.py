@@ -49,7 +49,7 @@ SIGMA_PX = 0.02
 """Noise of a line's centre where nobody says another one."""
 MAX_STEPS = 60
 """Of a fit."""
-MAX_CONDITION = 1e3
+MAX_CONDITION = 1e4
 """Condition of the problem, its columns of equal length, from which on it is taken as singular."""
 
 _ALIKE = 0.95  # correlation from which on two parameters are named as hard to tell apart
