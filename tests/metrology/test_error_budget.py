@@ -117,10 +117,12 @@ def test_residuals_show_what_noise_cannot_do():
 
 @pytest.mark.slow
 def test_the_models_term_holds_what_air_of_another_family_leaves():
-    pixel, true = searched(temperature=1250, blur=2)
-    random = np.random.default_rng(5)
-    noisy = pixel + random.normal(0.0, SIGMA_PX, (len(pixel), 1)) * [0.0, 1.0]
-    estimate = vs.estimate_air(line(noisy), model(), shape=CYLINDER, free=FREE)
+    y = np.linspace(-10.9, 10.9, 61)
+    found = vs.ray_search(vs.load_scene("hot_cylinder", temperature=1250, blur=2), y, "newton")
+    true, random = found.laser_point_mm, np.random.default_rng(5)
+    noisy = found.pixel + random.normal(0.0, SIGMA_PX, (len(y), 1)) * [0.0, 1.0]
+    seen = vs.Observation(vs.load_scene("hot_cylinder", temperature=1100), noisy, SIGMA_PX)
+    estimate = vs.estimate_air(seen, model(), shape=CYLINDER, free=FREE)
     budget = vs.error_budget(estimate)
     k = budget.names.index("radius_mm")
     assert abs(estimate["radius_mm"] - 13.5) > 0.02

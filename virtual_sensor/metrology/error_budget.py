@@ -23,8 +23,9 @@ The sources are
 
   *By other families.* The fit is repeated with further parameters of the air, each with its usual
   prior. The points move by d and lose certainty. If the wider family is right, the narrower one is
-  wrong by d d^T + C_wide - C on the average. Of all families the one that moves a point most
-  counts.
+  wrong by d d^T + C_wide - C on the average. The families are added as independent sources. One
+  of them is the estimate's own with the usual priors of its parameters, which shows what it is
+  worth where the data leave almost a choice.
 
 An interval of 95 % is 1.96 standard deviations of all sources together, about the value found.
 """
@@ -63,7 +64,8 @@ SOURCES = ("detection", "air", "pose", "correlation", "model")
 _WIDER = (("blur",), ("height",), ("offset",), ("lean",), ("temperature",))
 _MOST_PIXELS = 250  # of an observation that take part in the fits of other families
 _MOST_NODES = 21  # along x, to be quick: a plume hardly changes along the part
-_TOLERANCE, _MOST_STEPS = 0.1, 10  # of the noise: so far those fits go, and no further
+_TOLERANCE, _MOST_STEPS = 0.01, 12  # of the noise: so far those fits go, and no further
+_FAR = 5.0  # usual standard deviations
 _SIGNIFICANT = 2.0  # standard deviations from which on variance and correlation aren't noise's
 
 
@@ -154,7 +156,8 @@ class OtherFamily(Displayed):
     Attributes
     ----------
     added : tuple of str
-        Parameters of the air that the estimate leaves at their defaults.
+        Parameters of the air that the estimate leaves at their defaults; () where its own have
+        their usual priors.
     estimate : AirEstimate or None
         None where there is none.
     note : str
@@ -167,7 +170,7 @@ class OtherFamily(Displayed):
 
     def _line(self) -> str:
         found = f"{self.estimate.rms_px:.3g} px rms left" if self.estimate else self.note
-        return listed(f"with {' and '.join(self.added)}", found)
+        return listed(f"with {' and '.join(self.added) or 'usual priors'}", found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +189,8 @@ class ErrorBudget(Displayed):
     structure : tuple of Structure
         Of each observation's residuals.
     families : tuple of OtherFamily
+    notes : tuple of str
+        Why the intervals may be too small.
     """
 
     names: tuple[str, ...]
@@ -195,6 +200,7 @@ class ErrorBudget(Displayed):
     points: tuple[PointBudget, ...]
     structure: tuple[Structure, ...]
     families: tuple[OtherFamily, ...]
+    notes: tuple[str, ...] = ()
 
     def _line(self) -> str:
         each = (
@@ -242,7 +248,8 @@ def error_budget(
         (`pose_parameters`): independent ones of each observation, as ``sensor_x``.
     families : sequence of sequences of str, optional
         Parameters of the air to fit as well, in turn. By default blur, height, offset,
-        lean and temperature, those that the model has and the estimate has not; () for none.
+        lean and temperature, those that the model has and the estimate has not, and its own with
+        their usual priors; () for none at all.
     pivot_mm : array_like of shape (3,)
         World point that turns are about, as in `estimate_air`.
     progress : callable, optional
@@ -291,7 +298,7 @@ def error_budget(
             "noise": estimate.sigma,
             "pose": np.sqrt(np.sum([change**2 for change, _ in moved], axis=0))
             + np.zeros(len(estimate.names)),
-            "model": np.sqrt(np.diag(spread) + _largest([each.of_values for each in apart])),
+            "model": np.sqrt(np.diag(spread) + _added([each.of_values for each in apart])),
         },
         tuple(
             _point_budget(estimate, i, moved, spread, structure[i], apart)
@@ -299,6 +306,7 @@ def error_budget(
         ),
         structure,
         others[1:],
+        (*_far_off(estimate), *(each.note for each in others if each.note)),
     )
 
 
@@ -396,7 +404,7 @@ def _point_budget(
     excess = structure.excess * _along(normal, detection)[:, None, None]
     excess = excess * normal[:, :, None] * normal[:, None, :]
     covariance["model"] = (
-        by @ spread @ _turned(by) + excess + _largest([each.of_points[i] for each in apart])
+        by @ spread @ _turned(by) + excess + _added([each.of_points[i] for each in apart])
     )
     told = {
         name: UM_PER_MM * estimate.sigma[k] * np.sum(normal * by[:, :, k], axis=1)
@@ -529,6 +537,23 @@ def _structure(white: Array) -> Structure:
     return Structure(max(excess, 0.0), correlated, long_run)
 
 
+def _far_off(estimate: AirEstimate) -> list[str]:
+    """Notes on parameters of the air that are nothing like usual."""
+    usual = estimate.model.parameters if estimate.model else {}
+    found = []
+    for name, value in zip(estimate.names, estimate.values.tolist(), strict=True):
+        each = usual.get(name)
+        if each is None or name in estimate.priors or not each.sigma:
+            continue
+        if abs(value - each.default) > _FAR * each.sigma:
+            found.append(
+                f"{name} {value:.4g} is far from its usual {each.default:.4g} ± {each.sigma:.2g}:"
+                " the air is of another kind than the model, and intervals may be too small;"
+                " measure from a second pose, or give a prior"
+            )
+    return found
+
+
 def _spread_by_structure(
     estimate: AirEstimate, gains: Sequence[Array], structure: Sequence[Structure]
 ) -> Array:
@@ -543,7 +568,7 @@ def _spread_by_structure(
 def _families(
     estimate: AirEstimate, families: Sequence[Sequence[str]] | None, progress: Any
 ) -> tuple[OtherFamily, ...]:
-    """The fit in wider families of air; the first is the estimate's own."""
+    """The fit in the estimate's own family, in that with its usual priors, and in wider ones."""
     known = {*estimate.names, *estimate.known}
     has = estimate.model.names if estimate.model else ()
     if families is None:
@@ -563,10 +588,11 @@ def _families(
             )
     if not families:
         return ()
-    model, found = _quicker(estimate.model), []
-    for number, added in enumerate([(), *families]):
-        progress(number / (1 + len(families)))
-        found.append(_refitted(estimate, model, tuple(added)))
+    model, count = _quicker(estimate.model), 2 + len(families)
+    found = [_refitted(estimate, model, ())]
+    for number, added in enumerate([(), *families], 1):
+        progress(number / count)
+        found.append(_refitted(estimate, model, tuple(added), usual=not added))
     return tuple(found)
 
 
@@ -610,12 +636,15 @@ def _step(seen: Observation) -> int:
     return -(-len(seen.pixel) // _MOST_PIXELS)
 
 
-def _refitted(estimate: AirEstimate, model: Any, added: tuple[str, ...]) -> OtherFamily:
-    """The fit with further parameters, or with none, of the same pixels."""
+def _refitted(
+    estimate: AirEstimate, model: Any, added: tuple[str, ...], usual: bool = False
+) -> OtherFamily:
+    """The fit of the same pixels with further parameters, or with the usual priors of its own."""
     kinds = _kinds(estimate)
     of = {k: [n for n, kind in zip(estimate.names, kinds, strict=True) if kind == k] for k in KINDS}
     values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
-    usual = {name: model.parameters[name] for name in added}
+    more = {name: model.parameters[name] for name in (*added, *(of["air"] if usual else ()))}
+    priors = {name: Prior(p.default, p.sigma) for name, p in more.items()} | estimate.priors
     start = {name: values[name] for name in (*of["air"], *of["pose"])}
     try:
         found = estimate_air(
@@ -625,9 +654,9 @@ def _refitted(estimate: AirEstimate, model: Any, added: tuple[str, ...]) -> Othe
             shape=estimate.shape,
             free=of["shape"],
             pose_names=of["pose"],
-            priors=estimate.priors | {n: Prior(p.default, p.sigma) for n, p in usual.items()},
+            priors=priors,
             known=estimate.known,
-            start=start | {name: p.start for name, p in usual.items()},
+            start={name: p.start for name, p in more.items()} | ({} if usual else start),
             tolerance_px=_TOLERANCE * _noise(estimate),
             max_steps=_MOST_STEPS,
         )
@@ -674,16 +703,10 @@ def _between(few_rows: Array, count: int) -> Array:
     return np.stack(columns, axis=-1).reshape(count, 3, 3)
 
 
-def _largest(candidates: Sequence[Array]) -> Array:
-    """Of mean squares (P,) the largest; of (N, 3, 3), for each point, that of the largest trace."""
-    if not candidates:
-        return np.zeros(())
-    every = np.nan_to_num(np.stack(candidates))
-    if every.ndim == 2:
-        return every.max(axis=0)
-    best = np.trace(every, axis1=2, axis2=3).argmax(axis=0)
-    found: Array = every[best, np.arange(every.shape[1])]
-    return found
+def _added(mean_squares: Sequence[Array]) -> Array:
+    """Mean squares of independent sources, together; what a source doesn't know is left out."""
+    total: Array = np.sum([np.nan_to_num(each) for each in mean_squares], axis=0)
+    return total
 
 
 # --------------------------------------------------------------------------------- arithmetic
