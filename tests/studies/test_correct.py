@@ -244,6 +244,7 @@ def test_what_cannot_be_corrected_is_refused_with_the_remedy(folder):
     dots = replace(flat, along_mm=Y, normal_deg=np.full(len(Y), np.nan))
     for measured, kwargs, said in (
         (flat, {"shape": "none"}, "lines say nothing without a shape"),
+        (flat, {"tolerance_px": -1.0}, "--tolerance is"),
         (flat, {"free": ("size",)}, "the shape has radius, y, z, turn_y, turn_z"),
         (
             flat,
@@ -311,6 +312,25 @@ def test_folders_name_their_scene_and_may_be_changed(folder, searched):
         given = given_parameters(path, used)
         assert load_scene(path, **given).parameters == used
         assert len(given) == len(wanted)
+
+
+def test_folders_of_several_pairs_and_of_detect_hold_several_measurements(tmp_path, folder):
+    (tmp_path / "pairs").mkdir()
+    for name in ("one", "other"):
+        folder(0 if name == "one" else 30, f"pairs/{name}")
+    write_json(tmp_path / "pairs/summary.json", {"pairs": {"one": {}, "other": {}}})
+    found = read_measured([str(tmp_path / "pairs")], Scenes())
+    assert [each.name for each in found] == ["one", "other"]
+    assert [each.scene.parameters["beta"] for each in found] == ["0", "30"]
+    (tmp_path / "found").mkdir()
+    line = (tmp_path / "pairs/one/line_hot.csv").read_text()
+    for name in ("shot.csv", "shot_2.csv"):
+        (tmp_path / "found" / name).write_text(line)
+    size = {"columns": 2048, "rows": 2048}
+    write_json(tmp_path / "found/summary.json", {"images": {"shot": size, "shot_2": size}})
+    found = read_measured([str(tmp_path / "found")], Scenes("hot_cylinder"), sigma_px=0.1)
+    assert [each.name for each in found] == ["shot", "shot_2"]
+    assert (found[0].sigma_px == 0.1).all()
 
 
 @pytest.mark.parametrize(

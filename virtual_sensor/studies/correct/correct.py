@@ -322,6 +322,7 @@ def _as_options(option: str, python: str) -> Iterator[None]:
         yield
     except InputError as error:
         said = f"{error}".removeprefix(python).replace("priors has", "--prior has")
+        said = said.replace("tolerance_px is", "--tolerance is")
         said = said.replace("priors={name: Prior(value, sigma)}", "--prior NAME=VALUE:SIGMA")
         raise type(error)(f"{option}: {said}") from None
 
