@@ -133,7 +133,7 @@ def test_many_measurements_are_drawn_alike_and_unnamed(corrections):
 
 def test_what_is_missing_is_said_once_with_its_reason(corrections):
     (folded,) = reporting.missing(corrections["two"].summary)
-    assert folded.summary == "Why 2 line centres have no point"
+    assert folded.summary == "Why 2 of 42 rows of points.csv have no point"
     assert [row[:2] for row in folded.content[0].rows] == [("flat", "1"), ("turned $a$ <b>", "1")]
     (lost,) = reporting.missing(corrections["none"].summary)
     assert sum(int(row[1]) for row in lost.content[0].rows) == 21

@@ -159,17 +159,18 @@ def measurement_table(figures: CorrectionSummary) -> TextTable:
 def missing(figures: CorrectionSummary) -> list[Details]:
     """Why centres or points are missing, where some are."""
     found: list[tuple[str, str, str]] = []
-    total = 0
+    total = lost = 0
     for name, each in figures.measurements.items():
+        total += sum(each.centre_status.values())
         centres, points = dict(each.centre_status), dict(each.status)
         points["no_pixel"] -= sum(centres.values()) - centres["ok"]  # said of the centre already
         for kind, counts in ((Status, centres), (CrossingStatus, points)):
             for status, count in counts.items():
                 if status != "ok" and count > 0:
                     found.append((name, f"{count}", kind[status.upper()].message))
-                    total += count
+                    lost += count
     table = TextTable(("measurement", "missing", "why"), tuple(found))
-    why = f"Why {counted(total, 'line centre has', 'line centres have')} no point"
+    why = f"Why {lost} of {total} rows of points.csv have no point"
     return [Details(why, (table,))] if found else []
 
 
