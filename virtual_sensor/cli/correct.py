@@ -11,6 +11,7 @@ EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor correct measured/\n\n"
     "    virtual-sensor correct pose_0/ pose_30/ --estimate scale,width -o both\n\n"
+    "    virtual-sensor correct burst/ --medium steady.nc --estimate lean,width -o still\n\n"
     "    virtual-sensor correct line.csv --scene hot_cylinder -D beta=15 --medium air.nc\n\n"
     "    virtual-sensor correct line_0.csv line_30.csv:beta=30 --scene hot_cylinder"
     " --temperature 1180\n\n"

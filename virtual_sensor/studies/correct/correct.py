@@ -233,12 +233,12 @@ def _with_shared_shape(
     free = [name for name in together.names if shape is not None and name in shape.names]
     if not free:
         return settings, []
-    excess = max(1.0, float(np.sqrt(together.chi2)))  # of residuals over their noise
-    found = {name: Prior(together[name], excess * together.sigma_of(name)) for name in free}
+    # Of noise alone, as the weights of each frame's pixels: the shape is as good as held.
+    found = {name: Prior(together[name], together.sigma_of(name)) for name in free}
     said = ", ".join(f"{name} {each.value:.6g} ± {each.sigma:.2g}" for name, each in found.items())
     notes = [
-        f"the shape of the part is that of all {len(frames)} frames together ({said}): with its"
-        " standard deviation it is a prior of each frame's estimate"
+        f"the shape of the part is that of all {len(frames)} frames together ({said}, of noise"
+        " alone), a prior of each frame's estimate"
     ]
     return replace(settings, priors=found | dict(settings.priors)), notes
 
