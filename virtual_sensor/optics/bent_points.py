@@ -14,6 +14,8 @@ matrix of the columns T, -S_t and -U,
 Two or three steps need long marches, and one the march asked for, which gives all derivatives, too.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
