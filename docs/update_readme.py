@@ -49,7 +49,8 @@ def main(
             "<!-- table: chart -->\n", charted / "front.md", HERE / "explanation/speed_accuracy.md"
         )
         shutil.copy(charted / "chart.png", PICTURES / "speed_accuracy.png")
-        for panel in ("rays", "frames", "search", "lines"):  # that can be read on a phone
+        # Each panel alone can be read on a phone.
+        for panel in ("rays", "frames", "search", "correction", "lines"):
             shutil.copy(charted / f"{panel}.png", PICTURES / f"speed_accuracy_{panel}.png")
     if peers:
         replace(
