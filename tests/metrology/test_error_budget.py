@@ -143,3 +143,21 @@ def test_what_no_budget_has_is_refused():
             vs.error_budget(fitted(), sigmas=sigmas, families=families)
     with pytest.raises(vs.InputError, match="sensor_q"):
         vs.known_air_budget(line(searched()[0]), sigmas={"sensor_q": 1.0})
+
+
+@pytest.mark.slow
+def test_estimates_scatter_as_their_covariance_says():
+    """Rationale: `benchmarks/correction.py --trials 2000` does the same at length."""
+    random = np.random.default_rng(8)
+    prior = {"scale": vs.Prior(1.0, 0.1), "width": vs.Prior(1.0, 0.1)}
+    shape = {"radius_mm": 13.5, "y_mm": 0.0, "z_mm": -13.5}
+    squares = []
+    for _ in range(16):
+        drawn = {name: random.normal(each.value, each.sigma) for name, each in prior.items()}
+        pixel = vs.ray_search(scene().with_medium(model().at(**drawn)), ALONG, "newton").pixel
+        pixel = pixel + random.normal(0.0, SIGMA_PX, (len(pixel), 1)) * [0.0, 1.0]
+        found = vs.estimate_air(line(pixel), model(), shape=CYLINDER, free=FREE, priors=prior)
+        off = found.values - [(drawn | shape)[name] for name in found.names]
+        squares.append(off @ np.linalg.solve(found.covariance, off))
+    # 16 times 5 numbers of unit variance: 99.9 % of such sums.
+    assert 44.0 < np.sum(squares) < 130.0
