@@ -219,3 +219,14 @@ def test_bounds_are_those_that_were_computed_elsewhere():
     bounds = dict(zip(free.names, free.bound, strict=True))
     for name, bound in expected.items():
         assert bounds[name] == pytest.approx(bound, rel=0.2), name
+
+
+def test_what_is_vague_where_it_was_found_is_not_called_found():
+    """Rationale: near no blur at all its derivative is none, though it was told at the start."""
+    own = model().at(width=1.02)
+    seen = vs.Observation(scene(), searched(scene().with_medium(own))[::6])
+    found = vs.estimate_air(seen, model(), ["scale", "width", "blur"], shape=vs.CylinderShape())
+    assert found.status[2] in (EstimateStatus.NOT_TOLD_APART, EstimateStatus.AT_BOUND)
+    assert found.sigma_of("blur") <= model().parameters["blur"].sigma
+    assert any("blur" in note for note in found.notes)
+    assert np.isfinite(found.covariance).all()

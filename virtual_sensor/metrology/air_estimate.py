@@ -1218,8 +1218,10 @@ def _covariance(by: Array) -> Array:
     if not size.size:
         return np.zeros((0, 0))
     values, vectors = _singular(unit)
-    root = vectors.T / values
-    return (root @ root.T) / np.outer(size, size)
+    with np.errstate(divide="ignore", invalid="ignore"):  # infinite where the data leave a choice
+        root = vectors.T / values
+        found: Array = (root @ root.T) / np.outer(size, size)
+    return found
 
 
 def _bound(by: Array) -> Array:
@@ -1249,6 +1251,10 @@ def _alike(names: Sequence[str], correlation: Array) -> list[str]:
         if abs(correlation[i, j]) > _ALIKE
     ]
     return [f"hard to tell apart (correlation): {few(pairs, 8)}"] if pairs else []
+
+
+def _is_vague(unknown: _Unknown, sigma: float) -> bool:
+    return unknown.usual is not None and not sigma < unknown.usual.sigma
 
 
 def _at_bound(unknown: _Unknown, value: float) -> bool:
@@ -1331,11 +1337,15 @@ def _result(
     max_condition: float,
 ) -> AirEstimate:
     white, by = state.rows()
-    # What ended at a bound tells nothing by its derivatives there: its usual spread stands in.
-    unknowns = [
-        replace(u, held=u.held or (_at_bound(u, value) and u.prior is None))
-        for u, value in zip(problem.unknowns, state.x.tolist(), strict=True)
+    # At a bound, or where it tells less than its usual spread, that stands in: what derivatives say
+    # of a blur near 0 is nothing.
+    spread = _bound(np.concatenate([by, problem.priors(state.x)[1]]))
+    vague = [
+        u.prior is None and (_at_bound(u, value) or _is_vague(u, sigma))
+        for u, value, sigma in zip(problem.unknowns, state.x.tolist(), spread, strict=True)
     ]
+    pairs = zip(problem.unknowns, vague, strict=True)
+    unknowns = [replace(u, held=u.held or is_vague) for u, is_vague in pairs]
     problem = replace(problem, unknowns=tuple(unknowns))
     off_prior, by_prior = problem.priors(state.x)
     both = np.concatenate([by, by_prior])
@@ -1370,7 +1380,7 @@ def _result(
     notes += _alike(names, correlation)
     notes += _of_pixels(problem.observations, state)
     for name, each in zip(names, status, strict=True):
-        if each in (EstimateStatus.PRIOR, EstimateStatus.AT_BOUND):
+        if each != EstimateStatus.FOUND and not any(note.startswith(f"{name} ") for note in notes):
             notes.append(f"{name}: {EstimateStatus(each).message}")
     if chi2 > _EXCESS:
         notes.append(
