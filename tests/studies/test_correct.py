@@ -402,6 +402,18 @@ def test_what_is_no_measurement_is_refused_with_the_remedy(tmp_path, folder):
         read_measured([str(tmp_path / "good.csv")], Scenes())
 
 
+def test_a_wall_temperature_may_be_known_within_limits(folder):
+    """Its sigma is what other temperatures do to the points: 50 K, by differences."""
+    given = read_measured([str(folder(0, "flat"))], Scenes())
+    known = {"temperature": Prior(1200.0, 50.0)}
+    here = correct(given, Settings(temperature_c=1200.0, priors=known)).measurements[0]
+    there = correct(given, Settings(temperature_c=1250.0)).measurements[0]
+    bare = correct(given, Settings(temperature_c=1200.0)).measurements[0]
+    by_air = np.sqrt(here.sigma_um**2 - bare.sigma_um**2)
+    moved = np.abs(there.distance_um - here.distance_um)
+    assert np.median(np.abs(by_air - moved)) < 0.1 * moved.max()
+
+
 def test_measurements_in_several_kinds_of_air_are_told(folder):
     """Rationale: each was estimated by itself without a word, where two poses were meant."""
     given = [str(folder(0, "flat")), f"{folder(30, 'turned')}:widen=1.1"]

@@ -117,7 +117,7 @@ def correct(
             found += [_by_estimate(each, i, estimate, budget) for i, each in enumerate(group)]
         else:
             tell("points through the air", 0.0)
-            found += [_through(each, settings) for each in group]
+            found += [_through(each, own[each.name], settings) for each in group]
     notes = few_alike(notes)
     caveats += [*_lost(found), *_ends_early(found), *_doubts(found)]
     if estimates:
@@ -373,14 +373,20 @@ def _by_estimate(
     )
 
 
-def _through(measured: Measured, settings: Settings) -> Corrected:
-    """One measurement through its scene's air, which is as sure as the priors say."""
+def _through(measured: Measured, own: Scene, settings: Settings) -> Corrected:
+    """One measurement through its scene's air, which is as sure as the priors say.
+
+    Of the wall's temperature they say it where one is given, of the air of `own`.
+    """
     seen, scene = _observation(measured), measured.scene
     points = bent_points(scene, measured.pixel)
     if settings.priors:
         sigmas = {name: prior.sigma for name, prior in settings.priors.items()}
+        model = None
+        if "temperature" in sigmas and settings.temperature_c is not None:
+            model = replace(_family(own), temperature_c=settings.temperature_c)
         with _as_options("--prior", "known_air_budget: "):
-            budget = known_air_budget(seen, None, sigmas)
+            budget = known_air_budget(seen, model, sigmas)
     else:
         by_pixel = points.point_by_pixel
         covariance = by_pixel @ seen.covariance_px2 @ np.swapaxes(by_pixel, 1, 2)
