@@ -15,7 +15,8 @@ from worsening import Case, Outcome, judged
 
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.air_model import AirModel
-from virtual_sensor.metrology.air_estimate import Observation, estimate_air
+from virtual_sensor.metrology.air_estimate import estimate_air
+from virtual_sensor.metrology.observations import Observation
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.optics.crossing_status import CrossingStatus

@@ -134,11 +134,7 @@ if TYPE_CHECKING:
     from virtual_sensor.medium.air_model import AirModel as AirModel
     from virtual_sensor.medium.index_field import IndexField as IndexField
     from virtual_sensor.metrology.air_estimate import AirEstimate as AirEstimate
-    from virtual_sensor.metrology.air_estimate import EstimateStatus as EstimateStatus
-    from virtual_sensor.metrology.air_estimate import Observation as Observation
-    from virtual_sensor.metrology.air_estimate import Prior as Prior
     from virtual_sensor.metrology.air_estimate import estimate_air as estimate_air
-    from virtual_sensor.metrology.air_estimate import identifiability as identifiability
     from virtual_sensor.metrology.calibration import Calibration as Calibration
     from virtual_sensor.metrology.calibration import read_calibration as read_calibration
     from virtual_sensor.metrology.centres import LineCentres as LineCentres
@@ -149,7 +145,11 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.error_budget import PointBudget as PointBudget
     from virtual_sensor.metrology.error_budget import error_budget as error_budget
     from virtual_sensor.metrology.error_budget import known_air_budget as known_air_budget
+    from virtual_sensor.metrology.identifiability import EstimateStatus as EstimateStatus
+    from virtual_sensor.metrology.identifiability import identifiability as identifiability
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
+    from virtual_sensor.metrology.observations import Observation as Observation
+    from virtual_sensor.metrology.observations import Prior as Prior
     from virtual_sensor.metrology.shapes import CylinderShape as CylinderShape
     from virtual_sensor.metrology.shapes import PartShape as PartShape
     from virtual_sensor.metrology.shapes import PlaneShape as PlaneShape
@@ -181,17 +181,17 @@ _HOME = {
     "CylinderShape": "metrology.shapes",
     "EngineError": "errors",
     "ErrorBudget": "metrology.error_budget",
-    "EstimateStatus": "metrology.air_estimate",
+    "EstimateStatus": "metrology.identifiability",
     "Frame": "imaging.render",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
-    "Observation": "metrology.air_estimate",
+    "Observation": "metrology.observations",
     "PartShape": "metrology.shapes",
     "PlaneShape": "metrology.shapes",
     "PointBudget": "metrology.error_budget",
     "Pose": "poses",
-    "Prior": "metrology.air_estimate",
+    "Prior": "metrology.observations",
     "ProjectionStatus": "optics.projection",
     "RayStatus": "optics.ray_status",
     "Scene": "imaging.scene",
@@ -208,7 +208,7 @@ _HOME = {
     "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
     "gaussian_blur": "imaging.lens",
-    "identifiability": "metrology.air_estimate",
+    "identifiability": "metrology.identifiability",
     "known_air_budget": "metrology.error_budget",
     "line_centres": "metrology.line_peaks",
     "lines_by_source": "studies.lines_by_source",

@@ -86,6 +86,14 @@ def numbers_of(name: str, values: Any) -> NDArray[np.float64]:
     return array.astype(float)
 
 
+def vector_of(name: str, values: Any) -> NDArray[np.float64]:
+    """Three finite numbers, such as a point (x, y, z); raises InputError, naming them, else."""
+    vector = numbers_of(name, values)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InputError(f"{name} is {short(values)}; give three finite numbers (x, y, z)")
+    return vector
+
+
 def image_of(name: str, values: ArrayLike, least: float = -LARGEST) -> NDArray[np.float64]:
     """The values as an image (H, W) of float; raises InputError, naming it, if it is none.
 

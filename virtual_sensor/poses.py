@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, numbers_of, points_of
+from virtual_sensor.arrays import number_within, numbers_of, points_of, vector_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.errors import InputError, short
@@ -79,7 +79,7 @@ class Pose(Displayed):
         InputError
             If it is not three finite numbers.
         """
-        return Pose(np.eye(3), _vector("by_mm", by_mm))
+        return Pose(np.eye(3), vector_of("a motion's by_mm", by_mm))
 
     @staticmethod
     def turn(angle_deg: float, axis: ArrayLike, about_mm: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
@@ -99,7 +99,10 @@ class Pose(Displayed):
             If a number is not finite, or the axis has no length.
         """
         angle_deg = number_within("Pose.turn: angle_deg", angle_deg, -1e9, 1e9, "a finite angle")
-        direction, point = _vector("axis", axis), _vector("about_mm", about_mm)
+        direction, point = (
+            vector_of("a motion's axis", axis),
+            vector_of("a motion's about_mm", about_mm),
+        )
         length, angle = np.linalg.norm(direction), np.radians(angle_deg)
         if not length > 0.0:
             raise InputError("Pose.turn: axis has no length; give one that is not zero")
@@ -127,13 +130,6 @@ def _rows(points_mm: ArrayLike) -> Array:
     if points.shape[-1:] != (3,):
         raise InputError(f"points_mm has the shape {points.shape}; give it (N, 3), or (3,)")
     return points
-
-
-def _vector(name: str, values: ArrayLike) -> Array:
-    vector = numbers_of(f"a motion's {name}", values)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InputError(f"a motion's {name} is {short(values)}; give three finite numbers")
-    return vector
 
 
 def keeps_lengths(turn: Array, tolerance: float = _SQUARE) -> bool:

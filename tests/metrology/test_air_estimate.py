@@ -10,7 +10,8 @@ from scipy.interpolate import CubicSpline
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.air_estimate import EstimateStatus, _problem
+from virtual_sensor.metrology.air_problem import problem_of
+from virtual_sensor.metrology.identifiability import EstimateStatus
 
 ALONG = np.linspace(-10.0, 10.0, 31)
 FREE = ("radius_mm", "y_mm", "z_mm")
@@ -90,7 +91,7 @@ def test_derivatives_are_those_of_differences():
     poses += ["laser_offset", "laser_tilt", "laser_roll"]
     dots = replace(line_in_own_air(30), along_mm=ALONG + 0.1, normal_deg=None)
     names, pivot = ["scale", "offset", "blur"], (1.0, 2.0, 3.0)
-    problem = _problem([dots], model(), names, [], START, FREE, poses, None, None, pivot, None)
+    problem = problem_of([dots], model(), names, [], START, FREE, poses, None, None, pivot, None)
     problem = replace(problem, step_mm=None)
     x = np.array([u.start for u in problem.unknowns])
     at = problem.at(x)

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.air_estimate import Observation, Prior, estimate_air
+from virtual_sensor.metrology.air_estimate import estimate_air
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.error_budget import PointBudget, error_budget
+from virtual_sensor.metrology.observations import Observation, Prior
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.reporting import correct as reporting

@@ -11,7 +11,6 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.air_model import AirModel
-from virtual_sensor.metrology.air_estimate import Prior
 from virtual_sensor.metrology.calibration import (
     Calibration,
     Plane,
@@ -19,6 +18,7 @@ from virtual_sensor.metrology.calibration import (
     calibration_text,
 )
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.observations import Prior
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.poses import Pose

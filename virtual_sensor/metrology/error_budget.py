@@ -40,18 +40,14 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import LARGEST, number_within, numbers_of
+from virtual_sensor.arrays import LARGEST, number_within, vector_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, nearest, short
-from virtual_sensor.metrology.air_estimate import (
-    AirEstimate,
-    Observation,
-    Prior,
-    air_model_of,
-    estimate_air,
-)
+from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
+from virtual_sensor.metrology.air_problem import air_model_of
 from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.observations import Observation, Prior
 
 Array = NDArray[np.float64]
 
@@ -273,7 +269,7 @@ def error_budget(
         )
     check_progress("error_budget", progress)
     known = _sigmas("error_budget", sigmas, estimate.observations[0].scene, ())
-    pivot = _pivot("error_budget", pivot_mm)
+    pivot = vector_of("error_budget: pivot_mm", pivot_mm)
     others = _families(estimate, families, progress or (lambda fraction: None))
     structure = tuple(
         _structure(residual[used] / seen.sigma_px[used])
@@ -358,7 +354,7 @@ def known_air_budget(
         [name for name in known if name not in of_air],
         variations=model.derivatives(of_air, **values) if of_air else None,
         coordinate=observation.coordinate,
-        pivot_mm=_pivot("known_air_budget", pivot_mm),
+        pivot_mm=vector_of("known_air_budget: pivot_mm", pivot_mm),
     )
     columns = {name: sigma * points.point_by[name] for name, sigma in known.items()}
     normal = _normals(observation, points.point_mm, None)
@@ -505,13 +501,6 @@ def _sigmas(asker: str, sigmas: Any, scene: Any, of_air: Sequence[str]) -> dict[
         about = f"{asker}: sigmas: {name}"
         found[name] = number_within(about, sigma, 0.0, LARGEST, "a standard deviation")
     return found
-
-
-def _pivot(asker: str, pivot_mm: Any) -> Array:
-    pivot = numbers_of(f"{asker}: pivot_mm", pivot_mm)
-    if pivot.shape != (3,) or not np.isfinite(pivot).all():
-        raise InputError(f"{asker}: pivot_mm is {short(pivot_mm)}; give three finite numbers")
-    return pivot
 
 
 # --------------------------------------------------------------------------- the model's error

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import numbers_of, to_numpy, to_scalars, to_vectors
+from virtual_sensor.arrays import to_numpy, to_scalars, to_vectors, vector_of
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, short
@@ -125,9 +125,7 @@ def parameters_of(
     InputError
         If a parameter is unknown, or the air is asked to vary where there is none.
     """
-    pivot = numbers_of(f"{asker}: pivot_mm", pivot_mm)
-    if pivot.shape != (3,) or not np.isfinite(pivot).all():
-        raise InputError(f"{asker}: pivot_mm is {short(pivot_mm)}; give a point (x, y, z) in mm")
+    pivot = vector_of(f"{asker}: pivot_mm", pivot_mm)
     air = {} if variations is None else variations
     if not isinstance(air, Mapping) or not all(hasattr(each, "lookup") for each in air.values()):
         raise InputError(

@@ -44,8 +44,9 @@ from virtual_sensor.studies.correct.correction import (
 from virtual_sensor.studies.section import SectionErrors
 
 if TYPE_CHECKING:  # measurements through known air need no estimate
-    from virtual_sensor.metrology.air_estimate import AirEstimate, Identifiability
+    from virtual_sensor.metrology.air_estimate import AirEstimate
     from virtual_sensor.metrology.error_budget import ErrorBudget, PointBudget
+    from virtual_sensor.metrology.identifiability import Identifiability
 
 Array = NDArray[np.float64]
 
@@ -192,7 +193,7 @@ def radius_table(figures: CorrectionSummary) -> TextTable:
 
 def estimate_table(estimate: AirEstimate, budget: ErrorBudget | None = None) -> TextTable:
     """What was estimated, and how well: by noise and priors, and by all sources of error."""
-    from virtual_sensor.metrology.air_estimate import EstimateStatus
+    from virtual_sensor.metrology.identifiability import EstimateStatus
 
     rows = []
     for i, name in enumerate(estimate.names):

@@ -154,7 +154,7 @@ def _line_centres(axes: Axes, line: LineCentres) -> None:
         axes.legend(markerscale=2.0, fontsize="small")
 
 
-@draws("metrology.air_estimate.Observation")
+@draws("metrology.observations.Observation")
 def _observation(axes: Axes, seen: Any) -> None:
     _dots(axes, seen.pixel, color=colour("line"))
     _as_image(axes)
@@ -648,7 +648,7 @@ def _table(axes: Axes, table: Table) -> None:
 # ------------------------------------------------------------------------------------- studies
 
 
-@draws("metrology.air_estimate.AirEstimate", "metrology.air_estimate.Identifiability")
+@draws("metrology.air_estimate.AirEstimate", "metrology.identifiability.Identifiability")
 def _estimate(axes: Axes, found: Any) -> None:
     """Which of the parameters look alike."""
     from virtual_sensor.reporting.correct import draw_correlation

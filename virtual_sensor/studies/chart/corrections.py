@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.imaging.scene import Scene, load_scene
-from virtual_sensor.metrology.air_estimate import Observation, estimate_air
+from virtual_sensor.metrology.air_estimate import estimate_air
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
+from virtual_sensor.metrology.observations import Observation
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.metrology.triangulation import triangulate, triangulated_points
 from virtual_sensor.optics import covering_maps

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError, nearest
-from virtual_sensor.metrology.air_estimate import Prior
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
+from virtual_sensor.metrology.observations import Prior
 from virtual_sensor.metrology.shapes import (
     CylinderShape,
     PartShape,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
-from virtual_sensor.metrology.air_estimate import AirEstimate, Observation, Prior, estimate_air
+from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.error_budget import (
@@ -25,6 +25,7 @@ from virtual_sensor.metrology.error_budget import (
     error_budget,
     known_air_budget,
 )
+from virtual_sensor.metrology.observations import Observation, Prior
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.bent_points import BentPoints, bent_points

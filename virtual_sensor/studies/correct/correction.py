@@ -14,10 +14,11 @@ from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.air_estimate import AirEstimate, EstimateStatus
+from virtual_sensor.metrology.air_estimate import AirEstimate
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.error_budget import ErrorBudget, PointBudget
+from virtual_sensor.metrology.identifiability import EstimateStatus
 from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import Record, Table, counts_of, status_names
