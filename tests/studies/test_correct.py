@@ -26,6 +26,7 @@ from virtual_sensor.records import write_csv, write_json
 from virtual_sensor.studies.correct.asked import Settings, names_of, priors_of
 from virtual_sensor.studies.correct.correct import _apart, _groups, correct, few_alike
 from virtual_sensor.studies.correct.measured import (
+    Measured,
     Scenes,
     given_parameters,
     read_centres,
@@ -420,6 +421,51 @@ def test_measurements_in_several_kinds_of_air_are_told(folder):
     (caveat,) = _apart(_groups(read_measured(given, Scenes()), True))
     assert "2 kinds of air (flat; turned)" in caveat
     assert not _apart(_groups(read_measured(given[:1] * 2, Scenes()), True))
+
+
+def test_measurements_that_do_not_go_together_are_refused_or_told(folder):
+    """Rationale: they were fitted all the same, with standard deviations of a hundredth."""
+    hot, turned = str(folder(0, "flat")), str(folder(30, "turned"))
+    settings = Settings(medium="hot_cylinder_1100C_quarter", estimate=("scale",))
+    twice = read_measured([hot, hot], Scenes())
+    with pytest.raises(InputError, match="flat_2: holds the very centres of flat"):
+        correct(twice, settings)
+    both = read_measured([hot, turned], Scenes())
+    other = replace(both[1], scene=load_scene("stepped_shaft"))
+    with pytest.raises(InputError, match=r"turned: is of another part .*, and an estimate is of"):
+        correct([both[0], other], settings)
+    (cold,) = read_measured([turned], Scenes("cold_cylinder", {"beta": "30"}))
+    known = replace(settings, estimate=())
+    told = [note for note in correct([both[0], cold], known).caveats if "runs straight" in note]
+    assert [note.partition(":")[0] for note in told] == ["turned"]
+    assert not any("runs straight" in note for note in correct([cold], known).caveats)
+
+
+def test_dots_of_one_pose_that_find_the_air_are_told():
+    """Of 1250 degC by the field of 1100 degC: the residual is 1e-6 px, the radius 47 um off."""
+    scene = load_scene("hot_cylinder")
+    y = np.linspace(-8.0, 8.0, 5)
+    found = ray_search(scene, y, "newton")
+    dots = Measured(
+        *("dots", scene, found.pixel, np.full(5, 0.02), np.full(5, np.nan)),
+        *(np.full(5, Status.OK, np.uint8), y),
+        one_of_many=True,  # whose budget is quick
+    )
+    settings = Settings(medium="hot_cylinder_1100C_quarter", estimate=("scale", "width"))
+    result = correct([dots], settings)
+    assert rms(result.measurements[0].residual_px) < 0.001
+    assert abs(result.circle.radius_error_um) > 20.0
+    assert any("dots of one pose" in caveat for caveat in result.caveats)
+
+
+def test_a_given_sigma_is_taken_without_a_note_that_it_is_missing(tmp_path):
+    (tmp_path / "line.csv").write_text("u,v\n1,2\n2,2\n")
+    for sigma_px, taken, notes in ((None, 0.02, 1), (0.05, 0.05, 0)):
+        (line,) = read_measured(
+            [str(tmp_path / "line.csv")], Scenes("hot_cylinder"), sigma_px=sigma_px
+        )
+        np.testing.assert_array_equal(line.sigma_px, taken)
+        assert len(line.notes) == notes
 
 
 def test_the_command_writes_points_and_says_how_far_they_moved(tmp_path, folder):

@@ -87,7 +87,7 @@ def correct(
     found: list[Corrected] = []
     estimates: list[AirEstimate] = []
     groups = _groups(measured, bool(settings.estimate))
-    caveats = _apart(groups) if settings.estimate else []
+    caveats = _mixed(own.values(), measured) + (_apart(groups) if settings.estimate else [])
     shared = 0
     if settings.estimate and sum(each.one_of_many for each in measured) > 1:
         shared = 1
@@ -208,6 +208,18 @@ def _groups(measured: Sequence[Measured], estimated: bool) -> list[list[Measured
     return list(groups.values())
 
 
+def _mixed(own: Iterable[Scene], measured: Sequence[Measured]) -> list[str]:
+    """A caveat where air is assumed for measurements of scenes in which light runs straight."""
+    airs = zip(own, measured, strict=True)
+    cold = [each.name for scene, each in airs if scene.medium is None is not each.scene.medium]
+    if not 0 < len(cold) < len(measured):
+        return []
+    return [
+        f"{few(cold, 3)}: light runs straight in the scene, and is taken for bent as in the others;"
+        " leave out what was measured cold"
+    ]
+
+
 def _apart(groups: Sequence[Sequence[Measured]]) -> list[str]:
     """A caveat where measurements that could share their air are said to be in several."""
     single = [group for group in groups if not group[0].one_of_many]
@@ -271,6 +283,7 @@ def _estimate(
 
     With `each_air` every one has an air of its own.
     """
+    _check_that_they_differ(group)
     scene = group[0].scene
     if scene.medium is None:
         raise InputError(
@@ -284,6 +297,8 @@ def _estimate(
             model = replace(model, temperature_c=settings.temperature_c)
     _check_names(settings, model)
     shape, free = shape_of(settings, group, [triangulate(m.scene, m.pixel) for m in group])
+    if shape is not None:
+        _check_that_they_show_one_part(group)
     stage = f"estimating {', '.join(settings.estimate)}"
     report(stage, 0.0)
     of_air = [name for name in settings.estimate if name in model.names]
@@ -305,6 +320,38 @@ def _estimate(
             tolerance_px=settings.tolerance_px,
             progress=lambda _: report(stage, 0.5 * next(done)),
         )
+
+
+def _check_that_they_differ(group: Sequence[Measured]) -> None:
+    """Refuse one measurement that is given twice, which would count as two."""
+    for i, one in enumerate(group):
+        for other in group[:i]:
+            frames = one.one_of_many and other.one_of_many
+            if not frames and np.array_equal(one.pixel, other.pixel, equal_nan=True):
+                raise InputError(
+                    f"{one.name}: holds the very centres of {other.name}; give each measurement"
+                    " once, or an estimate takes itself for surer than it is"
+                )
+
+
+def _check_that_they_show_one_part(group: Sequence[Measured]) -> None:
+    """Refuse measurements of several parts, of which one shape is sought."""
+    first, *others = group
+    for each in others:
+        if _outline(each.scene) != _outline(first.scene):
+            raise InputError(
+                f"{each.name}: is of another part ({each.scene.path.name}) than {first.name}"
+                f" ({first.scene.path.name}), and an estimate is of one; correct them one by one,"
+                " or give the scene of both (--scene)"
+            )
+
+
+def _outline(scene: Scene) -> Any:
+    """What tells parts apart: a cylinder, or the box of a mesh to a micrometre."""
+    surface: Any = scene.surface
+    if isinstance(surface, Cylinder):
+        return surface
+    return np.round(np.array(surface.corners, np.float64), 3).ravel().tolist()
 
 
 def _check_names(settings: Settings, model: AirModel) -> None:
@@ -329,16 +376,22 @@ def _as_options(option: str, python: str) -> Iterator[None]:
 
 
 def _from_one_pose(group: Sequence[Measured], estimate: AirEstimate) -> list[str]:
-    """A caveat where air and shape are found together from lines that one pose shows."""
+    """A caveat where air is found from one pose, and no part is known."""
     shown = estimate.shape.names if estimate.shape else ()
     free = [name for name in estimate.names if name in shown]
     poses = {tuple(each.scene.camera.pose.rotation.round(6).ravel()) for each in group}
-    if not free or len(poses) > 1 or any(each.along_mm is not None for each in group):
+    dots = any(each.along_mm is not None for each in group)
+    if len(poses) > 1 or (dots if estimate.shape else not dots) or not (free or dots):
         return []
+    found = (
+        "air is found from the dots of one pose, where air of another kind can leave as little"
+        if dots
+        else f"air and shape ({', '.join(free)}) are found from one pose, where one can pass for"
+        " the other however small the residual is"
+    )
     return [
-        f"air and shape ({', '.join(free)}) are found from one pose, where one can pass for the"
-        " other however small the residual is (tens of um of radius); measure from a second pose,"
-        " 15 or 30 degrees further, and give both"
+        f"{found} (tens of um of radius); measure from a second pose, 15 or 30 degrees further, and"
+        " give both"
     ]
 
 

@@ -47,8 +47,8 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 USUAL_SIGMA_PX = 0.02
-LEAST_SIGMA_PX = 1e-3  # of a rendered frame without noise, whose detector knows of no other error
 """Of a centre whose standard deviation nobody says."""
+LEAST_SIGMA_PX = 1e-3  # of a rendered frame without noise, whose detector knows of no other error
 
 _TABLES = (".csv", ".txt", ".tsv")
 _NAMES = {  # of a table's columns, ours first
@@ -230,8 +230,7 @@ def read_measured(
         found = [calibrated(each, of_sensor) for each in found]
     if sigma_px is not None:
         number_within("--sigma", sigma_px, SMALLEST, LARGEST, "a positive number of px")
-        found = [replace(m, sigma_px=np.full(len(m.pixel), sigma_px), notes=m.notes) for m in found]
-    return _with_names(found)
+    return [_with_sigma(each, sigma_px) for each in _with_names(found)]
 
 
 def _path_and_parameters(text: str) -> tuple[Path, dict[str, str]]:
@@ -343,15 +342,13 @@ def _check_size(path: Path, size: tuple[int, ...], scene: Scene) -> None:
 
 
 def _of_line(name: str, line: LineCentres, scene: Scene) -> Measured:
-    sigma, notes = _known_sigma(np.ravel(line.sigma), np.ravel(line.pixel[..., 0]))
     return Measured(
         name,
         scene,
         line.pixel.reshape(-1, 2),
-        sigma,
+        np.ravel(line.sigma),
         np.ravel(line.normal_deg),
         np.ravel(line.status),
-        notes=notes,
     )
 
 
@@ -370,21 +367,25 @@ def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -
             " camera"
         )
     blank = np.full(len(pixel), np.nan)
-    sigma, notes = _known_sigma(columns.get("sigma", blank), pixel[:, 0])
     along = columns.get("along")
     normal = columns.get("normal", np.full(len(pixel), 90.0 if along is None else np.nan))
-    notes = tuple(f"{path}: {note}" for note in notes)
-    return Measured(path.stem, scene, pixel, sigma, normal, status, along, notes=notes)
+    return Measured(path.stem, scene, pixel, columns.get("sigma", blank), normal, status, along)
 
 
-def _known_sigma(sigma: Array, u: Array) -> tuple[Array, tuple[str, ...]]:
-    """Standard deviations, the usual one where none is known, and none that is beyond frames."""
+def _with_sigma(measured: Measured, given_px: float | None) -> Measured:
+    """The same with the standard deviation that is given, or the usual one where none is known."""
+    sigma, there = measured.sigma_px, np.isfinite(measured.pixel[:, 0])
+    if given_px is not None:
+        return replace(measured, sigma_px=np.full(len(sigma), given_px))
     known = np.isfinite(sigma) & (sigma > 0.0)
-    missing = int(np.sum(np.isfinite(u) & ~known))
+    missing = int(np.sum(there & ~known))
     centres = "one centre has" if missing == 1 else f"{missing} centres have"
-    note = f"{centres} no standard deviation: {USUAL_SIGMA_PX:g} px is taken (or give --sigma)"
+    note = (
+        f"{measured.name}: {centres} no standard deviation: {USUAL_SIGMA_PX:g} px is taken (or give"
+        " --sigma)"
+    )
     sigma = np.where(known, np.maximum(sigma, LEAST_SIGMA_PX), USUAL_SIGMA_PX)
-    return sigma, (note,) if missing else ()
+    return replace(measured, sigma_px=sigma, notes=measured.notes + (note,) * bool(missing))
 
 
 def _statuses(path: Path, names: NDArray[Any] | None, pixel: Array) -> NDArray[np.uint8]:
