@@ -50,7 +50,8 @@ Report = Callable[[str, float], None]
 USUAL = Settings()
 
 _EVALUATIONS = 10  # of a usual estimate
-_OF_A_FRAME = 60  # centres of a frame that tell of the shape which all frames show
+_OF_A_FRAME = 60  # centres of a frame in the fit of all frames together
+_TOGETHER_PX = 1e-3  # tolerance of that fit: each frame's own goes on from there
 _POSES = "camera_", "laser_", "sensor_"  # what parameters of poses begin with
 _FAR_UM = 1000.0  # off the scene's part: no air does that
 _FURTHER, _FURTHER_UM = 1.2, 5.0  # off it than uncorrected points
@@ -88,13 +89,15 @@ def correct(
     estimates: list[AirEstimate] = []
     groups = _groups(measured, bool(settings.estimate))
     caveats = _mixed(own.values(), measured) + (_apart(groups) if settings.estimate else [])
-    shared = 0
+    shared, starts = 0, dict[str, dict[str, float]]()
     if settings.estimate and sum(each.one_of_many for each in measured) > 1:
         shared = 1
-        settings, said = _with_shared_shape(
+        together = _together(
             *(measured, own, settings),
             lambda stage, part: report(f"all frames: {stage}", part / (len(groups) + shared)),
         )
+        settings, said = _with_shared_shape(settings, together)
+        starts = _starts(together)
         notes += said
     for number, group in enumerate(groups):
 
@@ -103,7 +106,8 @@ def correct(
             report(f"{name}: {stage}", (number + part) / (len(groups) + shared))
 
         if settings.estimate:
-            estimate = _estimate(group, own[group[0].name], settings, tell)
+            name = group[0].name
+            estimate = _estimate(group, own[name], settings, tell, start=starts.get(name))
             estimates.append(estimate)
             told = [f"{group[0].name}: {n}" if len(groups) > 1 else n for n in estimate.notes]
             notes += told
@@ -232,16 +236,20 @@ def _apart(groups: Sequence[Sequence[Measured]]) -> list[str]:
     ]
 
 
-def _with_shared_shape(
+def _together(
     measured: Sequence[Measured], own: Mapping[str, Scene], settings: Settings, report: Report
-) -> tuple[Settings, list[str]]:
+) -> AirEstimate:
+    """All frames of a burst, by some of their centres: an air for each, and one shape."""
+    frames = [_thinned(each) for each in measured if each.one_of_many]
+    rough = replace(settings, tolerance_px=max(settings.tolerance_px, _TOGETHER_PX))
+    return _estimate(frames, own[frames[0].name], rough, report, each_air=True)
+
+
+def _with_shared_shape(settings: Settings, together: AirEstimate) -> tuple[Settings, list[str]]:
     """Settings that know the shape which all frames of a burst show together, and notes.
 
     One frame can't tell shape and air apart; in many the air is different, and the shape the same.
     """
-    frames = [each for each in measured if each.one_of_many]
-    few = [_thinned(each) for each in frames]
-    together = _estimate(few, own[frames[0].name], settings, report, each_air=True)
     shape = together.shape
     free = [name for name in together.names if shape is not None and name in shape.names]
     if not free:
@@ -250,21 +258,33 @@ def _with_shared_shape(
     found = {name: Prior(together[name], together.sigma_of(name)) for name in free}
     said = ", ".join(f"{name} {each.value:.6g} ± {each.sigma:.2g}" for name, each in found.items())
     notes = [
-        f"the shape of the part is that of all {len(frames)} frames together ({said}, of noise"
-        " alone), a prior of each frame's estimate"
+        f"the shape of the part is that of all {len(together.observations)} frames together"
+        f" ({said}, of noise alone), a prior of each frame's estimate"
     ]
     return replace(settings, priors=found | dict(settings.priors)), notes
 
 
+def _starts(together: AirEstimate) -> dict[str, dict[str, float]]:
+    """Values of each frame's own parameters, by the frame's name: near those of its own fit."""
+    starts: dict[str, dict[str, float]] = {each.name: {} for each in together.observations}
+    air = together.model.names
+    for name, value in zip(together.names, together.values.tolist(), strict=True):
+        frame, _, parameter = name.rpartition(".")
+        if frame in starts:
+            starts[frame][parameter if parameter in air else name] = value
+    return starts
+
+
 def _thinned(measured: Measured) -> Measured:
-    """The same with some of its centres, which tell as much of what is smooth along the line."""
+    """The same with some of its centres, as sure together as all: air is smooth along the line."""
     rows = np.flatnonzero(np.isfinite(measured.pixel).all(axis=1))
+    all_rows = max(len(rows), 1)
     rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _OF_A_FRAME)).astype(int)]
     along = measured.along_mm
     return replace(
         measured,
         pixel=measured.pixel[rows],
-        sigma_px=measured.sigma_px[rows],
+        sigma_px=measured.sigma_px[rows] * np.sqrt(len(rows) / all_rows),
         normal_deg=measured.normal_deg[rows],
         centre_status=measured.centre_status[rows],
         along_mm=None if along is None else along[rows],
@@ -278,6 +298,7 @@ def _estimate(
     report: Report,
     *,
     each_air: bool = False,
+    start: Mapping[str, float] | None = None,
 ) -> AirEstimate:
     """The air of measurements, from them; `own` is the scene of the first, in its own air.
 
@@ -317,6 +338,7 @@ def _estimate(
                 for name, prior in settings.priors.items()
                 if name not in _of_poses(settings)
             },
+            start=start,
             tolerance_px=settings.tolerance_px,
             progress=lambda _: report(stage, 0.5 * next(done)),
         )
