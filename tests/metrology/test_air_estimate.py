@@ -104,6 +104,15 @@ def test_derivatives_are_those_of_differences():
         assert np.allclose(by, change, rtol=0.0, atol=1e-3 * np.abs(by).max()), unknown.name
 
 
+def test_a_prior_that_the_data_contradict_is_told():
+    """Rationale: all intervals rest on it, and held none of the truth, without a word."""
+    part = vs.CylinderShape(RADIUS, 0.0, -RADIUS)
+    for value, wrong in ((1.0, True), (1.1, False)):
+        priors = {"scale": vs.Prior(value, 0.01)}
+        found = vs.estimate_air(line_in_own_air(), model(), shape=part, priors=priors)
+        assert any("off its prior" in note for note in found.notes) == wrong
+
+
 def test_outliers_and_what_is_not_finite_change_nothing():
     line = line_in_own_air()
     random = np.random.default_rng(2)

@@ -253,6 +253,11 @@ def test_what_cannot_be_corrected_is_refused_with_the_remedy(folder):
             r"can't tell .*--prior NAME=VALUE",
         ),
         (flat, {"estimate": ("scale", "hight")}, "did you mean 'height'"),
+        (
+            flat,
+            {"estimate": ("temperature",), "medium": "hot_cylinder_1100C_quarter"},
+            "leave out --medium",
+        ),
         (dots, {"priors": {"width": Prior(1.0, 0.1)}}, "'width', which is not sought"),
     ):
         with pytest.raises(InputError, match=said):
@@ -479,3 +484,4 @@ def test_the_command_writes_points_and_says_how_far_they_moved(tmp_path, folder)
     (tmp_path / "away.csv").write_text("u,v\n,\n")
     ended = run(tmp_path / "away.csv", "--scene", "hot_cylinder", "-o", tmp_path / "none")
     assert ended.exit_code == 3
+    assert "away: holds no centre (no_peak 1)" in " ".join(ended.output.split())

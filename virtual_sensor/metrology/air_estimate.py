@@ -58,6 +58,7 @@ _LEAST_DAMPED, _MOST_DAMPED = 1e-6, 1e2  # of unit columns
 _ROUNDING = 1e-12  # bounds that are no interval are refused
 _FLAT, _MOST_FLAT = 1e-3, 4  # steps that lower the sum of squares by less, until it is left
 _STALLED = 100.0  # tolerances: steps no longer that make nothing better are at rounding's end
+_AGAINST = 3.0  # standard deviations off its prior, from which on data contradict it
 _EXCESS = 1.5  # of residuals over their noise, from which on the model is doubted
 
 
@@ -408,10 +409,18 @@ def _result(
     for name, each in zip(names, status, strict=True):
         if each != EstimateStatus.FOUND and not any(note.startswith(f"{name} ") for note in notes):
             notes.append(f"{name}: {EstimateStatus(each).message}")
+    for unknown, value in zip(problem.unknowns, x.tolist(), strict=True):
+        prior = unknown.applied
+        if prior and (off := abs(value - prior.value) / prior.sigma) > _AGAINST:
+            notes.append(
+                f"{unknown.name} {value:.4g} lies {off:.2g} standard deviations off its prior,"
+                f" {prior.value:g} ± {prior.sigma:.2g}: the prior is wrong, or the air of another"
+                " kind than the model, and all standard deviations are too small"
+            )
     if chi2 > _EXCESS:
         notes.append(
             f"the residuals are {np.sqrt(chi2):.2g} times their noise: air or shape are not of the"
-            " model's kind, and the standard deviations, which know of noise alone, are too small"
+            " model's kind, and the standard deviations by noise alone are too small"
         )
     if not converged:
         notes.append("the fit did not converge; give priors, or fewer parameters")

@@ -231,8 +231,9 @@ def _told(problem: Problem, state: State, max_condition: float) -> tuple[Problem
         others = [names[k] for k in group if k != held]
         like = f"can't be told from {' and '.join(others)}" if others else "hardly shows"
         notes.append(
-            f"{names[held]} {like} in these images: it is held at {usual}, its usual value; measure"
-            f" from a second pose, or give a prior of your own"
+            f"{names[held]} {like} in these images: it is held at its usual"
+            f" {usual.value:g} ± {usual.sigma:.2g}; measure from a second pose, or give a prior of"  # type: ignore[union-attr]
+            " your own"
         )
         unknowns = list(problem.unknowns)
         unknowns[held] = replace(unknowns[held], held=True)

@@ -17,6 +17,7 @@ from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.error_budget import (
@@ -382,6 +383,8 @@ def _check_names(settings: Settings, model: AirModel) -> None:
         poses = name.rpartition(".")[2].startswith(_POSES)
         if name not in model.names and not poses:
             hint = nearest(name, model.names)
+            if name == "temperature":
+                hint = " alone, of one field; leave out --medium, and the scene's own are taken"
             raise InputError(f"--estimate {name}: the air has {', '.join(model.names)}{hint}")
 
 
@@ -489,7 +492,7 @@ def _corrected(
 
 
 def _lost(found: Iterable[Corrected]) -> list[str]:
-    """Notes on centres without a corrected point.
+    """Notes on centres without a corrected point, and on measurements without a centre.
 
     Raises
     ------
@@ -498,6 +501,12 @@ def _lost(found: Iterable[Corrected]) -> list[str]:
     """
     notes = []
     for each in found:
+        if not np.isfinite(each.pixel).any():
+            counts = Status.counts(each.centre_status).items()
+            why = ", ".join(
+                f"{status.name.lower()} {number}" for status, number in counts if number
+            )
+            notes.append(f"{each.name}: holds no centre ({why or 'no row'})")
         for status, number in CrossingStatus.counts(each.status).items():
             if status in (CrossingStatus.OK, CrossingStatus.NO_PIXEL):
                 continue
