@@ -61,6 +61,8 @@ INTERNAL = (
     "virtual_sensor.medium.imports",
     "virtual_sensor.medium.lookups",
     "virtual_sensor.medium.netcdf_elements",
+    "virtual_sensor.metrology.air_problem",
+    "virtual_sensor.metrology.unknowns",
 )
 
 
