@@ -22,7 +22,7 @@ from scipy import ndimage
 
 import virtual_sensor as vs
 from virtual_sensor.files import written_whole
-from virtual_sensor.metrology.error_budget import WITHIN_95
+from virtual_sensor.metrology.covariance import WITHIN_95, variance_along
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import write_csv
 
@@ -225,7 +225,7 @@ def row_of(
     off, off_straight = (1e3 * (each - target) for each in (points, straight))
     surface = np.sum(normal * off, axis=1)
     model = np.concatenate([each.covariance_mm2["model"] for each in budget.points])
-    along = 1e3 * np.sqrt(np.einsum("ni,nij,nj->n", normal, model, normal))
+    along = 1e3 * np.sqrt(variance_along(normal, model))
     in_space = 1e3 * np.sqrt(np.trace(model, axis1=1, axis2=2))
     whole = np.concatenate([each.interval_um for each in budget.points])
     half = np.nan
@@ -326,7 +326,7 @@ def _points_held(estimate: Any, true: Sequence[Array]) -> float:
     for i, target in enumerate(true):
         normal = (target - [0.0, 0.0, AXIS_Z_MM]) * [0.0, 1.0, 1.0] / RADIUS_MM
         covariance = estimate.covariance_of_points(i)
-        sigma = np.sqrt(np.einsum("ni,nij,nj->n", normal, covariance, normal))
+        sigma = np.sqrt(variance_along(normal, covariance))
         off = np.sum(normal * (estimate.points[i].point_mm - target), axis=1)
         shares.append(np.mean(np.abs(off) <= WITHIN_95 * sigma))
     return float(np.mean(shares))

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import IntEnum
+from itertools import repeat
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -233,6 +234,20 @@ def place(vector: ArrayLike) -> str:
     import numpy as np
 
     return f"({', '.join(f'{x + 0.0:.5g}' for x in np.round(np.asarray(vector, float), 6))})"
+
+
+def with_spreads(
+    names: Iterable[str],
+    units: Iterable[str],
+    spreads: Iterable[float],
+    values: Iterable[float] | None = None,
+) -> list[str]:
+    """Parameters with what follows their ± sign and, where there are values, these before it."""
+    before = repeat("") if values is None else (f" {value:.6g}" for value in values)
+    return [
+        f"{name}{value} ± {spread:.2g}{f' {unit}' * bool(unit)}"
+        for name, unit, spread, value in zip(names, units, spreads, before, strict=False)
+    ]
 
 
 def listed(*parts: str) -> str:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
-from virtual_sensor.metrology.error_budget import WITHIN_95, _structure
+from virtual_sensor.metrology.covariance import WITHIN_95
+from virtual_sensor.metrology.error_budget import _structure
 from virtual_sensor.poses import Pose
 
 ALONG = np.linspace(-10.0, 10.0, 31)

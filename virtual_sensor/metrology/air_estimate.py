@@ -25,9 +25,10 @@ from scipy.optimize import lsq_linear
 
 from virtual_sensor.arrays import LARGEST, number_within, whole_number
 from virtual_sensor.calls import public
-from virtual_sensor.display import Displayed, listed
+from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.metrology.air_problem import Problem, State, mapping_of, problem_of
+from virtual_sensor.metrology.covariance import carried, variance_along
 from virtual_sensor.metrology.identifiability import (
     MAX_CONDITION,
     EstimateStatus,
@@ -148,12 +149,7 @@ class AirEstimate(Displayed):
     _linear: tuple[Any, ...] = field(default=(), repr=False)
 
     def _line(self) -> str:
-        each = (
-            f"{name} {value:.6g} ± {sigma:.2g}{f' {unit}' * bool(unit)}"
-            for name, unit, value, sigma in zip(
-                self.names, self.units, self.values, self.sigma, strict=True
-            )
-        )
+        each = with_spreads(self.names, self.units, self.sigma, self.values)
         return listed(f"residual {self.rms_px:.3g} px rms", *each)
 
     def __getitem__(self, name: str) -> float:
@@ -191,10 +187,8 @@ class AirEstimate(Displayed):
         by = self.points_by(i)
         through = by @ self.by_pixel(i)
         both = direct @ noise @ np.swapaxes(through, 1, 2)
-        spread: Array = direct @ noise @ np.swapaxes(direct, 1, 2)
-        return (
-            spread + both + np.swapaxes(both, 1, 2) + by @ self.covariance @ np.swapaxes(by, 1, 2)
-        )
+        each = carried(direct, noise) + carried(by, self.covariance)
+        return each + both + np.swapaxes(both, 1, 2)
 
 
 @public
@@ -382,7 +376,7 @@ def _result(
     residual_px, distance_mm = [], []
     for seen, linear in zip(problem.observations, state.linear, strict=True):
         slope = linear.by_pixel[:, 0]
-        noise = np.einsum("ni,nij,nj->n", slope, seen.covariance_px2, slope)
+        noise = variance_along(slope, seen.covariance_px2)
         with np.errstate(divide="ignore", invalid="ignore"):
             residual_px.append(linear.residual[:, 0] * seen.sigma_px / np.sqrt(noise))
         none = np.full(len(seen.pixel), np.nan)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, number_within, vector_of
 from virtual_sensor.errors import InputError, few, nearest, short
+from virtual_sensor.metrology.covariance import carried
 from virtual_sensor.metrology.observations import Observation, Prior
 from virtual_sensor.metrology.shapes import Shape
 from virtual_sensor.metrology.unknowns import Unknown, of_air, of_poses, of_shape, with_priors
@@ -195,28 +196,12 @@ class Problem:
             if unknown.kind == "air" and unknown.observation in (None, i):
                 point_by[:, :, k] = points.point_by[unknown.parameter]
                 along_by[:, k] = points.along_by[unknown.parameter]
+        of_shape = {k: u.parameter for k, u in enumerate(self.unknowns) if u.kind == "shape"}
         for k, motion in poses:
             for axis, share in _shares(motion):
                 point_by[:, :, k] += share * points.point_by[axis]
                 along_by[:, k] += share * points.along_by[axis]
-        return points, self._residuals(seen, points, shape, point_by, along_by)
-
-    def _residuals(
-        self, seen: Observation, points: Any, shape: Shape | None, point_by: Array, along_by: Array
-    ) -> Linear:
-        rows: list[tuple[Array, Array, Array]] = []
-        if seen.along_mm is not None:
-            rows.append((points.along_mm - seen.along_mm, points.along_by_pixel, along_by))
-        if shape is not None:
-            off = shape.distance(points.point_mm)
-            by = np.einsum("ni,nip->np", off.by_point, point_by)
-            for k, unknown in enumerate(self.unknowns):
-                if unknown.kind == "shape":
-                    by[:, k] += off.by_parameter[unknown.parameter]
-            by_pixel = np.einsum("ni,nij->nj", off.by_point, points.point_by_pixel)
-            rows.append((off.distance_mm, by_pixel, by))
-        residual, by_pixel, by_unknown = (np.stack(r, axis=1) for r in zip(*rows, strict=True))
-        return Linear(residual, by_pixel, by_unknown, point_by)
+        return points, residuals(seen, points, shape, point_by, along_by, of_shape)
 
     def _motion(self, seen: Observation, unknown: Unknown) -> Any:
         """The motion of a pose parameter; of the laser's plane in the laser's own frame."""
@@ -367,6 +352,41 @@ class _Assumed:
     surface: Any
 
 
+def residuals(
+    seen: Observation,
+    points: Any,
+    shape: Shape | None,
+    point_by: Array,
+    along_by: Array,
+    of_shape: Mapping[int, str] | None = None,
+) -> Linear:
+    """An observation's residuals: of dots along the light, and the distance from a shape.
+
+    Parameters
+    ----------
+    seen : Observation
+    points : BentPoints
+        Of its pixels.
+    shape : Shape or None
+    point_by, along_by : ndarray of shape (N, 3, P), of shape (N, P)
+        Derivatives of the points, and of their second coordinates, by P parameters.
+    of_shape : mapping from int to str, optional
+        Which of these are the shape's own.
+    """
+    rows: list[tuple[Array, Array, Array]] = []
+    if seen.along_mm is not None:
+        rows.append((points.along_mm - seen.along_mm, points.along_by_pixel, along_by))
+    if shape is not None:
+        off = shape.distance(points.point_mm)
+        by = np.einsum("ni,nip->np", off.by_point, point_by)
+        for k, name in (of_shape or {}).items():
+            by[:, k] += off.by_parameter[name]
+        by_pixel = np.einsum("ni,nij->nj", off.by_point, points.point_by_pixel)
+        rows.append((off.distance_mm, by_pixel, by))
+    residual, by_pixel, by_unknown = (np.stack(r, axis=1) for r in zip(*rows, strict=True))
+    return Linear(residual, by_pixel, by_unknown, point_by)
+
+
 def _body(motion: Any) -> str:
     return motion.parts[0] if len(motion.parts) == 1 else "sensor"
 
@@ -381,7 +401,7 @@ def _shares(motion: Any) -> list[tuple[str, float]]:
 
 def _whitening(by_pixel: Array, seen: Observation, points: Any) -> Array:
     """Factors (N, K, K) that make residuals (N, K) independent, of unit noise; NaN: blind ones."""
-    spread = by_pixel @ seen.covariance_px2 @ np.swapaxes(by_pixel, 1, 2)
+    spread = carried(by_pixel, seen.covariance_px2)
     steep = np.sum(by_pixel**2, axis=2)
     felt = np.diagonal(spread, axis1=1, axis2=2) > steep * (seen.sigma_px[:, None] * _BLIND) ** 2
     good: Any = np.isfinite(spread).all(axis=(1, 2))

@@ -42,17 +42,15 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import LARGEST, number_within, vector_of
 from virtual_sensor.calls import public
-from virtual_sensor.display import Displayed, listed
+from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, few, nearest, short
 from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
-from virtual_sensor.metrology.air_problem import air_model_of
+from virtual_sensor.metrology.air_problem import air_model_of, residuals
+from virtual_sensor.metrology.covariance import WITHIN_95, carried, variance_along
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.observations import Observation, Prior
 
 Array = NDArray[np.float64]
-
-WITHIN_95 = 1.959964
-"""Standard deviations of a normal distribution that hold 95 % of it on both sides."""
 
 KINDS = ("air", "shape", "pose")
 SOURCES = ("detection", "air", "pose", "correlation", "model")
@@ -108,14 +106,14 @@ class PointBudget(Displayed):
         """Standard deviation (N,) along the normal, by source; negative of a negative variance."""
         found = {}
         for source, covariance in self.covariance_mm2.items():
-            variance = _along(self.normal, covariance)
+            variance = variance_along(self.normal, covariance)
             found[source] = UM_PER_MM * np.sign(variance) * np.sqrt(np.abs(variance))
         return found
 
     @cached_property
     def total_um(self) -> Array:
         """Standard deviation (N,) along the normal, of all sources together."""
-        variance = np.maximum(_along(self.normal, self.total_mm2), 0.0)
+        variance = np.maximum(variance_along(self.normal, self.total_mm2), 0.0)
         total: Array = UM_PER_MM * np.sqrt(variance)
         return total
 
@@ -199,13 +197,8 @@ class ErrorBudget(Displayed):
     notes: tuple[str, ...] = ()
 
     def _line(self) -> str:
-        each = (
-            f"{name} {value:.6g} ± {half:.2g}{f' {unit}' * bool(unit)}"
-            for name, unit, value, half in zip(
-                self.names, self.units, self.values, WITHIN_95 * self.total, strict=True
-            )
-        )
-        return listed("95 %", *each)
+        half = WITHIN_95 * self.total
+        return listed("95 %", *with_spreads(self.names, self.units, half, self.values))
 
     def _columns(self) -> dict[str, Any]:
         low, high = self.interval.T
@@ -360,7 +353,7 @@ def known_air_budget(
     normal = _normals(observation, points.point_mm, None)
     noise, direct = observation.covariance_px2, points.point_by_pixel
     covariance = {
-        "detection": direct @ noise @ _turned(direct),
+        "detection": carried(direct, noise),
         "air": _outer([columns[name] for name in of_air], points.point_mm),
         "pose": _outer(
             [column for name, column in columns.items() if name not in of_air], points.point_mm
@@ -386,21 +379,21 @@ def _point_budget(
     kinds = _kinds(estimate)
     normal = _normals(seen, points.point_mm, estimate.shape)
     noise, direct = seen.covariance_px2, points.point_by_pixel
-    detection = direct @ noise @ _turned(direct)
+    detection = carried(direct, noise)
     covariance = {"detection": detection}
     for source in ("air", "pose"):
         some = [k for k, kind in enumerate(kinds) if kind == source]
         part = by[:, :, some]
-        covariance[source] = part @ estimate.covariance[np.ix_(some, some)] @ _turned(part)
+        covariance[source] = carried(part, estimate.covariance[np.ix_(some, some)])
     # After what the noise does in both ways, poses that were not fitted.
     known = covariance["detection"] + covariance["air"] + covariance["pose"]
     covariance["correlation"] = estimate.covariance_of_points(i) - known
     columns = [by @ change + direct_mm.get(i, 0.0) for change, direct_mm in moved]
     covariance["pose"] = covariance["pose"] + _outer(columns, points.point_mm)
-    excess = structure.excess * _along(normal, detection)[:, None, None]
+    excess = structure.excess * variance_along(normal, detection)[:, None, None]
     excess = excess * normal[:, :, None] * normal[:, None, :]
     covariance["model"] = (
-        by @ spread @ _turned(by) + excess + _added([each.of_points[i] for each in apart])
+        carried(by, spread) + excess + _added([each.of_points[i] for each in apart])
     )
     told = {
         name: UM_PER_MM * estimate.sigma[k] * np.sum(normal * by[:, :, k], axis=1)
@@ -462,22 +455,15 @@ def _by_poses(
             pivot_mm=pivot_mm,
             start_mm=estimate.points[i].point_mm,
         )
-        slopes, rows = [], {name: [] for name in sigmas}  # type: ignore[var-annotated]
-        if seen.along_mm is not None:
-            slopes.append(points.along_by_pixel)
-            for name in sigmas:
-                rows[name].append(points.along_by[name])
-        if estimate.shape is not None:
-            normal = estimate.shape.distance(points.point_mm).by_point
-            slopes.append(np.einsum("ni,nij->nj", normal, points.point_by_pixel))
-            for name in sigmas:
-                rows[name].append(np.sum(normal * points.point_by[name], axis=1))
+        point_by = np.stack([points.point_by[name] for name in sigmas], axis=2)
+        along_by = np.stack([points.along_by[name] for name in sigmas], axis=1)
+        linear = residuals(seen, points, estimate.shape, point_by, along_by)
         used = estimate.used[i]
         # A pose acts on the estimate as a shift of the pixels that makes the same residuals.
-        inverse = np.linalg.pinv(np.stack(slopes, axis=1)[used])
-        for name, sigma in sigmas.items():
-            shift = np.einsum("njk,nk->nj", inverse, np.stack(rows[name], axis=1)[used])
-            change = sigma * np.einsum("npj,nj->p", gains[i][used], shift)
+        shift = np.linalg.pinv(linear.by_pixel[used]) @ linear.by[used]
+        changes = np.einsum("npj,njk->pk", gains[i][used], shift)
+        for k, (name, sigma) in enumerate(sigmas.items()):
+            change = sigma * changes[:, k]
             found.append((change, {i: sigma * points.point_by[name]}))
     return found
 
@@ -549,7 +535,7 @@ def _spread_by_structure(
     """Covariance (P, P) that the parameters have beyond the noise's, as residuals show it."""
     spread = np.zeros_like(estimate.covariance)
     for gain, seen, each in zip(gains, estimate.observations, structure, strict=True):
-        of_noise = np.sum(gain @ seen.covariance_px2 @ _turned(gain), axis=0)
+        of_noise = np.sum(carried(gain, seen.covariance_px2), axis=0)
         spread += (each.long_run - 1.0) * of_noise
     return spread
 
@@ -669,10 +655,7 @@ def _parted(estimate: AirEstimate, narrow: AirEstimate, wider: AirEstimate) -> _
     of_points = []
     for i, seen in enumerate(estimate.observations):
         moved = wider.points[i].point_mm - narrow.points[i].point_mm
-        wide, slim = (
-            each.points_by(i) @ each.covariance @ _turned(each.points_by(i))
-            for each in (wider, narrow)
-        )
+        wide, slim = (carried(each.points_by(i), each.covariance) for each in (wider, narrow))
         error = moved[:, :, None] * moved[:, None, :] + _positive(wide - slim)
         of_points.append(_between(error, len(seen.pixel)))
     of_values = (wider.values[at] - narrow.values) ** 2 + np.maximum(lost, 0.0)
@@ -701,16 +684,6 @@ def _added(mean_squares: Sequence[Array]) -> Array:
 # --------------------------------------------------------------------------------- arithmetic
 
 
-def _turned(matrices: Array) -> Array:
-    return np.swapaxes(matrices, -1, -2)
-
-
-def _along(normal: Array, covariance: Array) -> Array:
-    """Variance (N,) along unit vectors (N, 3)."""
-    found: Array = np.einsum("ni,nij,nj->n", normal, covariance, normal)
-    return found
-
-
 def _outer(columns: Sequence[Array], points: Array) -> Array:
     """Sum (N, 3, 3) of independent errors' (N, 3) squares; NaN where there is no point."""
     found = np.where(np.isfinite(points), 0.0, np.nan)[:, :, None] * np.ones(3)
@@ -723,7 +696,7 @@ def _positive(covariance: Array) -> Array:
     """The nearest matrices (N, 3, 3) without negative variances."""
     known: Any = np.isfinite(covariance).all(axis=(1, 2))
     values, vectors = np.linalg.eigh(np.where(known[:, None, None], covariance, 0.0))
-    found: Array = (vectors * np.maximum(values, 0.0)[:, None]) @ _turned(vectors)
+    found: Array = carried(vectors, np.maximum(values, 0.0)[:, :, None] * np.eye(3))
     return found
 
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, number_within
 from virtual_sensor.calls import public
-from virtual_sensor.display import Displayed, listed
+from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, few
 from virtual_sensor.metrology.air_problem import Problem, State, problem_of
 from virtual_sensor.metrology.normal_equations import (
@@ -100,12 +100,7 @@ class Identifiability(Displayed):
     notes: tuple[str, ...] = ()
 
     def _line(self) -> str:
-        each = (
-            f"{name} ± {sigma:.2g}{f' {unit}' * bool(unit)}"
-            for name, unit, sigma in zip(
-                self.names, self.units, self.bound_with_priors, strict=True
-            )
-        )
+        each = with_spreads(self.names, self.units, self.bound_with_priors)
         return listed(*each, f"condition {self.condition:.3g}")
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.covariance import WITHIN_95
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
@@ -53,7 +54,6 @@ Array = NDArray[np.float64]
 AIR = "air.nc"
 """The estimated air, as `--medium` and a scene's parameter `field` read it."""
 
-_CERTAIN = 1.96  # standard deviations of a 95 % interval
 _NAMED = 6  # measurements that a key names
 _MOST_BARS = 12  # measurements whose error budgets are drawn
 _FEW = 60  # points that are marked one by one
@@ -460,7 +460,7 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for each, paint, label in _marked(measurements):
-            band = _CERTAIN * each.budget.total_um
+            band = WITHIN_95 * each.budget.total_um
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.distance_um, ".", **dots)
             if label:
@@ -566,7 +566,7 @@ def residual_panel(measurements: Sequence[Corrected]) -> Panel:
                 continue
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.residual_px, ".", **dots)
-            band = np.stack([each.sigma_px, -each.sigma_px], axis=1) * _CERTAIN
+            band = np.stack([each.sigma_px, -each.sigma_px], axis=1) * WITHIN_95
             axes.plot(each.along_mm, band, color=paint, lw=0.8)
         axes.axhline(0.0, color="0.5", lw=0.8)
         axes.set(xlabel=ALONG, ylabel="px")
@@ -586,8 +586,8 @@ def estimates_panel(table: EstimateTable) -> Panel:
         for axes, name, paint in zip(rows, names, cycle(CYCLE), strict=False):
             mine = table.parameter == name
             number, value = np.arange(1, mine.sum() + 1), table.value[mine]
-            bars = {"yerr": _CERTAIN * table.sigma[mine], "color": paint, "ms": 3.0, "capsize": 1.5}
-            axes.errorbar(number, value, fmt="o", **bars)
+            half = WITHIN_95 * table.sigma[mine]
+            axes.errorbar(number, value, half, fmt="o", color=paint, ms=3.0, capsize=1.5)
             axes.set_ylabel(_with_unit(name, table.unit[mine][0]))
             axes.xaxis.get_major_locator().set_params(integer=True)
         rows[-1].set_xlabel("estimate, in the order of the measurements")

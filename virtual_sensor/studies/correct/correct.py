@@ -18,6 +18,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.covariance import carried
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.error_budget import (
@@ -467,8 +468,7 @@ def _through(measured: Measured, own: Scene, settings: Settings) -> Corrected:
         with _as_options("--prior", "known_air_budget: "):
             budget = known_air_budget(seen, model, sigmas)
     else:
-        by_pixel = points.point_by_pixel
-        covariance = by_pixel @ seen.covariance_px2 @ np.swapaxes(by_pixel, 1, 2)
+        covariance = carried(points.point_by_pixel, seen.covariance_px2)
         normals = ScenePart.of(scene).normals(points.point_mm)
         budget = PointBudget(points.point_mm, normals, {"detection": covariance}, {})
     return _corrected(measured, scene, points, budget)

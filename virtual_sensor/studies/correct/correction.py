@@ -16,6 +16,7 @@ from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.air_estimate import AirEstimate
 from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.covariance import variance_along
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.error_budget import ErrorBudget, PointBudget
 from virtual_sensor.metrology.identifiability import EstimateStatus
@@ -209,8 +210,7 @@ class Corrected(Displayed):
     @cached_property
     def sigma_um(self) -> Array:
         """Standard deviation (N,) of the corrected points along the normal of the scene's part."""
-        normal = self.part.normals(self.point_mm)
-        variance = np.einsum("ni,nij,nj->n", normal, self.covariance_mm2, normal)
+        variance = variance_along(self.part.normals(self.point_mm), self.covariance_mm2)
         sigma: Array = UM_PER_MM * np.sqrt(np.maximum(variance, 0.0))  # less by rounding
         return sigma
 

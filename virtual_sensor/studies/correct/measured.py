@@ -41,14 +41,14 @@ from virtual_sensor.imaging.scene import (
 from virtual_sensor.metrology.calibration import Calibration, read_calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.metrology.observations import SIGMA_PX
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
-USUAL_SIGMA_PX = 0.02
-"""Of a centre whose standard deviation nobody says."""
-LEAST_SIGMA_PX = 1e-3  # of a rendered frame without noise, whose detector knows of no other error
+LEAST_SIGMA_PX = 1e-3
+"""Of a centre in a rendered frame without noise, whose detector knows of no other error."""
 
 _TABLES = (".csv", ".txt", ".tsv")
 _NAMES = {  # of a table's columns, ours first
@@ -381,10 +381,10 @@ def _with_sigma(measured: Measured, given_px: float | None) -> Measured:
     missing = int(np.sum(there & ~known))
     centres = "one centre has" if missing == 1 else f"{missing} centres have"
     note = (
-        f"{measured.name}: {centres} no standard deviation: {USUAL_SIGMA_PX:g} px is taken (or give"
+        f"{measured.name}: {centres} no standard deviation: {SIGMA_PX:g} px is taken (or give"
         " --sigma)"
     )
-    sigma = np.where(known, np.maximum(sigma, LEAST_SIGMA_PX), USUAL_SIGMA_PX)
+    sigma = np.where(known, np.maximum(sigma, LEAST_SIGMA_PX), SIGMA_PX)
     return replace(measured, sigma_px=sigma, notes=measured.notes + (note,) * bool(missing))
 
 
