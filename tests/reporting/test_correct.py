@@ -18,6 +18,7 @@ from virtual_sensor.metrology.observations import Observation, Prior
 from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.optics.ray_search import ray_search
 from virtual_sensor.reporting import correct as reporting
+from virtual_sensor.reporting.pictures import key_above
 from virtual_sensor.studies.correct.correct import correct
 from virtual_sensor.studies.correct.measured import Measured
 
@@ -130,6 +131,14 @@ def test_many_measurements_are_drawn_alike_and_unnamed(corrections):
         axes = Figure().add_subplot()
         reporting.draw_distances(axes, corrections[kind].measurements)
         assert len(axes.get_legend_handles_labels()[1]) == labels
+
+
+def test_a_key_shows_the_colour_of_small_dots():
+    axes = Figure().add_subplot()
+    axes.plot([0.0, 1.0], ".", ms=2.0, label="dots")
+    key_above(axes)
+    assert axes.get_legend().legend_handles[0].get_markersize() >= 5.0
+    assert axes.lines[0].get_markersize() == 2.0
 
 
 def test_what_is_missing_is_said_once_with_its_reason(corrections):

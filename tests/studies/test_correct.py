@@ -184,6 +184,9 @@ def test_each_kind_of_known_air_is_taken(folder):
             {"temperature_c": 1200.0},
         )
     )
+    sure = correct([flat], Settings(priors={"scale": Prior(1.0, 0.05)}))
+    told = ["taken for exact" in "".join(each.notes) for each in (own, hotter, other, sure)]
+    assert told == [True, True, True, False]
     origins = [each.air.origin for each in (own, hotter, other, between)]
     assert origins == ["scene", "temperature", "medium", "temperature"]
     points = [each.measurements[0].point_mm for each in (own, hotter, other, between)]
@@ -444,6 +447,15 @@ def test_measurements_that_do_not_go_together_are_refused_or_told(folder):
     told = [note for note in correct([both[0], cold], known).caveats if "runs straight" in note]
     assert [note.partition(":")[0] for note in told] == ["turned"]
     assert not any("runs straight" in note for note in correct([cold], known).caveats)
+
+
+def test_air_that_is_not_of_the_part_is_told(folder):
+    """Rationale: a cylinder's field corrected a bracket, without the note that `measure` has."""
+    (flat,) = read_measured([str(folder(0, "flat"))], Scenes())
+    assert not any("not of this part" in note for note in correct([flat]).notes)
+    moved = flat.scene.medium.moved(Pose.shift([0.0, 0.0, -20.0]))
+    result = correct([replace(flat, scene=flat.scene.with_medium(moved))])
+    assert any("the given air is not of this part" in note for note in result.notes)
 
 
 def test_dots_of_one_pose_that_find_the_air_are_told():

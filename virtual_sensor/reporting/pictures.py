@@ -20,6 +20,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, FigureBase
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed
@@ -34,6 +35,7 @@ _MARGINS_IN = (0.8, 0.2, 0.6, 0.4)
 """Left, right, bottom and top of a panel's axes, without a layout engine."""
 _PAD_IN = 0.1
 _LINE_PX, _LETTER_PX = 26, 12.5
+_SEEN = 5.0  # points: dots of a key that show their colour
 
 
 @dataclass(frozen=True)
@@ -198,7 +200,7 @@ def key_above(axes: Axes) -> None:
     if not handles:
         return
     wide = axes.figure.get_figwidth() > 8.0
-    axes.legend(
+    key = axes.legend(
         loc="lower right" if wide else "lower left",
         bbox_to_anchor=(1.0, 1.0) if wide else (-0.02, 1.0),
         ncols=len(handles),
@@ -206,6 +208,9 @@ def key_above(axes: Axes) -> None:
         handlelength=1.6,
         borderaxespad=0.2,
     )
+    for each in key.legend_handles:
+        if isinstance(each, Line2D):  # whose colour a small dot does not show
+            each.set_markersize(max(each.get_markersize(), _SEEN))
     if not wide:
         axes.set_title(axes.get_title(loc="left"), pad=24)
         axes.figure.subplots_adjust(top=1.0 - 0.62 / axes.figure.get_figheight())

@@ -87,6 +87,8 @@ def correct(
     own = {each.name: each.scene for each in measured}
     measured, air, said = _in_known_air(measured, settings)
     notes += said
+    airs = {(each.scene.path, id(each.scene.medium)): each.scene for each in measured}
+    notes += [note for scene in airs.values() for note in scene.loading_notes]
     found: list[Corrected] = []
     estimates: list[AirEstimate] = []
     groups = _groups(measured, bool(settings.estimate))
@@ -177,6 +179,11 @@ def _in_known_air(
         ]
     if medium is not None:
         measured = [replace(each, scene=each.scene.with_medium(medium)) for each in measured]
+    if origin != "none" and not (settings.estimate or settings.priors):
+        notes.append(
+            "the air is taken for exact, and sigma is of the centres' noise alone; --prior"
+            " scale=1:0.05, say, tells how well it is known"
+        )
     air = medium or first.medium
     source = settings.medium or (first.air.path if medium is None else None)
     return [*measured], AirFacts(origin, f"{source or (air.source if air else '')}"), notes
