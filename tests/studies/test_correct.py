@@ -475,6 +475,15 @@ def test_dots_of_one_pose_that_find_the_air_are_told():
     assert any("dots of one pose" in caveat for caveat in result.caveats)
 
 
+def test_decimal_commas_between_commas_are_refused(tmp_path):
+    """Rationale: u 538,0 and v 1278,02 were read as u = 538 and v = 0."""
+    (tmp_path / "line.csv").write_text("u,v\n538,0,1278,02\n")
+    with pytest.raises(InputError, match="line 2: has 4 columns, and the first line 2; put semi"):
+        read_centres(tmp_path / "line.csv")
+    (tmp_path / "line.csv").write_text("u,v,\n538,1278.02,\n")  # a comma at the end is none
+    assert read_centres(tmp_path / "line.csv")["v"] == [1278.02]
+
+
 def test_a_given_sigma_is_taken_without_a_note_that_it_is_missing(tmp_path):
     (tmp_path / "line.csv").write_text("u,v\n1,2\n2,2\n")
     for sigma_px, taken, notes in ((None, 0.02, 1), (0.05, 0.05, 0)):
@@ -493,6 +502,10 @@ def test_the_command_writes_points_and_says_how_far_they_moved(tmp_path, folder)
     assert figures["measurements"]["flat"]["distance"]["rms_um"] < 0.05
     assert figures["measurements"]["flat"]["distance_uncorrected"]["rms_um"] > 100
     assert run(flat, "-o", out).exit_code != 0  # nothing is overwritten
+    line = (flat / "line_hot.csv").read_bytes()
+    for given in (flat, f"{flat}:beta=0", flat / "line_hot.csv"):  # which it would replace
+        assert "name another folder" in str(run(given, "-o", flat, "--overwrite").exception)
+        assert (flat / "line_hot.csv").read_bytes() == line
     (tmp_path / "away.csv").write_text("u,v\n,\n")
     ended = run(tmp_path / "away.csv", "--scene", "hot_cylinder", "-o", tmp_path / "none")
     assert ended.exit_code == 3

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli import shared
+from virtual_sensor.errors import InputError
 
 EPILOG = (
     "Examples:\n\n"
@@ -112,6 +113,11 @@ def correct(
     from virtual_sensor.studies.correct.measured import Scenes, read_measured
 
     shared.check_folder(output, overwrite)
+    for path in [*(Path(text.partition(":")[0]) for text in measured), medium, calibration]:
+        if path and output.resolve() in (path.resolve(), *path.resolve().parents):
+            raise InputError(
+                f"-o {output}: holds {path}, which is to be corrected or read; name another folder"
+            )
     settings = Settings(
         medium,
         temperature,

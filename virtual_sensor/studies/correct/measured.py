@@ -448,6 +448,12 @@ def read_centres(path: Path) -> dict[str, NDArray[Any]]:
                 f"{path}: has the columns {few(first, 8)}; name those of the line's centres u and v"
                 " (px, integers at pixel centres)"
             )
+    for n, cells in rows:
+        if len(list(filter(str.strip, cells))) > len(first):
+            raise InputError(
+                f"{path}, line {n}: has {len(cells)} columns, and the first line {len(first)}; put"
+                " semicolons or tabs between numbers with decimal commas"
+            )
     widest = max(places.values())
     short = next((n for n, cells in rows if len(cells) <= widest), None)
     if short is not None:
