@@ -1,6 +1,7 @@
 """Air, radius and poses from images: truths are searched pixels, in air of the model or not."""
 
 import functools
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -240,3 +241,29 @@ def test_what_is_vague_where_it_was_found_is_not_called_found():
     assert found.sigma_of("blur") <= model().parameters["blur"].sigma
     assert any("blur" in note for note in found.notes)
     assert np.isfinite(found.covariance).all()
+
+
+def test_a_table_has_a_row_for_each_parameter_and_a_file_no_nodes_of_air(tmp_path):
+    """Rationale: it was one row of a hundred columns, and JSON of 230 MB."""
+    seen = vs.Observation(scene(), searched(scene().with_medium(own_air()))[::3])
+    found = vs.estimate_air(seen, model(), ["scale"], shape=START, free=["radius_mm"])
+    for thing in (found, found.before, vs.error_budget(found, families=())):
+        rows = thing.to_dataframe()
+        assert rows.parameter.tolist() == ["scale", "radius_mm"], type(thing)
+        assert rows.unit.tolist() == ["", "mm"], type(thing)
+    rows = found.to_dataframe()
+    assert rows.value.tolist() == [found["scale"], found["radius_mm"]]
+    assert rows.sigma.tolist() == [found.sigma_of("scale"), found.sigma_of("radius_mm")]
+    assert set(rows.status) <= {"found", "at_bound"}
+    path = found.save(tmp_path / "found.json")
+    assert path.stat().st_size < 1e6
+    assert json.loads(path.read_text())["media"] == [repr(found.medium)]
+
+
+def test_a_fit_that_leaves_nothing_over_is_told():
+    part = vs.CylinderShape()
+    seen = vs.Observation(scene(), searched(scene().with_medium(own_air()))[3:25:7])
+    two = replace(seen, pixel=seen.pixel[:2], sigma_px=0.02, coordinate=0.0, normal_deg=90.0)
+    for each, said in ((two, True), (seen, False)):
+        found = vs.estimate_air(each, model(), ["scale", "width"], shape=part)
+        assert any("2 parameters of 2 residuals" in note for note in found.notes) == said

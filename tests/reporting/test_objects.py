@@ -151,11 +151,11 @@ def test_fields_and_calibrations_are_read_back(made, tmp_path):
         assert read.triangulation_angle_deg == pytest.approx(60.0), suffix
 
 
-def test_json_holds_a_scene_without_its_air_and_no_image(made, tmp_path):
+def test_json_holds_a_scene_with_a_line_of_its_air_and_no_image(made, tmp_path):
     said = json.loads(made["scene"].save(tmp_path / "scene.json").read_text())
     assert said["parameters"]["width"] == "128"
     assert said["cameras"]["camera"]["size"] == [128, 128]
-    assert "medium" not in said
+    assert said["medium"] == repr(made["field"])
     big = vs.IndexField.from_arrays(np.zeros((200, 100, 60)), [0, 0, 0], [1, 1, 1])
     with pytest.raises(InputError, match=r"air\.json: .*too large for JSON; write \.npz"):
         big.save(tmp_path / "air.json")

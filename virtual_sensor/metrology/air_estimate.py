@@ -148,6 +148,10 @@ class AirEstimate(Displayed):
     notes: tuple[str, ...] = ()
     _linear: tuple[Any, ...] = field(default=(), repr=False)
 
+    def _columns(self) -> dict[str, Any]:
+        found = {"parameter": self.names, "unit": self.units, "value": self.values}
+        return found | {"sigma": self.sigma, "bound": self.bound, "status": self.status}
+
     def _line(self) -> str:
         each = with_spreads(self.names, self.units, self.sigma, self.values)
         return listed(f"residual {self.rms_px:.3g} px rms", *each)
@@ -411,6 +415,11 @@ def _result(
                 f" {prior.value:g} ± {prior.sigma:.2g}: the prior is wrong, or the air of another"
                 " kind than the model, and all standard deviations are too small"
             )
+    if 0 < len(white) + len(off_prior) <= len(x):
+        notes.append(
+            f"{len(x)} parameters of {len(white)} residuals: they fit whatever the truth is, and"
+            " nothing tells whether the model is right"
+        )
     if chi2 > _EXCESS:
         notes.append(
             f"the residuals are {np.sqrt(chi2):.2g} times their noise: air or shape are not of the"

@@ -92,7 +92,8 @@ class PointBudget(Displayed):
         return listed(f"{_median(self.total_um):.2g} µm along the normal", *each)
 
     def _columns(self) -> dict[str, Array]:
-        columns = {f"sigma_{source}_um": um for source, um in self.sigma_um.items()}
+        columns = dict(zip(("x_mm", "y_mm", "z_mm"), self.point_mm.T, strict=True))
+        columns |= {f"sigma_{source}_um": um for source, um in self.sigma_um.items()}
         return columns | {"sigma_um": self.total_um, "interval_95_um": self.interval_um}
 
     @cached_property
@@ -202,7 +203,7 @@ class ErrorBudget(Displayed):
 
     def _columns(self) -> dict[str, Any]:
         low, high = self.interval.T
-        found: dict[str, Any] = {"parameter": np.array(self.names), "value": self.values}
+        found: dict[str, Any] = {"parameter": self.names, "unit": self.units, "value": self.values}
         found |= {f"sigma_{source}": sigma for source, sigma in self.sigma.items()}
         return found | {"sigma": self.total, "low_95": low, "high_95": high}
 

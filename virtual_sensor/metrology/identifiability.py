@@ -99,6 +99,14 @@ class Identifiability(Displayed):
     status: NDArray[np.int64]
     notes: tuple[str, ...] = ()
 
+    def _columns(self) -> dict[str, Any]:
+        found = {"parameter": self.names, "unit": self.units, "bound": self.bound}
+        return found | {
+            "alone": self.alone,
+            "bound_with_priors": self.bound_with_priors,
+            "status": self.status,
+        }
+
     def _line(self) -> str:
         each = with_spreads(self.names, self.units, self.bound_with_priors)
         return listed(*each, f"condition {self.condition:.3g}")

@@ -163,21 +163,26 @@ def _write_json(path: Path, thing: Displayed) -> None:
     write_json(path, tree)
 
 
-def _tree(value: Any, but: tuple[str, ...] = ()) -> Any:
+def _tree(value: Any) -> Any:
     """An object as JSON has it, statuses by their names; what is no data is left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        held = {name: each for name, each in _public(value) if name not in but}
-        found = {name: _tree(_named(value, name, each)) for name, each in held.items()}
+        found = {name: _part(_named(value, name, each)) for name, each in _public(value)}
         return {name: each for name, each in found.items() if each is not _NO_DATA}
     if isinstance(value, Mapping):
-        return {str(key): _tree(each) for key, each in value.items()}
+        return {str(key): _part(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_tree(each) for each in value]
+        return [_part(each) for each in value]
     if isinstance(value, np.ndarray) and value.size > _MOST_IN_JSON:
         raise InputError(f"an array of shape {value.shape} is too large for JSON; write .npz")
     found = plain(value)
     data = found is None or isinstance(found, bool | int | float | str | list)
     return found if data else _NO_DATA
+
+
+def _part(value: Any) -> Any:
+    """What an object holds, as JSON has it: of air its line, since its nodes are a file's own."""
+    is_air = isinstance(value, Displayed) and "medium.index_field.IndexField" in names_of(value)
+    return repr(value) if is_air else _tree(value)
 
 
 _NO_DATA = object()
@@ -292,8 +297,7 @@ def _write_calibration(path: Path, calibration: Any) -> None:
 
 
 def _write_scene(path: Path, scene: Any) -> None:
-    """All of it but the air's nodes, which are its file's."""
-    write_json(path, {"notes": scene.notes, **_tree(scene, but=("medium",))})
+    write_json(path, {"notes": scene.notes, **_tree(scene)})
 
 
 def _write_summary(path: Path, result: Any) -> None:
