@@ -41,6 +41,7 @@ EMPTY = {
     "IndexField.refractivity": lambda: HOT.field.refractivity(POINTS),
     "IndexField.gradient": lambda: HOT.field.gradient([]),
     "line_sensitivity": lambda: line_sensitivity(HOT, NONE),
+    "bent_points": lambda: vs.bent_points(HOT, NONE),
     "laser_y_at": lambda: laser_y_at(HOT, NONE),
     "incidence_points": lambda: incidence_points(HOT, NONE),
     "seen_points": lambda: seen_points(HOT, PIXELS),
