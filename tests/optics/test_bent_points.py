@@ -200,9 +200,13 @@ def test_a_start_close_by_leads_to_the_same():
     found = bent_points(scene, pixel, ["beta"])
     near = found.point_mm + np.random.default_rng(1).normal(0.0, 0.1, found.point_mm.shape)
     near[3] = np.nan
-    again = bent_points(scene, pixel, ["beta"], start_mm=near)
-    np.testing.assert_allclose(again.point_mm, found.point_mm, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(again.point_by["beta"], found.point_by["beta"], rtol=0, atol=1e-9)
+    far = near + np.array([0.0, 20.0, 0.0])
+    for start in (near, far):
+        for along in (None, found.along_mm + 0.01):
+            again = bent_points(scene, pixel, ["beta"], start_mm=start, start_along_mm=along)
+            np.testing.assert_allclose(again.point_mm, found.point_mm, rtol=0, atol=1e-7)
+            by, known = again.point_by["beta"], found.point_by["beta"]
+            np.testing.assert_allclose(by, known, rtol=0, atol=1e-5)
 
 
 def test_lost_pixels_have_no_point_and_disturb_no_other():
@@ -228,6 +232,10 @@ def test_what_cannot_be_asked_is_refused():
         ({"parameters": ["width"]}, "no parameter 'width'"),
         ({"coordinate": [0.0, 1.0, 2.0]}, "coordinate has shape"),
         ({"start_mm": np.zeros((3, 3))}, "start_mm has shape"),
+        (
+            {"start_mm": np.zeros((len(pixel), 3)), "start_along_mm": np.zeros(3)},
+            "start_along_mm has shape",
+        ),
     ):
         with pytest.raises(InputError, match=said):
             bent_points(scene, pixel, **options)

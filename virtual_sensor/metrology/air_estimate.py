@@ -285,6 +285,46 @@ def estimate_air(
     return _result(problem, state, before, count, converged, max_condition)
 
 
+def estimate_near(
+    points: Sequence[Any],
+    observations: Sequence[Observation],
+    model: Any,
+    names: Sequence[str],
+    *,
+    shape: Shape | None,
+    free: Sequence[str],
+    pose_names: Sequence[str],
+    priors: Mapping[str, Prior],
+    known: Mapping[str, float],
+    start: Mapping[str, float],
+    tolerance_px: float,
+    max_steps: int,
+) -> AirEstimate:
+    """`estimate_air` for many fits beside one another: quick, by the marches of its way alone.
+
+    Parameters
+    ----------
+    points : sequence of BentPoints
+        Near those that are sought, of each observation.
+    observations, model, names, shape, free, pose_names, priors, known, start, tolerance_px
+    max_steps
+        As those of `estimate_air`.
+
+    Raises
+    ------
+    InputError
+        As `estimate_air` does.
+    """
+    problem = problem_of(
+        *(observations, model, names, (), shape, free, pose_names, priors, known, np.zeros(3)),
+        None,
+    )
+    problem = replace(_started(problem, dict(start)), near=tuple(points))
+    problem, state, before = begun(problem, MAX_CONDITION)
+    state, steps, converged = _least(problem, state, tolerance_px, max_steps)
+    return _result(problem, state, before, steps, converged, MAX_CONDITION)
+
+
 def _started(problem: Problem, start: dict[str, Any]) -> Problem:
     """The problem, some of whose unknowns start from these values."""
     names = [unknown.name for unknown in problem.unknowns]

@@ -105,6 +105,8 @@ class Problem:
     progress : callable or None
     step_mm : float or None
         Of marches; None: the searches' own.
+    near : tuple of BentPoints
+        Of each observation, from which marches start; () where nothing is known.
     """
 
     observations: tuple[Observation, ...]
@@ -115,6 +117,7 @@ class Problem:
     pivot_mm: Array
     progress: Any = None
     step_mm: float | None = _STEP_MM
+    near: tuple[Any, ...] = ()
 
     @cached_property
     def motions(self) -> dict[str, Any]:
@@ -125,7 +128,7 @@ class Problem:
 
     def at(self, x: Array, before: State | None = None) -> State:
         """Everything at some values of the unknowns; `before` gives points that are near."""
-        shape = self.shape.with_values(**self._of("shape", x)) if self.shape else None
+        shape = self._shape(x)
         media: list[Any] = []
         found = []
         for i in range(len(self.observations)):
@@ -134,6 +137,25 @@ class Problem:
             media.append(medium)
             found.append(self._observed(i, x, medium, by_air, shape, before))
         return State(x, tuple(media), shape, *(tuple(each) for each in zip(*found, strict=True)))
+
+    def reshaped(self, x: Array, before: State) -> State:
+        """Everything at values that differ from those before by the shape alone."""
+        shape = self._shape(x)
+        linear = tuple(
+            residuals(seen, points, shape, old.point_by, old.along_by, self._of_shape)
+            for seen, points, old in zip(
+                self.observations, before.points, before.linear, strict=True
+            )
+        )
+        return replace(before, x=x, shape=shape, linear=linear)
+
+    @property
+    def _of_shape(self) -> dict[int, str]:
+        """Which of the unknowns are the shape's own."""
+        return {k: u.parameter for k, u in enumerate(self.unknowns) if u.kind == "shape"}
+
+    def _shape(self, x: Array) -> Shape | None:
+        return self.shape.with_values(**self._of("shape", x)) if self.shape else None
 
     @property
     def own_air(self) -> bool:
@@ -187,7 +209,7 @@ class Problem:
             coordinate=seen.coordinate,
             pivot_mm=self.pivot_mm,
             march=replace(REFERENCE, step_mm=self.step_mm) if self.step_mm else REFERENCE,
-            start_mm=before.points[i].point_mm if before else None,
+            **self._expected(i, x, before),
         )
         count = len(points.point_mm)
         point_by = np.zeros((count, 3, len(self.unknowns)))
@@ -196,12 +218,18 @@ class Problem:
             if unknown.kind == "air" and unknown.observation in (None, i):
                 point_by[:, :, k] = points.point_by[unknown.parameter]
                 along_by[:, k] = points.along_by[unknown.parameter]
-        of_shape = {k: u.parameter for k, u in enumerate(self.unknowns) if u.kind == "shape"}
         for k, motion in poses:
             for axis, share in _shares(motion):
                 point_by[:, :, k] += share * points.point_by[axis]
                 along_by[:, k] += share * points.along_by[axis]
-        return points, residuals(seen, points, shape, point_by, along_by, of_shape)
+        return points, residuals(seen, points, shape, point_by, along_by, self._of_shape)
+
+    def _expected(self, i: int, x: Array, before: State | None) -> dict[str, Any]:
+        """Where `bent_points` is to start, if anything is known of it."""
+        if before:
+            return before.expected(i, x)
+        near = self.near[i] if self.near else None
+        return {"start_mm": near.point_mm, "start_along_mm": near.along_mm} if near else {}
 
     def _motion(self, seen: Observation, unknown: Unknown) -> Any:
         """The motion of a pose parameter; of the laser's plane in the laser's own frame."""
@@ -289,6 +317,14 @@ class State:
     factor: tuple[Array, ...] = ()
     used: tuple[Mask, ...] = ()
 
+    def expected(self, i: int, x: Array) -> dict[str, Array]:
+        """Where `bent_points` finds an observation's points at values near these, nearly."""
+        points, by, step = self.points[i], self.linear[i], x - self.x
+        return {
+            "start_mm": points.point_mm + by.point_by @ step,
+            "start_along_mm": points.along_mm + by.along_by @ step,
+        }
+
     def like(self, other: State) -> bool:
         """Whether the same pixels take part, with the same weights."""
         pairs = zip(self.used, other.used, self.factor, other.factor, strict=True)
@@ -325,12 +361,14 @@ class Linear:
     by_pixel : ndarray of shape (N, K, 2)
     by : ndarray of shape (N, K, P)
     point_by : ndarray of shape (N, 3, P)
+    along_by : ndarray of shape (N, P)
     """
 
     residual: Array
     by_pixel: Array
     by: Array
     point_by: Array
+    along_by: Array
 
     def whitened(self, factor: Array) -> Linear:
         """Over their noise, by factors (N, K, K)."""
@@ -384,7 +422,7 @@ def residuals(
         by_pixel = np.einsum("ni,nij->nj", off.by_point, points.point_by_pixel)
         rows.append((off.distance_mm, by_pixel, by))
     residual, by_pixel, by_unknown = (np.stack(r, axis=1) for r in zip(*rows, strict=True))
-    return Linear(residual, by_pixel, by_unknown, point_by)
+    return Linear(residual, by_pixel, by_unknown, point_by, along_by)
 
 
 def _body(motion: Any) -> str:

@@ -33,7 +33,7 @@ An interval of 95 % is 1.96 standard deviations of all sources together, about t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -44,7 +44,7 @@ from virtual_sensor.arrays import LARGEST, number_within, vector_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, few, nearest, short
-from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
+from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_near
 from virtual_sensor.metrology.air_problem import air_model_of, residuals
 from virtual_sensor.metrology.covariance import WITHIN_95, carried, variance_along
 from virtual_sensor.metrology.deviation import UM_PER_MM
@@ -455,6 +455,7 @@ def _by_poses(
             coordinate=seen.coordinate,
             pivot_mm=pivot_mm,
             start_mm=estimate.points[i].point_mm,
+            start_along_mm=estimate.points[i].along_mm,
         )
         point_by = np.stack([points.point_by[name] for name in sigmas], axis=2)
         along_by = np.stack([points.along_by[name] for name in sigmas], axis=1)
@@ -596,20 +597,22 @@ def _quicker(model: Any) -> Any:
 
 def _thinned(seen: Observation) -> Observation:
     """Every so many of its pixels, as sure together as all."""
-    step = _step(seen)
-    rows = slice(None, None, step)
+    step = _step(seen.pixel)
+    rows = _every(seen, step)
+    return replace(rows, sigma_px=rows.sigma_px / np.sqrt(step))
+
+
+def _step(rows: Array) -> int:
+    return -(-len(rows) // _MOST_PIXELS)
+
+
+def _every(table: Any, step: int) -> Any:
+    """The rows of a dataclass's arrays, every so many."""
+    arrays = {f.name: getattr(table, f.name) for f in fields(table)}
     return replace(
-        seen,
-        pixel=seen.pixel[rows],
-        sigma_px=seen.sigma_px[rows] / np.sqrt(step),
-        coordinate=seen.coordinate[rows],
-        along_mm=None if seen.along_mm is None else seen.along_mm[rows],
-        normal_deg=None if seen.normal_deg is None else seen.normal_deg[rows],
+        table,
+        **{name: each[::step] for name, each in arrays.items() if isinstance(each, np.ndarray)},
     )
-
-
-def _step(seen: Observation) -> int:
-    return -(-len(seen.pixel) // _MOST_PIXELS)
 
 
 def _refitted(
@@ -623,7 +626,8 @@ def _refitted(
     priors = {name: Prior(p.default, p.sigma) for name, p in more.items()} | estimate.priors
     start = {name: values[name] for name in (*of["air"], *of["pose"])}
     try:
-        found = estimate_air(
+        found = estimate_near(
+            [_every(points, _step(points.point_mm)) for points in estimate.points],
             [_thinned(each) for each in estimate.observations],
             model,
             [*of["air"], *added],

@@ -199,7 +199,7 @@ def _near_shape(problem: Problem, state: State) -> tuple[Problem, State]:
         replace(u, start=near[u.parameter]) if u.kind == "shape" else u for u in problem.unknowns
     )
     problem = replace(problem, unknowns=unknowns)
-    return problem, problem.at(np.array([u.start for u in unknowns]), state)
+    return problem, problem.reshaped(np.array([u.start for u in unknowns]), state)
 
 
 def _told(problem: Problem, state: State, max_condition: float) -> tuple[Problem, Identifiability]:

@@ -11,7 +11,8 @@ matrix of the columns T, -S_t and -U,
 
     (l', t', m') = M^-1 (s - c),   and the point moves by   P' = c + T l'.
 
-Two or three steps need long marches, and one the march asked for, which gives all derivatives, too.
+Two or three steps need long marches, and one the march asked for, which gives all derivatives, too;
+from a point and a t that are known well, that one is enough.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _LONG_MM = 2.0  # steps that err by 1e-4 mm on the shipped fields
-_LINEAR_MM = 5e-3  # rays that are so near each other meet where their tangents do, to 1e-7 mm
-_MOST_LONG, _MOST_FINE = 8, 3  # steps of Newton's method
+_LINEAR_MM = 1e-3  # rays that are so near each other meet where their tangents do, to 1e-8 mm
+_MOST_LONG, _MOST_FINE, _MOST_NEAR = 8, 3, 2  # steps of Newton's method; the last, from a start
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,7 @@ def bent_points(
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     march: March = REFERENCE,
     start_mm: ArrayLike | None = None,
+    start_along_mm: ArrayLike | None = None,
     camera: str | None = None,
     source: str | None = None,
 ) -> BentPoints:
@@ -134,6 +136,8 @@ def bent_points(
     start_mm : array_like of shape (N, 3), optional
         Points near those that are sought, such as those in air that is a little different. By
         default, and where NaN, where straight light would meet.
+    start_along_mm : array_like of shape (N,), optional
+        Second coordinates t near those of their rays. By default those of straight light.
     camera, source : str, optional
         Names of the scene's, where it has several.
 
@@ -158,15 +162,23 @@ def bent_points(
     march.check(scene.medium)
     known, asked, air = parameters_of("bent_points", scene, parameters, variations, pivot_mm)
 
-    start = None
-    if start_mm is not None:
-        start = points_of("bent_points: start_mm", start_mm)
-        if start.shape != (len(pixel), 3):
-            raise InputError(
-                f"bent_points: start_mm has shape {start.shape}; give a point for each pixel"
-            )
     light = _Light(scene.medium, scene.camera, scene.source.family, march, asked, known, air)
-    return light.points(pixel, s, start)
+    if start_mm is None:
+        return light.points(pixel, s)
+    start = points_of("bent_points: start_mm", start_mm)
+    if start.shape != (len(pixel), 3):
+        raise InputError(
+            f"bent_points: start_mm has shape {start.shape}; give a point for each pixel"
+        )
+    none = np.full(len(pixel), np.nan)
+    along = numbers_of(
+        "bent_points: start_along_mm", none if start_along_mm is None else start_along_mm
+    )
+    if along.shape != none.shape:
+        raise InputError(
+            f"bent_points: start_along_mm has shape {along.shape}; give a number for each pixel"
+        )
+    return light.points(pixel, s, np.column_stack([start, along]))
 
 
 def marched_crossings(
@@ -189,22 +201,33 @@ class _Light:
     air: Mapping[str, Variation]
 
     def points(self, pixel: Array, s: Array, start: Array | None = None) -> BentPoints:
-        """Of pixels (N, 2) on rays s (N,), from points near them (N, 3) where these are finite."""
+        """Of pixels (N, 2) on rays s (N,), from (x, y, z, t) near them (N, 4) where finite."""
         straight = crossings(None, self.camera, self.family, pixel, s, 1.0)
         point = straight.point_mm
         if start is not None:
-            point = np.where(np.isfinite(start).all(axis=1, keepdims=True), start, point)
+            point = np.where(
+                np.isfinite(start[:, :3]).all(axis=1, keepdims=True), start[:, :3], point
+            )
+        t = self.family.coordinates(point)[:, 1]
+        if start is not None:
+            t = np.where(np.isfinite(start).all(axis=1), start[:, 3], t)
         rows = np.flatnonzero(straight.status == CrossingStatus.OK)
-        found = by_rows(partial(_marched, self), pixel[rows], s[rows], point[rows])
+        marched = partial(_marched, self, _MOST_NEAR if start is not None else 0)
+        found = by_rows(marched, pixel[rows], s[rows], point[rows], t[rows])
         return _spread(found, rows, straight.status)
 
 
-def _marched(light: _Light, pixel: Array, s: Array, point: Array) -> BentPoints:
-    """Points of pixels (N, 2) on rays s (N,) from points near them (N, 3), with derivatives."""
+def _marched(
+    light: _Light, near_steps: int, pixel: Array, s: Array, point: Array, t: Array
+) -> BentPoints:
+    """Points of pixels (N, 2) on rays s (N,), with derivatives, from points and t near them.
+
+    The first steps, so many as `near_steps`, take these as near; the long way follows if they fail.
+    """
     field, camera, family = light.field, light.camera, light.family
     march, known = light.march, light.known
     p, q = camera.of_pixels(pixel)
-    sight, t = RayStarts.of(camera, p, q), family.coordinates(point)[:, 1]
+    sight = RayStarts.of(camera, p, q)
 
     def pair(march: March, air: Mapping[str, Variation]) -> _Pair:
         rays = RayStarts.of(family, s, t)
@@ -213,18 +236,30 @@ def _marched(light: _Light, pixel: Array, s: Array, point: Array) -> BentPoints:
             carry(field, "laser", rays, air, march, abreast_of=point),
         )
 
-    lost = np.zeros(len(point), bool)
-    long = replace(march, step_mm=max(march.step_mm, _LONG_MM))
-    for by, varied, most in ((long, {}, _MOST_LONG), (march, light.air, _MOST_FINE)):
+    def stepped(
+        by: March, air: Mapping[str, Variation], most: int, lost: Mask
+    ) -> tuple[_Pair, Mask]:
+        """So many steps at most, until all rays meet but those lost before; which are lost then."""
+        nonlocal point, t
         for _ in range(most):
-            rays = pair(by, varied)
+            rays = pair(by, air)
             moved, along, off_mm = rays.meeting()
             near = off_mm <= _LINEAR_MM
             point = np.where(np.isfinite(moved), moved, point)
             t = np.where(np.isfinite(along), t + along, t)
             if (near | lost).all():
                 break
-        lost = ~near
+        return rays, ~near
+
+    none, first = np.zeros(len(point), bool), (point, t)
+    lost = ~none
+    if near_steps:
+        rays, lost = stepped(march, light.air, near_steps, none)
+    if lost.any():
+        point, t = np.where(lost[:, None], first[0], point), np.where(lost, first[1], t)
+        long = replace(march, step_mm=max(march.step_mm, _LONG_MM))
+        _, lost = stepped(long, {}, _MOST_LONG, none)
+        rays, lost = stepped(march, light.air, _MOST_FINE, lost)
     folded = _folded(camera, p, q, rays.seen) | _folded(family, s, t, rays.lit)
     depths = [each.pose.to_local(point)[:, 2] for each in (camera, family)]
     reasons = {

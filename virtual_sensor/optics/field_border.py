@@ -127,8 +127,10 @@ def cover_words(
 def _beyond(field: Field, points_mm: Array) -> Mask:
     """Which points (N, 3) lie beyond a border where the field has not faded."""
     place = field.to_local(points_mm)
-    outside = np.any((place < field.box[0]) | (place > field.box[1]), axis=1)
-    return outside & (_difference(field, place) > FADED)
+    outside: Mask = np.any((place < field.box[0]) | (place > field.box[1]), axis=1)
+    if outside.any():
+        outside[outside] = _difference(field, place[outside]) > FADED
+    return outside
 
 
 def _difference(field: Field, place: Array) -> Array:
