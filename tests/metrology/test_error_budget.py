@@ -7,7 +7,7 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.metrology.covariance import WITHIN_95
-from virtual_sensor.metrology.error_budget import _structure
+from virtual_sensor.metrology.error_budget import _structure, known_air_shape_budget
 from virtual_sensor.poses import Pose
 
 ALONG = np.linspace(-10.0, 10.0, 31)
@@ -114,6 +114,48 @@ def test_residuals_show_what_noise_cannot_do():
     assert abs(found.excess - 2.0) < 0.7
     assert found.correlated > 5.0
     assert _structure(3.0 * random.normal(size=200)).long_run > 6.0
+
+
+def test_a_circle_through_the_points_is_as_sure_as_the_one_that_was_fitted_with_the_air():
+    budget = vs.error_budget(fitted(), sigmas={"sensor_y": 0.002}, families=())
+    circle = budget.of_shape(CYLINDER, FREE)
+    k = [budget.names.index(name) for name in FREE]
+    np.testing.assert_allclose(circle.values, budget.values[k], atol=2e-5)
+    for source in ("noise", "pose"):
+        np.testing.assert_allclose(
+            circle.sigma[source], budget.sigma[source][k], rtol=0.05, atol=1e-5
+        )
+
+
+def test_a_circle_through_known_air_moves_with_it_as_a_whole():
+    pixel, points = searched()
+    air, known = scene().medium, {"scale": 0.02, "sensor_y": 0.01}
+    circle = known_air_shape_budget(
+        [vs.known_air_budget(line(pixel), sigmas=known)], CYLINDER, FREE
+    )
+    hotter = vs.triangulate(scene(), pixel, medium=vs.AirModel.of(air).at(scale=1.02))
+    moved = scene().with_sensor_moved(Pose.shift((0.0, 0.01, 0.0)))
+    for source, other in (("air", hotter), ("pose", vs.triangulate(moved, pixel, medium=air))):
+        change = CYLINDER.fitted(other, FREE), CYLINDER.fitted(points, FREE)
+        off = [getattr(change[0], name) - getattr(change[1], name) for name in FREE]
+        np.testing.assert_allclose(circle.sigma[source], np.abs(off), rtol=0.05, atol=2e-4)
+    random, drawn = np.random.default_rng(2), []
+    for _ in range(200):
+        noise = random.normal(0.0, SIGMA_PX, (len(pixel), 1)) * [0.0, 1.0]
+        drawn.append(CYLINDER.fitted(vs.triangulate(scene(), pixel + noise), FREE).radius_mm)
+    assert np.std(drawn) == pytest.approx(circle.sigma["noise"][0], rel=0.2)
+
+
+def test_parameters_that_contradict_what_is_known_widen_the_interval():
+    """In one line a wrong kind of air leaves no residual: only its parameters look strange."""
+    usual, strange = fitted(), fitted(widen=2.75, blur=7.2)
+    budgets = [vs.error_budget(each, families=()) for each in (usual, strange)]
+    k = usual.names.index("radius_mm")
+    assert budgets[0].sigma["model"][k] == 0.0
+    off = strange["radius_mm"] - 13.5
+    assert abs(off) > 2.0 * WITHIN_95 * strange.sigma[k]
+    assert abs(off) < WITHIN_95 * budgets[1].total[k]
+    assert strange.rms_px < SIGMA_PX
 
 
 @pytest.mark.slow

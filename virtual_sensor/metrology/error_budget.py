@@ -33,7 +33,7 @@ An interval of 95 % is 1.96 standard deviations of all sources together, about t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -49,6 +49,7 @@ from virtual_sensor.metrology.air_problem import air_model_of, residuals
 from virtual_sensor.metrology.covariance import WITHIN_95, carried, variance_along
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.observations import Observation, Prior
+from virtual_sensor.metrology.shapes import Shape
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ SOURCES = ("detection", "air", "pose", "correlation", "model")
 _WIDER = (("blur",), ("height",), ("offset",), ("lean",), ("temperature",))
 _MOST_PIXELS = 250  # of an observation that take part in the fits of other families
 _MOST_NODES = 21  # along x, to be quick: a plume hardly changes along the part
-_TOLERANCE, _MOST_STEPS = 0.01, 12  # of the noise: so far those fits go, and no further
+_TOLERANCE, _MOST_STEPS = 0.01, 40  # of the noise: so far those fits go, and no further
 _FAR = 5.0  # usual standard deviations
 _SIGNIFICANT = 2.0  # standard deviations from which on variance and correlation aren't noise's
 
@@ -86,6 +87,7 @@ class PointBudget(Displayed):
     normal: Array
     covariance_mm2: dict[str, Array]
     parameter_um: dict[str, Array]
+    _shared_mm: dict[str, dict[str, Array]] = field(default_factory=dict, repr=False)
 
     def _line(self) -> str:
         each = (f"{source} {_median(um):.2g}" for source, um in self.sigma_um.items())
@@ -196,6 +198,32 @@ class ErrorBudget(Displayed):
     structure: tuple[Structure, ...]
     families: tuple[OtherFamily, ...]
     notes: tuple[str, ...] = ()
+    _behind: _Behind | None = field(default=None, repr=False)
+
+    def of_shape(self, shape: Shape, free: Sequence[str] | None = None) -> ErrorBudget:
+        """Tell what a shape may be wrong by that is fitted to all points afterwards.
+
+        The air's error is one and the same in all points, and ends in the shape as a whole.
+
+        Parameters
+        ----------
+        shape : Shape
+            As `CylinderShape`, near the points.
+        free : sequence of str, optional
+            Parameters that are fitted; all by default.
+
+        Returns
+        -------
+        ErrorBudget
+            Of the shape's parameters alone; without points.
+        """
+        fit = _ShapeFit.of([each.point_mm for each in self.points], shape, free)
+        return replace(
+            fit.budget(self._behind.of_fit(fit.weights) if self._behind else {}),
+            structure=self.structure,
+            families=self.families,
+            notes=self.notes,
+        )
 
     def _line(self) -> str:
         half = WITHIN_95 * self.total
@@ -273,7 +301,7 @@ def error_budget(
     )
     gains = [estimate.by_pixel(i) for i in range(len(estimate.observations))]
     moved = _by_poses(estimate, gains, known, pivot)
-    spread = _spread_by_structure(estimate, gains, structure)
+    spread = _spread_by_misfit(estimate, gains, structure)
     narrow = others[0].estimate if others else None
     apart = [
         _parted(estimate, narrow, other.estimate)
@@ -296,7 +324,8 @@ def error_budget(
         ),
         structure,
         others[1:],
-        (*_far_off(estimate), *(each.note for each in others if each.note)),
+        (*_far_off(estimate), *_unfinished(others), *(each.note for each in others if each.note)),
+        _Behind(estimate, gains, moved, spread, structure, apart),
     )
 
 
@@ -361,7 +390,137 @@ def known_air_budget(
         ),
     }
     told = {name: UM_PER_MM * np.sum(normal * column, axis=1) for name, column in columns.items()}
-    return PointBudget(points.point_mm, normal, covariance, told)
+    shared = {
+        "air": {name: columns[name] for name in of_air},
+        "pose": {name: column for name, column in columns.items() if name not in of_air},
+    }
+    return PointBudget(points.point_mm, normal, covariance, told, shared)
+
+
+def known_air_shape_budget(
+    points: Sequence[PointBudget], shape: Shape, free: Sequence[str] | None = None
+) -> ErrorBudget:
+    """Tell what a shape may be wrong by that is fitted to points through air that is given.
+
+    Errors of the air are the same in all observations, those of poses each one's own.
+
+    Parameters
+    ----------
+    points : sequence of PointBudget
+        Of `known_air_budget`, one for each observation.
+    shape, free
+        As those of `ErrorBudget.of_shape`.
+    """
+    fit = _ShapeFit.of([each.point_mm for each in points], shape, free)
+    noise, pose = np.zeros((2, len(fit.names)))
+    moved: dict[str, Array] = {}
+    for each, weight in zip(points, fit.weights, strict=True):
+        noise += _squares(weight, each.covariance_mm2["detection"])
+        shared = {
+            source: {
+                name: np.einsum("kni,ni->k", weight, np.nan_to_num(c)) for name, c in of.items()
+            }
+            for source, of in each._shared_mm.items()
+        }
+        pose += _added([change**2 for change in shared.get("pose", {}).values()])
+        for name, change in shared.get("air", {}).items():
+            moved[name] = moved.get(name, 0.0) + change
+    air = _added([change**2 for change in moved.values()])
+    return fit.budget({"noise": noise, "air": air, "pose": pose})
+
+
+# ------------------------------------------------------------------- shapes that points determine
+
+
+@dataclass(frozen=True, eq=False)
+class _ShapeFit:
+    """A shape through points, and its derivatives (K, N, 3) by each observation's."""
+
+    names: tuple[str, ...]
+    shape: Shape
+    weights: tuple[Array, ...]
+
+    @staticmethod
+    def of(points_mm: Sequence[Array], shape: Shape, free: Sequence[str] | None) -> _ShapeFit:
+        points = np.concatenate(points_mm)
+        names = shape.checked(shape.names if free is None else free)
+        nearest_one = shape.fitted(points, names)
+        off = nearest_one.distance(points)
+        by = np.column_stack([off.by_parameter[name] for name in names])
+        known = np.isfinite(by).all(axis=1) & np.isfinite(off.by_point).all(axis=1)
+        weights = np.zeros((len(names), *points.shape))
+        weights[:, known] = -np.linalg.pinv(by[known])[:, :, None] * off.by_point[known]
+        ends = np.cumsum([len(each) for each in points_mm])[:-1]
+        return _ShapeFit(names, nearest_one, tuple(np.split(weights, ends, axis=1)))
+
+    def budget(self, variances: Mapping[str, Array]) -> ErrorBudget:
+        """By the sources' variances (K,), in mm and degrees."""
+        return ErrorBudget(
+            self.names,
+            tuple("mm" if name.endswith("_mm") else "°" for name in self.names),
+            np.array([self.shape.values[name] for name in self.names]),
+            {
+                source: np.sqrt(np.maximum(each, 0.0)) + np.zeros(len(self.names))
+                for source, each in variances.items()
+            },
+            (),
+            (),
+            (),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Behind:
+    """What an estimate's budget is made of: errors that its points share."""
+
+    estimate: AirEstimate
+    gains: Sequence[Array]
+    moved: Sequence[tuple[Array, Mapping[int, Array]]]
+    spread: Array
+    structure: Sequence[Structure]
+    apart: Sequence[_Parted]
+
+    def of_fit(self, weights: Sequence[Array]) -> dict[str, Array]:
+        """Variances (K,), by source, of what changes with the points by weights (K, N, 3)."""
+        estimate = self.estimate
+        by = [estimate.points_by(i) for i in range(len(weights))]
+        through = np.sum([_weighted(w, b) for w, b in zip(weights, by, strict=True)], axis=0)
+        prior, noise = estimate.covariance.copy(), np.zeros(len(through))
+        excess = np.zeros(len(through))
+        for i, weight in enumerate(weights):
+            covariance, direct = estimate.observations[i].covariance_px2, estimate.points[i]
+            gain = self.gains[i]
+            prior -= np.sum(carried(gain, covariance), axis=0)
+            alone = np.einsum("kni,nij->knj", weight, np.nan_to_num(direct.point_by_pixel))
+            noise += _squares(alone + np.einsum("kp,npj->knj", through, gain), covariance)
+            each = self.structure[i]
+            excess += each.excess * each.correlated * _squares(alone, covariance)
+        noise += _form(through, prior)
+        moved = [
+            through @ change
+            + _added([_weighted(weights[i], c[:, :, None])[:, 0] for i, c in own.items()])
+            for change, own in self.moved
+        ]
+        model = excess + _form(through, self.spread)
+        model += _added([each.of_fit(weights) for each in self.apart])
+        return {"noise": noise, "pose": _added([c**2 for c in moved]), "model": model}
+
+
+def _weighted(weight: Array, by: Array) -> Array:
+    """Sums (K, P) of derivatives (N, 3, P) of points by weights (K, N, 3)."""
+    found: Array = np.einsum("kni,nip->kp", weight, np.nan_to_num(by))
+    return found
+
+
+def _squares(weight: Array, covariance: Array) -> Array:
+    """Variance (K,) of a sum by weights (K, N, D) of independent errors of covariance (N, D, D)."""
+    found: Array = np.einsum("kni,nij,knj->k", weight, np.nan_to_num(covariance), weight)
+    return found
+
+
+def _form(rows: Array, covariance: Array) -> Array:
+    found: Array = np.einsum("kp,pq,kq->k", rows, covariance, rows)
+    return found
 
 
 # ------------------------------------------------------------------------------ what was fitted
@@ -531,14 +690,41 @@ def _far_off(estimate: AirEstimate) -> list[str]:
     return found
 
 
-def _spread_by_structure(
+def _unfinished(others: Sequence[OtherFamily]) -> list[str]:
+    """Notes on fits of other families that ended before they converged."""
+    return [
+        f"{each._line()}: this fit did not converge; it counts as far as it came, and intervals may"
+        " be too small; measure from a second pose, or give priors"
+        for each in others
+        if each.estimate is not None and not each.estimate.converged
+    ]
+
+
+def _conflict(estimate: AirEstimate) -> float:
+    """By how much the data contradict what is known of the parameters, beyond chance: of chi2."""
+    usual = estimate.model.parameters if estimate.model else {}
+    known = {name: Prior(p.default, p.sigma) for name, p in usual.items() if p.sigma}
+    known |= estimate.priors
+    rows = [k for k, name in enumerate(estimate.names) if name in known]
+    if not rows:
+        return 0.0
+    priors = [known[estimate.names[k]] for k in rows]
+    off = estimate.values[rows] - [each.value for each in priors]
+    # A prior that took part has drawn the value, whose covariance is no longer the data's.
+    own = np.array([float(estimate.names[k] not in estimate.priors) for k in rows])
+    spread = estimate.covariance[np.ix_(rows, rows)] * np.outer(own, own)
+    spread = spread + np.diag([each.sigma**2 for each in priors])
+    return max(float(off @ np.linalg.solve(spread, off)) - len(rows), 0.0)
+
+
+def _spread_by_misfit(
     estimate: AirEstimate, gains: Sequence[Array], structure: Sequence[Structure]
 ) -> Array:
-    """Covariance (P, P) that the parameters have beyond the noise's, as residuals show it."""
-    spread = np.zeros_like(estimate.covariance)
+    """Covariance (P, P) that the parameters have beyond the noise's: by structure, by conflict."""
+    spread, conflict = np.zeros_like(estimate.covariance), _conflict(estimate)
     for gain, seen, each in zip(gains, estimate.observations, structure, strict=True):
         of_noise = np.sum(carried(gain, seen.covariance_px2), axis=0)
-        spread += (each.long_run - 1.0) * of_noise
+        spread += (each.long_run - 1.0 + conflict) * of_noise
     return spread
 
 
@@ -651,6 +837,26 @@ class _Parted:
 
     of_values: Array
     of_points: tuple[Array, ...]
+    narrow: AirEstimate
+    wider: AirEstimate
+
+    def of_fit(self, weights: Sequence[Array]) -> Array:
+        """Mean square (K,) of the error of what changes with all points by weights (K, N, 3)."""
+        moved: Any = 0.0
+        sums: list[Array] = [np.zeros(0), np.zeros(0)]
+        for i, weight in enumerate(weights):
+            count = weight.shape[1]
+            change = self.wider.points[i].point_mm - self.narrow.points[i].point_mm
+            moved = moved + _weighted(weight, _between(change[:, :, None], count))[:, 0]
+            for k, each in enumerate((self.wider, self.narrow)):
+                part = _weighted(weight, _between(each.points_by(i), count))
+                sums[k] = sums[k] + part if i else part
+        wide, slim = (
+            _form(rows, each.covariance)
+            for rows, each in zip(sums, (self.wider, self.narrow), strict=True)
+        )
+        found: Array = moved**2 + np.maximum(wide - slim, 0.0)
+        return found
 
 
 def _parted(estimate: AirEstimate, narrow: AirEstimate, wider: AirEstimate) -> _Parted:
@@ -664,20 +870,20 @@ def _parted(estimate: AirEstimate, narrow: AirEstimate, wider: AirEstimate) -> _
         error = moved[:, :, None] * moved[:, None, :] + _positive(wide - slim)
         of_points.append(_between(error, len(seen.pixel)))
     of_values = (wider.values[at] - narrow.values) ** 2 + np.maximum(lost, 0.0)
-    return _Parted(of_values, tuple(of_points))
+    return _Parted(of_values, tuple(of_points), narrow, wider)
 
 
 def _between(few_rows: Array, count: int) -> Array:
-    """Rows (N, 3, 3) of all points from those of every so many, which change little between."""
+    """Rows (N, ...) of all points from those of every so many, which change little between."""
     if len(few_rows) == count:
         return few_rows
     at = np.arange(len(few_rows)) * -(-count // _MOST_PIXELS)
     known = np.isfinite(few_rows).all(axis=(1, 2))
-    flat = few_rows[known].reshape(-1, 9)
+    flat, shape = few_rows[known].reshape(known.sum(), -1), few_rows.shape[1:]
     if not len(flat):
-        return np.full((count, 3, 3), np.nan)
+        return np.full((count, *shape), np.nan)
     columns = [np.interp(np.arange(count), at[known], column) for column in flat.T]
-    return np.stack(columns, axis=-1).reshape(count, 3, 3)
+    return np.stack(columns, axis=-1).reshape(count, *shape)
 
 
 def _added(mean_squares: Sequence[Array]) -> Array:
