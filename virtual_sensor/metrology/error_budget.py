@@ -24,8 +24,8 @@ The sources are
   *By other families.* The fit is repeated with further parameters of the air, each with its usual
   prior. The points move by d and lose certainty. If the wider family is right, the narrower one is
   wrong by d d^T + C_wide - C on the average. The families are added as independent sources. One
-  of them is the estimate's own with the usual priors of its parameters, which shows what it is
-  worth where the data leave almost a choice.
+  of them is the estimate's own with the usual priors of its parameters, and data trusted as far
+  as they contradict those: where the data leave almost a choice, another one.
 
 An interval of 95 % is 1.96 standard deviations of all sources together, about the value found.
 """
@@ -304,7 +304,7 @@ def error_budget(
     spread = _spread_by_misfit(estimate, gains, structure)
     narrow = others[0].estimate if others else None
     apart = [
-        _parted(estimate, narrow, other.estimate)
+        _parted(estimate, narrow, other)
         for other in others[1:]
         if narrow is not None and other.estimate is not None
     ]
@@ -804,7 +804,13 @@ def _every(table: Any, step: int) -> Any:
 def _refitted(
     estimate: AirEstimate, model: Any, added: tuple[str, ...], usual: bool = False
 ) -> OtherFamily:
-    """The fit of the same pixels with further parameters, or with the usual priors of its own."""
+    """The fit of the same pixels with further parameters, or with the usual priors of its own.
+
+    The latter's noise is larger by what the data contradict those.
+    """
+    trust = np.sqrt(1.0 + _conflict(estimate)) if usual else 1.0
+    seen = [_thinned(each) for each in estimate.observations]
+    seen = [replace(each, sigma_px=each.sigma_px * trust) for each in seen]
     kinds = _kinds(estimate)
     of = {k: [n for n, kind in zip(estimate.names, kinds, strict=True) if kind == k] for k in KINDS}
     values = dict(zip(estimate.names, estimate.values.tolist(), strict=True))
@@ -814,7 +820,7 @@ def _refitted(
     try:
         found = estimate_near(
             [_every(points, _step(points.point_mm)) for points in estimate.points],
-            [_thinned(each) for each in estimate.observations],
+            seen,
             model,
             [*of["air"], *added],
             shape=estimate.shape,
@@ -859,8 +865,11 @@ class _Parted:
         return found
 
 
-def _parted(estimate: AirEstimate, narrow: AirEstimate, wider: AirEstimate) -> _Parted:
-    """What a wider family says of a narrow one, both fitted to the same pixels."""
+def _parted(estimate: AirEstimate, narrow: AirEstimate, other: OtherFamily) -> _Parted:
+    """What another family says of a narrow one, both fitted to the same pixels."""
+    wider: Any = other.estimate
+    if not other.added:  # no wider one; what data are worth that contradict it is counted apart
+        wider = replace(wider, covariance=0.0 * wider.covariance)
     at = [wider.names.index(name) for name in narrow.names]
     lost = np.diag(wider.covariance)[at] - np.diag(narrow.covariance)
     of_points = []
