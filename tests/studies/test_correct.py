@@ -77,6 +77,8 @@ def test_searched_pixels_are_corrected_to_where_light_met_the_part(searched, fol
         np.testing.assert_allclose(each.distance_um, 0.0, atol=0.05)
     assert np.abs(result.measurements[0].distance_uncorrected_um).max() > 150
     assert abs(result.circle.radius_error_um) < 0.1 < abs(result.circle_uncorrected.radius_error_um)
+    assert 0.1 < result.circle.interval_95_um < 1.0  # of the centres' noise, 0.02 px
+    assert result.circle_uncorrected.interval_95_um is None
     assert "measurements, air from scene" in repr(result)
     assert any("--estimate" in note for note in result.notes)
 

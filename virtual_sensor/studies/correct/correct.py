@@ -22,12 +22,15 @@ from virtual_sensor.metrology.covariance import carried
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.error_budget import (
+    WITHIN_95,
     ErrorBudget,
     PointBudget,
     error_budget,
     known_air_budget,
+    known_air_shape_budget,
 )
 from virtual_sensor.metrology.observations import Observation, Prior
+from virtual_sensor.metrology.shapes import CylinderShape
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.bent_points import BentPoints, bent_points
@@ -140,7 +143,7 @@ def correct(
         next(iter(media.values())) if len(media) == 1 else None,
         one.model if one else None,
         one,
-        _circle(found, [each.point_mm for each in found]),
+        _sure(_circle(found, [each.point_mm for each in found]), found),
         _circle(found, [each.point_uncorrected_mm for each in found]),
         tuple(dict.fromkeys([*notes, *caveats])),
         tuple(caveats),
@@ -578,6 +581,21 @@ def _where(corrected: Corrected, status: CrossingStatus) -> str:
         return ""
     words = cover_words(scene.medium, scene.camera, scene.source.family, points)
     return f" Of {scene.air_name}: {words}." if words else ""
+
+
+def _sure(circle: RadiusFit | None, found: Sequence[Corrected]) -> RadiusFit | None:
+    """The circle through corrected points, and what its radius may be wrong by."""
+    budget = found[0].whole_budget
+    if circle is None or any(each.whole_budget is not budget for each in found):
+        return circle
+    shape = CylinderShape(circle.radius_mm, circle.y_mm, circle.z_mm)
+    free = ("radius_mm", "y_mm", "z_mm")
+    if budget is None:
+        of_circle = known_air_shape_budget([each.budget for each in found], shape, free)
+    else:
+        of_circle = budget.of_shape(shape, free)
+    half = WITHIN_95 * of_circle.total[0]
+    return replace(circle, interval_95_um=float(UM_PER_MM * half))
 
 
 def _circle(found: Sequence[Corrected], points: Sequence[Array]) -> RadiusFit | None:

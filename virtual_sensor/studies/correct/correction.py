@@ -303,6 +303,9 @@ class RadiusFit(Record):
     rms_um : float
         Of the points' distances from the circle.
     points : int
+    interval_95_um : float or None
+        Half the radius's interval of 95 %, by what is known of noise, air, poses and the model;
+        None of points without a correction, and where measurements have airs of their own.
     """
 
     radius_mm: float
@@ -312,6 +315,7 @@ class RadiusFit(Record):
     radius_error_um: float
     rms_um: float
     points: int
+    interval_95_um: float | None = None
 
 
 @dataclass(frozen=True)
