@@ -18,11 +18,10 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.air_model import AirModel
 from virtual_sensor.metrology.air_estimate import AirEstimate, estimate_air
 from virtual_sensor.metrology.centres import Status
-from virtual_sensor.metrology.covariance import carried
+from virtual_sensor.metrology.covariance import WITHIN_95, carried
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.error_budget import (
-    WITHIN_95,
     ErrorBudget,
     PointBudget,
     error_budget,
