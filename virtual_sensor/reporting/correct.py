@@ -184,9 +184,9 @@ def radius_table(figures: CorrectionSummary) -> TextTable:
         (
             Column("points", " "),
             Column("fit.radius_mm", "radius, mm", "{:.4f}"),
-            Column("fit.radius_error_um", "minus the part's, µm", "{:+.3g}"),
-            Column("fit.interval_95_um", "95 %: ±, µm", "{:.2g}"),
-            Column("fit.rms_um", "residuals, rms, µm"),
+            Column("fit.radius_error_um", "off the part, µm", "{:+.3g}"),
+            Column("fit.interval_95_um", "95 %, ± µm", "{:.2g}"),
+            Column("fit.rms_um", "residuals, µm"),
         ),
         "A circle through all points",
     )
