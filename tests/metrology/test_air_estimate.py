@@ -129,6 +129,15 @@ def test_outliers_and_what_is_not_finite_change_nothing():
     assert np.isnan(found.residual_px[0][-2:]).all()
 
 
+def test_few_dots_that_the_model_does_not_fit_all_take_part():
+    """Rationale: two of nine were left out as outliers, and the budget told 0.5 um of 11."""
+    y_mm = np.linspace(-10.0, 10.0, 9)
+    truth = vs.ray_search(scene(temperature=1250, blur=2), y_mm, "newton")
+    found = vs.estimate_air(vs.Observation(scene(), truth.pixel, along_mm=y_mm), model())
+    assert found.used[0].all()
+    assert found.chi2 > 2.0
+
+
 def test_standard_deviations_are_what_noise_does():
     """By a fit anew with one pixel moved, which knows nothing of the formula."""
     lines = [line_in_own_air(beta) for beta in (0, 30)]

@@ -22,6 +22,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _OUTLIER = 6.0  # robust standard deviations
+_FEW, _MOST_OUT = 20, 0.1  # of so few pixels no larger part can be told from what the model lacks
 _NEIGHBOURS = 5  # of which the median is taken
 _LONGEST = 5.0  # usual standard deviations of the air, in a step
 _STEP_MM = 0.5  # of marches on the way: they err by 3e-4 um on the shipped fields
@@ -300,7 +301,10 @@ class Problem:
                 if not state.used:
                     white = white - _of_neighbours(white, points.along_mm, known)
                 spread = np.maximum(1.0, 1.4826 * np.median(np.abs(white[known]), axis=0))
-                known = known & (np.abs(np.nan_to_num(white)) <= _OUTLIER * spread).all(axis=1)
+                near = (np.abs(np.nan_to_num(white)) <= _OUTLIER * spread).all(axis=1)
+                out, count = (known & ~near).sum(), known.sum()
+                if count >= _FEW or out <= _MOST_OUT * count:
+                    known = known & near
             used.append(known)
         return replace(state, factor=tuple(factors), used=tuple(used))
 
