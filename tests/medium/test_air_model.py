@@ -83,6 +83,7 @@ def test_the_transforms_make_the_plume_that_a_formula_gives(model, points):
         assert found.ambient == pytest.approx(AMBIENT * 93e3 / 101325.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_every_derivative_is_that_of_a_difference(model, points):
     """Of n - 1 and of its gradient, within 1e-5 of the largest; of one moved and turned too."""
     steps = {"temperature": 1.0, "pressure": 100.0, "width": 1e-4, "scale": 1e-3}

@@ -86,6 +86,7 @@ def test_air_of_the_models_own_family_is_found():
     assert abs(found["radius_mm"] - RADIUS) < 1e-5
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences():
     """Rationale: a wrong one makes a fit slow, and what it tells of its errors wrong."""
     poses = ["camera_x", "camera_turn_z", "sensor_y", "sensor_turn_x", "laser_turn_y"]
@@ -241,6 +242,7 @@ def test_bounds_are_those_that_were_computed_elsewhere():
         assert bounds[name] == pytest.approx(bound, rel=0.2), name
 
 
+@pytest.mark.slow
 def test_what_is_vague_where_it_was_found_is_not_called_found():
     """Rationale: near no blur at all its derivative is none, though it was told at the start."""
     own = model().at(width=1.02)

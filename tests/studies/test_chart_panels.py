@@ -31,6 +31,7 @@ def test_searches_are_ordered_by_their_march():
     assert new.failed == cached.failed == 0
 
 
+@pytest.mark.slow
 def test_corrections_are_ordered_by_what_is_known_of_the_air():
     """Nothing, other air, air found from one pose and from two; the air itself leaves 0.01 µm."""
     task = next(corrections.tasks(quick=True))
