@@ -20,6 +20,8 @@ class Glow(mi.Emitter):
     wavelength       532         Middle of the filter's band, nm
     bandwidth        10          Of the filter, nm: all light within, none beyond
     transmission     1           Of the filter within its band
+    expansion        0           Of the shape, from 20 degC to the temperature: 1/K
+    fixed_point      0, 0, 0     The point, mm, that stays where it is then
     ===============  ==========  ==================================================================
 
     It stands inside a shape.  What one part of the surface sheds on another is left out.
@@ -45,6 +47,8 @@ class Glow(mi.Emitter):
         self.radiance = float(np.prod(list(shares.values())))
         if self.radiance > 0.0:
             self.radiance *= band_radiance(wavelength, bandwidth, self.temperature_c)
+        for name in ("expansion", "fixed_point"):  # whoever loads the shape heeds them
+            props.get(name, None)
         self.m_flags = mi.EmitterFlags.Surface
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Any = True) -> Any:

@@ -76,6 +76,7 @@ def test_an_expansion_that_nothing_has_is_refused(change, expected):
 def test_an_expansion_needs_a_temperature(tmp_path):
     text = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     path = tmp_path / "cold.xml"
-    path.write_text(text.replace('id="part">', 'id="part"><float name="expansion" value="1e-5"/>'))
-    with pytest.raises(InputError, match="expansion needs the temperature of the shape, degC"):
+    glow = '<emitter type="glow"><float name="expansion" value="1e-5"/></emitter>'
+    path.write_text(text.replace('id="part">', 'id="part">' + glow))
+    with pytest.raises(InputError, match="'temperature' is missing; give it in degC"):
         vs.load_scene(path)

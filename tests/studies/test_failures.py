@@ -18,10 +18,14 @@ SILENT = {  # of these no status can know: the remedy stands beside each
     ("rays", "jumps of a trilinear gradient"),
     ("rays", "jump of n at a flat border"),
     ("frames", "steps too long"),
+    ("correction", "air known wrong"),
 }
 WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "turned back by total reflection",  # within a micrometre of the field's border
     "undercut points accepted by z_max",  # the user's own choice
+    "the air's field ends too early",  # 1 um; `correct` notes such an end from 0.003 px on
+    "air that bends light too sharply",  # 20 times that of 1250 degC
+    "air of another family",  # from one pose; two are the remedy
 }
 
 

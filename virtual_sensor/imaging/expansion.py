@@ -1,8 +1,9 @@
 """A part that is larger when it is hot: shapes that grow with their temperature.
 
-A shape of a scene may have the property ``expansion``, its linear coefficient of thermal expansion
-in 1/K, and with it its ``temperature`` in degC and, if that is not the world's origin, a point
-``fixed_point`` that stays where it is.  What it is at 20 degC then becomes, evenly everywhere,
+The `glow` of a shape, which has its ``temperature`` in degC, may have the property ``expansion``,
+the shape's linear coefficient of thermal expansion in 1/K, and, if that is not the world's origin,
+a point ``fixed_point`` that stays where it is.  What the shape is at 20 degC then becomes, evenly
+everywhere,
 
     1 + expansion (temperature - 20)
 
@@ -28,32 +29,26 @@ def growth(expansion_per_k: float, temperature_c: float) -> float:
     return 1.0 + expansion_per_k * (temperature_c - COLD_C)
 
 
-def grow(node: Any, where: str) -> str:
+def grow(shape: Any, glow: Any, where: str) -> str:
     """Put a shape's expansion into its `to_world`, and give a note of it; "" without one.
 
     Parameters
     ----------
-    node
-        Mitsuba's, as it was parsed.
+    shape, glow
+        Mitsuba's nodes, as they were parsed.
     where : str
-        It stands in its file, for messages.
+        The glow stands in its file, for messages.
 
     Raises
     ------
     InputError
-        If it has no temperature, or a coefficient that nothing has.
+        If the coefficient is one that nothing has.
     """
-    props = node.props
-    if "expansion" not in props:
+    props, of_glow = shape.props, glow.props
+    if "expansion" not in of_glow or "temperature" not in of_glow:
         return ""
-    per_k = float(props["expansion"])
-    if "temperature" not in props:
-        raise InputError(f"{where}: expansion needs the temperature of the shape, degC; add it")
-    temperature_c = float(props["temperature"])
-    fixed = np.array(props.get("fixed_point", [0.0, 0.0, 0.0]), float)
-    for name in ("expansion", "temperature", "fixed_point"):
-        if name in props:
-            del props[name]
+    per_k, temperature_c = float(of_glow["expansion"]), float(of_glow["temperature"])
+    fixed = np.array(of_glow.get("fixed_point", [0.0, 0.0, 0.0]), float)
     if not abs(per_k) <= _MOST_PER_K:
         raise InputError(
             f"{where}: an expansion of {per_k:g} 1/K; steel has 12e-6, nothing more than"

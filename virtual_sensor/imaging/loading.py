@@ -421,9 +421,14 @@ def _check_film(where: str, width: int, height: int) -> None:
 
 
 def _grow(main: Path, state: Any) -> list[str]:
-    """Have shapes with an expansion grow; give notes of it."""
-    shapes = [node for node in state.nodes if node.type == mi.ObjectType.Shape]
-    said = dict.fromkeys(grow(node, _where(main, state, node)) for node in shapes)
+    """Have shapes grow whose glow has an expansion; give notes of it."""
+    said = dict.fromkeys(
+        grow(node, glow, _where(main, state, glow))
+        for node in state.nodes
+        if node.type == mi.ObjectType.Shape
+        for glow in _parts(state, node, mi.ObjectType.Emitter)
+        if glow.props.plugin_name() == "glow"
+    )
     return [f"{main}: {note}" for note in said if note]
 
 

@@ -14,7 +14,7 @@ id                               the name of a camera or a source; those without
 shape of a file: stl, obj, ply,  checked, and read where Mitsuba can't: `imaging.parts`
 3mf
 other shapes, bsdf, texture      heeded, by Mitsuba
-expansion of a shape             heeded: `imaging.expansion`
+expansion of a shape's glow      heeded: `imaging.expansion`
 to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
 to_world of the integrator       turns and moves the air
 medium                           ignored, with a note

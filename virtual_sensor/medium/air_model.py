@@ -129,7 +129,7 @@ class AirModel(Displayed):
     @public
     def of(
         cls,
-        fields: IndexField | FieldFamily | Mapping[float, IndexField],
+        fields: IndexField | FieldFamily | Mapping[float, IndexField] | Mapping[int, IndexField],
         *,
         temperature_c: float | None = None,
     ) -> AirModel:
@@ -141,7 +141,7 @@ class AirModel(Displayed):
             If they are no fields, or do not go together (`FieldFamily`).
         """
         if isinstance(fields, Mapping):
-            fields = FieldFamily(dict(fields))
+            fields = FieldFamily({float(t): field for t, field in fields.items()})
         return cls(fields, temperature_c)
 
     def _line(self) -> str:
