@@ -141,7 +141,8 @@ class AirModel(Displayed):
             If they are no fields, or do not go together (`FieldFamily`).
         """
         if isinstance(fields, Mapping):
-            fields = FieldFamily({float(t): field for t, field in fields.items()})
+            by_temperature: dict[Any, IndexField] = dict(fields)
+            fields = FieldFamily(by_temperature)
         return cls(fields, temperature_c)
 
     def _line(self) -> str:
