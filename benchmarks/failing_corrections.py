@@ -1,6 +1,6 @@
 """Where corrections fail: fields that end too early, strong and wrong air, poses that are wrong.
 
-Searched pixels without noise; what counts as a point, and lies elsewhere, is wrong.
+Searched pixels without noise; a point with the status OK that is off by more than a bound is wrong.
 """
 
 from __future__ import annotations

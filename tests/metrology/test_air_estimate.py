@@ -46,7 +46,7 @@ def line_in_own_air(beta=0):
 
 
 def moved(lit, pose, part="source"):
-    """A scene whose camera or laser stands elsewhere; quicker than loading it again."""
+    """A scene whose camera or laser is moved; quicker than loading it again."""
     devices = {"camera": lit.camera, "source": lit.source}
     device = devices[part]
     devices[part] = device.with_pose(device.pose.moved(pose))
@@ -140,7 +140,7 @@ def test_few_dots_that_the_model_does_not_fit_all_take_part():
 
 
 def test_standard_deviations_are_what_noise_does():
-    """By a fit anew with one pixel moved, which knows nothing of the formula."""
+    """By another fit, with one pixel moved, which does not use the formula."""
     lines = [line_in_own_air(beta) for beta in (0, 30)]
     options = {"shape": START, "free": FREE, "tolerance_px": 1e-9}
     found = vs.estimate_air(lines, model(), **options)
@@ -222,7 +222,7 @@ def test_what_images_do_not_tell_is_named_or_refused():
         vs.estimate_air([line, none], model(), shape=START)
 
 
-def test_bounds_are_those_that_were_computed_elsewhere():
+def test_bounds_are_those_of_an_independent_computation():
     """Figures of the project's facts, by other derivatives: 850 columns, 0.02 px, 1250 degC."""
     lit = scene(1250)
     along = np.linspace(-11.0, 11.0, 101)

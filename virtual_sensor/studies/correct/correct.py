@@ -550,7 +550,7 @@ def _doubts(found: Iterable[Corrected]) -> list[str]:
         if after > _FAR_UM:
             notes.append(
                 f"{each.name}: the points lie {after / UM_PER_MM:.2g} mm rms off the part of"
-                f" {each.scene.path.name}: part or sensor stand elsewhere than the scene has them"
+                f" {each.scene.path.name}: part or sensor do not stand where the scene has them"
             )
         elif after > _FURTHER * before and after > _FURTHER_UM:
             notes.append(
