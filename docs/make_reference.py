@@ -190,10 +190,10 @@ def commands() -> str:
 
 def _commands(group: Any, before: str = "") -> Iterator[tuple[str, Any]]:
     for name, each in group.commands.items():
+        if not hasattr(each, "commands") or each.invoke_without_command:
+            yield before + name, each
         if hasattr(each, "commands"):
             yield from _commands(each, f"{name} ")
-        else:
-            yield before + name, each
 
 
 def _anchor(name: str) -> str:

@@ -264,8 +264,9 @@ def command_lines():
     """Commands as README and the help texts show them."""
     pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     pages.remove(ROOT / "docs/reference/commands.md")  # it has the help texts' own
-    groups = (group.typer_instance for group in cli.app.registered_groups)
+    groups = [group.typer_instance for group in cli.app.registered_groups]
     commands = [c for app in (cli.app, *groups) for c in app.registered_commands]
+    commands += [group.registered_callback for group in groups]
     texts = [p.read_text(encoding="utf-8") for p in pages] + [c.epilog or "" for c in commands]
     shown = re.findall(r"\bvirtual-sensor [a-z-][^\n`#&;]+", "\n".join(texts))
     return sorted({line.strip() for line in shown})
@@ -288,7 +289,7 @@ def test_commands_that_are_shown_can_be_typed(line, tmp_path, monkeypatch):
         group.make_context("virtual-sensor", words[: number + 1])
         name, *arguments = words[number:]
         command = group.commands[name]
-        if hasattr(command, "commands"):  # a group of them
+        if arguments and arguments[0] in getattr(command, "commands", {}):  # a group of them
             name, *arguments = arguments
             command = command.commands[name]
         given = command.make_context(name, arguments).params

@@ -12,6 +12,7 @@ from virtual_sensor.cli import (
     correct,
     detect,
     doctor,
+    fringes,
     measure,
     new,
     reproduce,
@@ -37,6 +38,7 @@ _HELP_WIDTH = 72
 """Characters that the help needs to be written in boxes."""
 
 app.add_typer(simulation.app, name="field")  # with the commands of field.py
+app.add_typer(fringes.app, name="fringes")
 
 
 def _tell_version(asked: bool) -> None:

@@ -31,7 +31,7 @@ _FILES |= {".tif", ".tiff", ".bmp", ".svg", ".exr", ".nc", ".txt", ".zip"}
 """Suffixes of files: no folder of results is meant by such a name."""
 
 
-def _there(scene: str) -> str:
+def there(scene: str) -> str:
     """A scene's name, looked up before the engine starts, which takes a second."""
     from virtual_sensor.imaging.scene_file import find_scene
 
@@ -43,7 +43,7 @@ SceneArgument = Annotated[
     str,
     typer.Argument(
         metavar="SCENE",
-        callback=_there,
+        callback=there,
         help="A scene file, or one that is installed: hot_cylinder, cold_cylinder, stepped_shaft.",
     ),
 ]

@@ -1,0 +1,116 @@
+"""The command `virtual-sensor fringes`, which takes a scene, and the words beside it.
+
+Further words (`fringes decode`, `fringes calibrate`, `fringes poses`) are commands of `app`.
+"""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from virtual_sensor.cli import shared
+from virtual_sensor.errors import InputError
+
+
+class SceneOrWord(TyperGroup):
+    """A command that takes a scene, and words that stand in the scene's place.
+
+    A scene whose name is one of the words is given by its path: ./decode.xml.
+    """
+
+    allow_extra_args = False
+    allow_interspersed_args = True
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the words as they are, else the options of the command itself."""
+        if args and args[0] in self.commands:
+            ctx.args = args
+            return args
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the word's command, or the command itself."""
+        if not ctx.args:
+            return super().invoke(ctx)
+        name, *args = ctx.args
+        with ctx, self.commands[name].make_context(name, args, parent=ctx) as below:
+            return below.command.invoke(below)
+
+
+app = typer.Typer(
+    cls=SceneOrWord,
+    invoke_without_command=True,
+    subcommand_metavar="",
+    rich_markup_mode="markdown",
+)
+
+FringeScene = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        callback=shared.there,
+        help="A scene file with a projector, or one that is installed: fringe_cylinder,"
+        " fringe_stepped_shaft.",
+    ),
+]
+Projector = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Of the scene's projectors, where it has several: its id in the file.",
+    ),
+]
+Codec = Annotated[
+    str,
+    typer.Option(
+        help="Of the patterns: `phase STEPS PERIODS AXES`, periods in projector px, axes u, v or"
+        " uv; `gray AXES`."
+    ),
+]
+
+
+@app.callback()
+def fringes(
+    scene: FringeScene,
+    define: shared.Definitions = None,
+    camera: shared.Camera = None,
+    source: Projector = None,
+    codec: Codec = "phase 4 16,128,1280 uv",
+    cold: Annotated[
+        bool, typer.Option("--cold", help="Measure the cold part alone.", show_default=False)
+    ] = False,
+    medium: Annotated[
+        Path | None,
+        typer.Option(
+            help="Field of the air through which points are found; by default the scene's own."
+        ),
+    ] = None,
+    spp: Annotated[
+        int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's own.")
+    ] = None,
+    electrons: Annotated[
+        float | None,
+        typer.Option(
+            help="Record the frames with a camera's noise, so exposed that the brightest pixel has"
+            " so many electrons; by default without noise."
+        ),
+    ] = None,
+    bits: Annotated[
+        int | None,
+        typer.Option(
+            min=1, max=16, help="Of the camera; by default 12 with --electrons, else not rounded."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="Write all frames too, as PNG.", show_default=False)
+    ] = False,
+    output: shared.Folder = Path("fringes"),
+    overwrite: shared.Overwrite = False,
+) -> None:
+    """Measure a part's whole surface by projected fringes: first cold, then hot.
+
+    Exit status 3: there are results, but no pixel has a phase; the statuses say why.
+    """
+    raise InputError("fringes SCENE is not there yet")
