@@ -284,6 +284,24 @@ def exp(x: Any) -> Any:
     return dr.exp(x)
 
 
+def cos(x: Any) -> Any:
+    """The cosine of an array of either."""
+    if isinstance(x, float | np.ndarray):
+        return np.cos(x)
+    from virtual_sensor.engine import dr
+
+    return dr.cos(x)
+
+
+def floor(x: Any) -> Any:
+    """The largest whole numbers that are not larger, of an array of either; of its own type."""
+    if isinstance(x, float | np.ndarray):
+        return np.floor(x)
+    from virtual_sensor.engine import dr
+
+    return dr.floor(x)
+
+
 def where(mask: Any, x: Any, y: Any) -> Any:
     """As `numpy.where`, of arrays of either."""
     if isinstance(x, float | np.ndarray):
@@ -301,6 +319,29 @@ def number_for(x: Any, value: float) -> Any:
 
     recording = dr.flag(dr.JitFlag.SymbolicScope)  # within which nothing can be made opaque
     return value if recording else dr.opaque(type(x), value)
+
+
+class Table:
+    """Numbers (N,) that formulas look up by their rows, with NumPy's arrays as with Dr.Jit's.
+
+    Within a kernel that is being recorded, they must have been looked up once before: numbers can't
+    be brought into Dr.Jit's memory there.
+    """
+
+    def __init__(self, numbers: NDArray[np.float64]) -> None:
+        self._numbers = numbers
+        self._own: dict[type, Any] = {}
+
+    def at(self, row: Any) -> Any:
+        """The numbers of rows, which are whole numbers of a floating type."""
+        if isinstance(row, float | np.ndarray):
+            return self._numbers[np.asarray(row).astype(np.intp)]
+        from virtual_sensor.engine import dr
+
+        kind = type(row)
+        if kind not in self._own:
+            self._own[kind] = in_own_memory(self._numbers, kind)
+        return dr.gather(kind, self._own[kind], dr.uint32_array_t(kind)(row))
 
 
 def determinant(entries: Any) -> Any:
