@@ -1,0 +1,1 @@
+"""Fringe projection: the study, its results and their files."""
