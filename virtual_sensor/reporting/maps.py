@@ -1,0 +1,213 @@
+"""Maps: numbers for each pixel as colours, with the bar that says what they mean."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from virtual_sensor.reporting.style import colour
+from virtual_sensor.statuses import StatusEnum
+
+Kind = Literal["signed", "size", "span", "phase"]
+Window = tuple[slice, slice]
+"""Rows and columns."""
+
+NO_VALUE = "#D9D9D9"
+"""Colour of pixels without a value."""
+
+_COLOURS = {"signed": "RdBu_r", "size": "cividis", "span": "cividis", "phase": "twilight_shifted"}
+_SHARE = 0.5  # percent of the values at either end that may lie beyond the colours
+_NEAR = 1.5  # times the colours' range: within it all values have a colour of their own
+_MOST_PX = 600  # of a map along a side
+_MOST_VALUES = 1 << 18  # of which a scale is found
+_MARGIN = 0.03  # about what is known, of its size
+_THUMB_PX = 150
+_LABEL_PX = 0.16  # strip above a thumbnail, of its height
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What the colours of one or several maps mean.
+
+    Attributes
+    ----------
+    kind : "signed", "size", "span" or "phase"
+        Signed about zero; from zero on; from the least to the largest; round a circle, in rad.
+    low, high : float
+        What the first and the last colour stand for.
+    beyond : "neither", "min", "max" or "both"
+        At which ends there are values beyond the colours, as `colorbar(extend=...)` has it.
+    """
+
+    kind: Kind
+    low: float
+    high: float
+    beyond: Literal["neither", "min", "max", "both"] = "neither"
+
+
+def scale_of(kind: Kind, *maps: NDArray[Any]) -> Scale:
+    """The scale that several maps share: a few values far off the others leave it as it is."""
+    if kind == "phase":
+        return Scale(kind, -np.pi, np.pi)
+    values = np.concatenate([_known(each) for each in maps]) if maps else np.zeros(0)
+    if not values.size:
+        return Scale(kind, -1.0 if kind == "signed" else 0.0, 1.0)
+    least, most = float(values.min()), float(values.max())
+    if kind == "signed":
+        high = _within(max(-least, most), np.percentile(np.abs(values), 100.0 - _SHARE))
+        low = -high
+    else:
+        low, high = np.percentile(values, (_SHARE, 100.0 - _SHARE))
+        wide = high - low
+        low = 0.0 if kind == "size" else least if high - least <= _NEAR * wide else low
+        high = most if most - low <= _NEAR * (high - low) else high
+    if not high > low:
+        high = low + (abs(low) or 1.0)
+        low = -high if kind == "signed" else low
+    below, above = least < low, most > high
+    beyond = "both" if below and above else "min" if below else "max" if above else "neither"
+    return Scale(kind, float(low), float(high), beyond)  # type: ignore[arg-type]
+
+
+def window_of(*maps: NDArray[Any]) -> Window:
+    """Rows and columns in which any of the maps (H, W) has a value, with a margin; all, if none."""
+    known = np.any([np.isfinite(each) for each in maps], axis=0)
+    found = []
+    for axis, size in enumerate(known.shape):
+        at = np.flatnonzero(known.any(axis=1 - axis))
+        if not at.size:
+            return slice(0, known.shape[0]), slice(0, known.shape[1])
+        margin = max(round(_MARGIN * (at[-1] - at[0])), 1)
+        found.append(slice(max(at[0] - margin, 0), min(at[-1] + 1 + margin, size)))
+    return found[0], found[1]
+
+
+def draw_map(
+    axes: Axes,
+    values: NDArray[Any],
+    words: str,
+    scale: Scale | Kind = "span",
+    window: Window | None = None,
+) -> None:
+    """Draw numbers (H, W) for each pixel; those without one are grey.
+
+    Parameters
+    ----------
+    axes : Axes
+    values : ndarray of shape (H, W)
+        Of a large map every so many-th pixel is drawn.
+    words : str
+        What they are and their unit, beside the bar.
+    scale : Scale, or its kind
+        Of maps that are compared, one scale; a kind makes one of these values.
+    window : pair of slice
+        Rows and columns that are shown; by default those with values.
+    """
+    window = window or window_of(values)
+    scale = scale if isinstance(scale, Scale) else scale_of(scale, values[window])
+    colours = colormaps[_COLOURS[scale.kind]].with_extremes(bad=NO_VALUE)
+    drawn = _draw(axes, values, window, cmap=colours, norm=Normalize(scale.low, scale.high))
+    bar = axes.figure.colorbar(drawn, ax=axes, extend=scale.beyond, shrink=0.92, aspect=24)
+    bar.set_label(words)
+    bar.outline.set_linewidth(0.5)
+    if scale.kind == "phase":
+        bar.set_ticks([-np.pi, 0.0, np.pi], labels=["−π", "0", "π"])
+    if not np.isfinite(values[window]).any():
+        axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
+
+
+def draw_statuses(
+    axes: Axes, status: NDArray[Any], kind: type[StatusEnum], window: Window | None = None
+) -> None:
+    """Draw what became of each pixel (H, W), with how many there are of each beside it."""
+    counts = kind.counts(status)
+    members = sorted(counts)
+    paints = [colour(each.name.lower()) for each in members]
+    number = np.searchsorted([int(each) for each in members], status).astype(float)
+    window = window or (slice(0, status.shape[0]), slice(0, status.shape[1]))
+    norm = Normalize(-0.5, len(members) - 0.5)
+    _draw(axes, number, window, cmap=ListedColormap(paints), norm=norm)
+    labels = [f"{each.name.lower()}: {_spaced(counts[each])}" for each in members]
+    axes.legend(
+        handles=[
+            Patch(color=paint, label=label) for paint, label in zip(paints, labels, strict=True)
+        ],
+        loc="center left",
+        bbox_to_anchor=(1.02, 0.5),
+    )
+
+
+def draw_frames(
+    axes: Axes, images: NDArray[Any], names: Sequence[str], window: Window | None = None
+) -> None:
+    """Draw images (K, H, W) small and beside each other, each with its name above, of one white."""
+    window = window or (slice(0, images.shape[1]), slice(0, images.shape[2]))
+    images = images[:, window[0], window[1]]
+    count, high, wide = images.shape
+    shrink = min(_THUMB_PX / max(high, wide), 1.0)
+    size = max(round(wide * shrink), 1), max(round(high * shrink), 1)
+    columns = _columns(count, size[0] / (size[1] * (1.0 + _LABEL_PX)))
+    rows, label = ceil(count / columns), max(round(_LABEL_PX * size[1]), 1)
+    step_x, step_y = size[0] + 4, size[1] + label
+    white = max((float(np.nanmax(each[::8, ::8], initial=0.0)) for each in images), default=0.0)
+    room = 60.0 * axes.figure.get_figwidth() / columns  # printer's points above a thumbnail
+    letters = float(np.clip(room / (0.6 * max(map(len, names), default=1)), 4.0, 8.0))
+    sheet = np.full((rows * step_y, columns * step_x - 4), np.nan)
+    for number, (image, name) in enumerate(zip(images, names, strict=True)):
+        top, left = number // columns * step_y + label, number % columns * step_x
+        small = cv2.resize(
+            np.nan_to_num(image.astype(np.float32)), size, interpolation=cv2.INTER_AREA
+        )
+        sheet[top : top + size[1], left : left + size[0]] = small / (white or 1.0)
+        axes.text(left, top - 0.2 * label, name, fontsize=letters, va="bottom")
+    colours = colormaps["gray"].with_extremes(bad=(1.0, 1.0, 1.0, 0.0))
+    axes.imshow(sheet, colours, vmin=0.0, vmax=1.0, interpolation="nearest")
+    axes.set_axis_off()
+
+
+def _columns(count: int, shape: float) -> int:
+    """In how many columns so many cells, width by height, fill a panel best; even rows first."""
+    wanted = max((1.55 * count / shape) ** 0.5, 1.0)
+    even = [n for n in range(1, count + 1) if count % n == 0 and 0.6 <= n / wanted <= 1.7]
+    return min(even, key=lambda n: abs(np.log(n / wanted))) if even else ceil(wanted)
+
+
+def _draw(axes: Axes, values: NDArray[Any], window: Window, **style: Any) -> Any:
+    """The rows and columns of a window, every so many-th of them, in the axes of the image."""
+    shown = values[window]
+    step = max(ceil(max(shown.shape) / _MOST_PX), 1)
+    left, top = window[1].start - 0.5, window[0].start - 0.5
+    extent = (left, left + shown.shape[1], top + shown.shape[0], top)
+    drawn = axes.imshow(
+        shown[::step, ::step], extent=extent, aspect="equal", interpolation="nearest", **style
+    )
+    axes.grid(visible=False)
+    axes.set(xlabel="u in px", ylabel="v in px")
+    return drawn
+
+
+def _known(values: NDArray[Any]) -> NDArray[Any]:
+    """Finite values; of many every so many-th."""
+    flat = np.asarray(values).ravel()
+    flat = flat[:: max(flat.size // _MOST_VALUES, 1)]
+    return flat[np.isfinite(flat)].astype(float)
+
+
+def _within(most: float, usual: float) -> float:
+    """The most, if it is not far off what is usual."""
+    return most if most <= _NEAR * usual else float(usual)
+
+
+def _spaced(count: int) -> str:
+    """A number with its thousands apart."""
+    return f"{count:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
