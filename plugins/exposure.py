@@ -1,7 +1,7 @@
 """Samples of pixels, chunk by chunk, averaged on a film."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,11 @@ from virtual_sensor.errors import InputError
 ONE_FRAME = threading.RLock()
 """Held while a frame is made: hot and cold states of a scene, in any thread, share one film."""
 
-Shade = Callable[[Any, Any, Any], tuple[Any, Any]]
-"""From rays, their rows among the pixels asked for, and their pixels to radiance and alpha."""
+Shade = Callable[[Any, Any, Any], tuple[Sequence[Any], Any]]
+"""From rays, their rows among the pixels asked for, and their pixels to radiances and alpha.
+
+The radiances are those of each frame; one alone is that of all.
+"""
 
 _UNDER_WAY = 4  # chunks at most: each takes memory
 _STREAM = 1 << 20  # chunks of a stream at most
@@ -43,7 +46,7 @@ def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
 
 
 class Exposure:
-    """A frame in the making.
+    """Frames in the making, whose samples are of the same rays.
 
     Parameters
     ----------
@@ -57,6 +60,7 @@ class Exposure:
         Called with the fraction done.
     on_film : bool
         Whether the sensor's film is exposed too: Mitsuba takes the image from there.
+    frames : int
     """
 
     def __init__(
@@ -67,42 +71,50 @@ class Exposure:
         pixels: int,
         progress: Callable[[float], None] | None,
         on_film: bool = False,
+        frames: int = 1,
     ) -> None:
         self.view, self.sampler, self.film = view, sampler, view.sensor.film()
         # Each pixel's samples are averaged in their order: added to the film one by one, as other
         # filters need it, the last bits would depend on which thread comes first.
         self._own_pixel = self.film.rfilter().is_box_filter()
         grey = len(mi.Spectrum()) == 1  # else the film makes its own of the colours
-        self._block: Any = None
+        self._blocks: list[Any] = []
+        self._images: Any = None
         if on_film or not (self._own_pixel and grey):
             self.film.prepare([])
-            self._block = self.film.create_block()
-        self._image = np.zeros(view.pixels, np.float32)
-        self._under_way: list[tuple[Any, Any]] = []
+            self._blocks = [self.film.create_block() for _ in range(frames)]
+        else:
+            # NumPy's memory, which is in use only from where light is written.
+            self._images = mi.Float(np.zeros(frames * view.pixels, np.float32))
+        self._frames, self._under_way = frames, 0
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = 0
 
-    def developed(self, develop: bool = True) -> Any:
-        """Mitsuba's image, on the sensor's film; None if it is to stay there."""
-        self.film.put_block(self._block)
+    def developed(self, frame: int = 0, develop: bool = True) -> Any:
+        """Mitsuba's image of a frame, on the sensor's film; None if it is to stay there."""
+        self.film.prepare([])
+        self.film.put_block(self._blocks[frame])
         if not develop:
             return None
         image = self.film.develop()
         dr.eval(image)
         return image
 
-    def image(self) -> NDArray[np.float32]:
-        """The radiance, (H, W)."""
-        shape = self.view.height, self.view.width
-        if self._block is None:
-            self._take_over()
-            return self._image.reshape(shape)
-        return np.array(self.developed(), np.float32).reshape(*shape, -1)[:, :, 0]
+    def images(self) -> NDArray[np.float32]:
+        """The radiances, (frames, H, W)."""
+        shape = self._frames, self.view.height, self.view.width
+        if self.overwrites:
+            return self._images.numpy().reshape(shape)
+        images = np.empty(shape, np.float32)
+        for number, image in enumerate(images):
+            developed = np.array(self.developed(number), np.float32)
+            image[...] = developed.reshape(*image.shape, -1)[:, :, 0]
+        return images
 
     @property
     def overwrites(self) -> bool:
         """Whether pixels that are exposed again are those of the last time; else they add up."""
-        return self._block is None
+        return not self._blocks
 
     def add(
         self, pixels: NDArray[np.uint32] | None, shade: Shade, lanes: int, stream: int = 0
@@ -129,37 +141,44 @@ class Exposure:
             lens = self.view.sensor.needs_aperture_sample()
             aperture = self.sampler.next_2d() if lens else mi.Point2f(0.5)
             ray, weight = self.view.rays(place, aperture)
-            value, alpha = shade(ray, row, pixel)
-            value = value * weight
-            if self._block is not None:
-                self._put(place, value, alpha, pixel)
+            values, alpha = shade(ray, row, pixel)
+            values = [value * weight for value in values]
+            if self._blocks:
+                self._put(place, values, alpha, pixel)
             else:
-                dr.eval(value)
-                value = dr.block_sum(value, spp) / spp
-                dr.eval(value)
-                part = slice(first, first + count)
-                self._under_way.append((part if pixels is None else pixels[part], value))
-            if len(self._under_way) >= _UNDER_WAY:  # the next ones are prepared meanwhile
-                self._take_over()
+                self._average(values, pixel)
+            self._under_way += 1
+            if self._under_way == _UNDER_WAY:  # the next ones are prepared meanwhile
+                dr.sync_thread()
+                self._under_way = 0
             self._done += count
             if self._progress:
                 dr.sync_thread()
                 self._progress(min(1.0, self._done / self._pixels))
 
-    def _take_over(self) -> None:
-        """Add samples that are being computed to the image."""
-        for pixels, value in self._under_way:
-            self._image[pixels] = np.array(value)[0]
-        self._under_way.clear()
+    def _average(self, values: list[Any], pixel: Any) -> None:
+        """Average the samples of each pixel."""
+        spp = self.sampler.sample_count()
+        dr.eval(values)  # together: each by itself would follow all rays again
+        own = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, dr.width(pixel) // spp) * spp)
+        for frame, value in zip(range(self._frames), self._of_each(values), strict=True):
+            first = dr.opaque(mi.UInt32, frame * self.view.pixels)
+            dr.scatter(self._images, mi.Float((dr.block_sum(value, spp) / spp)[0]), own + first)
+        dr.eval(self._images)
 
-    def _put(self, place: Any, value: Any, alpha: Any, pixel: Any) -> None:
+    def _put(self, place: Any, values: list[Any], alpha: Any, pixel: Any) -> None:
         """Put samples on the film."""
         alpha = dr.select(alpha, mi.Float(1.0), 0.0)
         if self._own_pixel:
             spp = self.sampler.sample_count()
-            dr.eval(value, alpha)  # together: each by itself would follow all rays again
-            value, alpha = (dr.block_sum(v, spp) / spp for v in (value, alpha))
-            own = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, dr.width(value)) * spp)
+            dr.eval(values, alpha)
+            *values, alpha = (dr.block_sum(v, spp) / spp for v in (*values, alpha))
+            own = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, dr.width(alpha)) * spp)
             place = self.view.place(own, mi.Point2f(0.5))
-        self._block.put(place, mi.Ray3f().wavelengths, value, alpha)
-        dr.eval(self._block.tensor())
+        for block, value in zip(self._blocks, self._of_each(values), strict=True):
+            block.put(place, mi.Ray3f().wavelengths, value, alpha)
+        dr.eval([block.tensor() for block in self._blocks])
+
+    def _of_each(self, values: list[Any]) -> list[Any]:
+        """The radiances of each frame."""
+        return values * self._frames if len(values) == 1 else values

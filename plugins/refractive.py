@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of
+from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of, steady
 from virtual_sensor_plugins.views import pinhole_of
 
 from virtual_sensor.engine import mi
@@ -101,8 +101,8 @@ class Refractive(mi.SamplingIntegrator):
         """Radiance along camera rays, by marching."""
         arrangement = self.arrangement(scene, scene.sensors()[0])
         sight, _ = arrangement.marched.sight(ray)
-        devices = list(arrangement.sources.values())
-        radiance = arrangement.radiance(sight, devices, arrangement.draws(sampler))
+        fluxes = [steady(device) for device in arrangement.sources.values()]
+        radiance, *_ = arrangement.radiances(sight, fluxes, arrangement.draws(sampler))
         return radiance, active & sight.hit, []
 
     def render(
@@ -120,7 +120,7 @@ class Refractive(mi.SamplingIntegrator):
         with ONE_FRAME:
             prepared = Prepared.of(self.arrangement(scene, sensor))
             exposure, _ = prepared.exposed(spp, seed, on_film=True)
-            return exposure.developed(develop)
+            return exposure.developed(develop=develop)
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""

@@ -1,8 +1,9 @@
 """A frame: from a scene with its air, camera, sources and transport to radiance."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,9 @@ from virtual_sensor.optics.transports import Marched, Sight, Transport
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23}
 
+Fluxes = Callable[[Any, Any], Sequence[Any]]
+"""From a source's coordinates (s, t) to its flux in each frame; one alone is that of all."""
+
 _FAR_MM = 20.0  # Mitsuba's float32 hits from nearer are good to 0.03 um
 _NEAR_MM = 1.0
 _ASIDE_MM = 1e-3
@@ -32,6 +36,11 @@ _ASIDE_MM = 1e-3
 def devices_of(scene: mi.Scene) -> dict[str, Device]:
     """The devices of a scene's emitters that are such, by their names."""
     return {emitter.id(): emitter.source for emitter in scene.emitters() if is_source(emitter)}
+
+
+def steady(device: Device) -> Fluxes:
+    """The flux of a device that is the same in each frame."""
+    return lambda s, t: [device.flux(s, t)]
 
 
 def is_source(emitter: mi.Emitter) -> bool:
@@ -120,16 +129,24 @@ class Arrangement:
         """What the lamps' samples need of chance."""
         return [sampler.next_2d() for e in self.lamps if not isinstance(e, glow.Glow)]
 
-    def radiance(self, sight: Sight, devices: list[Device], draws: list[Any]) -> Any:
-        """Radiance in W/(mm^2 sr) that leaves what is seen towards the camera."""
+    def radiances(self, sight: Sight, fluxes: Sequence[Fluxes], draws: list[Any]) -> list[Any]:
+        """Radiance in W/(mm^2 sr) that leaves what is seen towards the camera, in each frame.
+
+        Parameters
+        ----------
+        sight : Sight
+        fluxes : sequence of Fluxes
+            Of the sources, in the order of its lights.
+        draws : list
+        """
         heading = mi.Vector3f(sight.heading)
         last = mi.Ray3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
         si = self.scene.ray_intersect(last, sight.hit)
         valid = sight.hit & si.is_valid()
-        lights = list(zip(devices, sight.lights, strict=True))
+        lights = list(zip(fluxes, sight.lights, strict=True))
         return self._shaded(si, last.d, valid, lights, draws)
 
-    def radiance_along(self, ray: Any, draws: list[Any]) -> tuple[Any, Any]:
+    def radiance_along(self, ray: Any, draws: list[Any]) -> tuple[list[Any], Any]:
         """The lamps' radiance against straight rays, and which of these meet a surface.
 
         From afar, Mitsuba's float32 puts hits inside a cylinder, where no lamp shines: those rays
@@ -159,9 +176,9 @@ class Arrangement:
         si: Any,
         direction: Any,
         valid: Any,
-        lights: list[tuple[Device, Illumination]],
+        lights: list[tuple[Fluxes, Illumination]],
         draws: list[Any],
-    ) -> Any:
+    ) -> list[Any]:
         bsdf, context = si.bsdf(), mi.BSDFContext()
         si.wi = dr.select(valid, si.wi, -direction)  # what meets nothing sees the environment
         radiance = mi.Spectrum(0.0)
@@ -171,10 +188,14 @@ class Arrangement:
             for emitter in self.cold:
                 shines &= seen != mi.EmitterPtr(emitter)
             radiance += seen.eval(si, shines)
-        for device, light in lights:
-            irradiance = device.flux(light.s, light.t) * light.concentration
+        radiances = [radiance]
+        for fluxes, light in lights:
             value = bsdf.eval(context, si, si.to_local(-mi.Vector3f(light.heading)), valid)
-            radiance += dr.select(valid, value * mi.Spectrum(mi.Float(irradiance)), 0.0)
+            shed = []
+            for flux in fluxes(light.s, light.t):
+                irradiance = mi.Spectrum(mi.Float(flux * light.concentration))
+                shed.append(dr.select(valid, value * irradiance, 0.0))
+            radiances = _summed(radiances, shed)
         lamps = [e for e in self.lamps if not isinstance(e, glow.Glow)]  # a glow lights nothing
         for emitter, draw in zip(lamps, draws, strict=True):
             ds, weight = emitter.sample_direction(si, draw, valid)
@@ -182,8 +203,15 @@ class Arrangement:
             value = bsdf.eval(context, si, si.to_local(ds.d), lit) * weight
             lit &= dr.any(value != 0.0)  # else a shadow makes no difference
             lit &= ~self.scene.ray_test(si.spawn_ray_to(ds.p), lit)
-            radiance += dr.select(lit, value, 0.0)
-        return radiance
+            radiances = _summed(radiances, [dr.select(lit, value, 0.0)])
+        return radiances
+
+
+def _summed(one: list[Any], other: list[Any]) -> list[Any]:
+    """Radiances of each frame; one alone is that of all."""
+    frames = max(len(one), len(other))
+    one, other = (each * frames if len(each) == 1 else each for each in (one, other))
+    return [a + b for a, b in zip(one, other, strict=True)]
 
 
 def _from_behind(si: Any, ray: Any) -> Any:
@@ -232,8 +260,10 @@ class Prepared:
         progress: Callable[[float], None] | None = None,
         others: bool = True,
         on_film: bool = False,
+        frames: int = 1,
+        fluxes: Mapping[str, Fluxes] = MappingProxyType({}),
     ) -> tuple[Exposure, RenderReport]:
-        """A frame's samples, and how it was made.
+        """Samples of frames, and how they were made.
 
         Parameters
         ----------
@@ -246,23 +276,27 @@ class Prepared:
             Whether pixels that no source lights are exposed too, if there are lamps.
         on_film : bool
             Whether the image is to be on the sensor's film.
+        frames : int
+            How many are made of the same rays.
+        fluxes : Mapping
+            By name, of the sources that differ from frame to frame.
         """
         arrangement, lit = self.arrangement, self.lit
         sampler = own_sampler(arrangement.sensor, spp)
-        devices = [arrangement.sources[name] for name in lit.names]
+        of_lights = [fluxes.get(name, steady(arrangement.sources[name])) for name in lit.names]
         report, view = lit.report, arrangement.view
         others = others and bool(arrangement.lamps)
         pixels = lit.index.size + (view.pixels if others else 0)
-        exposure = Exposure(view, sampler, seed, pixels, progress, on_film)
+        exposure = Exposure(view, sampler, seed, pixels, progress, on_film, frames)
         samples = marched = 0
 
-        def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+        def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             nonlocal samples, marched
             draws = arrangement.draws(sampler)
             near = dr.gather(Sight, lit.sight, row) if self._marches else None
             sight, count = lit.tracer.sight(ray, near)
             samples, marched = samples + dr.width(row), marched + count
-            return arrangement.radiance(sight, devices, draws), sight.hit
+            return arrangement.radiances(sight, of_lights, draws), sight.hit
 
         if others:
             report = self._expose_others(exposure, sampler)
@@ -279,15 +313,15 @@ class Prepared:
             pixels = np.flatnonzero(dark).astype(np.uint32)
         marched = replace(arrangement.marched, sources=())
 
-        def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+        def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             assert film is not None
             draws = arrangement.draws(sampler)
             return arrangement.radiance_along(film.bent(ray, pixel), draws)
 
-        def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[Any, Any]:
+        def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             draws = arrangement.draws(sampler)
             sight = marched.hits(ray)
-            return arrangement.radiance(sight, [], draws), sight.hit
+            return arrangement.radiances(sight, [], draws), sight.hit
 
         if film is None:
             exposure.add(pixels, by_marching, _LANES["marched"], stream=1)

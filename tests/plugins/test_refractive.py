@@ -114,7 +114,7 @@ def test_no_lit_pixel_is_overlooked(temperature):
     every, given = np.arange(size[0] * size[1], dtype=np.uint32), arrangement(scene)
     sight, _ = given.marched.sight(given.view.centres(every))
     lit = LitPixels(every, tuple(given.sources), given.marched, RenderReport("marched"), sight)
-    whole, found = Prepared(given, lit).exposed(4, 0)[0].image(), vs.render(scene)
+    whole, found = Prepared(given, lit).exposed(4, 0)[0].images()[0], vs.render(scene)
     inner = np.s_[1:-1, 1:-1]  # light beside the crop is not looked for
     found, whole = found[inner], whole[inner]
     lit = whole > 1e-3 * whole.max()

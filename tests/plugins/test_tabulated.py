@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from virtual_sensor_plugins.renderer import Prepared
+from virtual_sensor_plugins.renderer import Prepared, steady
 
 import virtual_sensor as vs
 from virtual_sensor.engine import dr, mi
@@ -87,14 +87,14 @@ def step():
         images[name] = vs.render(scene)
         if name == "marched":
             given, pixels = arrangement(scene), dr.arange(mi.UInt32, 72 * 24)
-            devices = list(given.sources.values())
+            fluxes = [steady(device) for device in given.sources.values()]
             place = [(k + 0.5) / 2.0 for k in range(2)]
             images["alone"] = 0.0
             for within in ((x, y) for x in place for y in place):
                 on_film = given.view.place(pixels, mi.Point2f(*within))
                 ray, _ = given.view.rays(on_film, mi.Point2f(0.5))
                 sight, _ = given.marched.sight(ray)
-                seen = given.radiance(sight, devices, [])
+                (seen,) = given.radiances(sight, fluxes, [])
                 images["alone"] += np.array(seen)[0].reshape(24, 72) / 4.0
     return images
 
@@ -224,7 +224,7 @@ def test_samples_off_the_tables_are_marched_and_counted(small):
     whole = vs.render(scene)
     prepared = Prepared.of(arrangement(scene))
     exposure, report = replace(prepared, lit=halved(prepared.lit)).exposed(4, 0)
-    image, samples = exposure.image(), 4 * prepared.lit.index.size
+    image, samples = exposure.images()[0], 4 * prepared.lit.index.size
     assert report.samples == samples
     assert 0.2 * samples < report.marched_samples < 0.6 * samples
     apart = np.abs(image - small.radiance) / small.radiance.max()

@@ -204,7 +204,7 @@ def render(
     """
     scene, samples, seed = _checked("render", scene, spp, seed, camera, source)
     with ONE_FRAME:
-        return _prepared(scene).exposed(samples, seed)[0].image()
+        return _prepared(scene).exposed(samples, seed)[0].images()[0]
 
 
 @public
@@ -236,7 +236,7 @@ def render_frame(
         prepared = _prepared(scene)
         exposure, report = prepared.exposed(samples, seed, progress)
         radius_mm = {name: light.radius_mm for name, light in scene.sources.items()}
-        return Frame(exposure.image(), _truth(prepared), radius_mm, report)
+        return Frame(exposure.images()[0], _truth(prepared), radius_mm, report)
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
@@ -244,7 +244,7 @@ def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Im
     scene, samples, seed = _checked("render_columns", scene, spp, seed)
     with ONE_FRAME:
         exposure, _ = _prepared(scene, column).exposed(samples, seed, others=False)
-        return exposure.image()
+        return exposure.images()[0]
 
 
 def render_uncached(scene: Scene, spp: int | None = None) -> Image:
@@ -253,7 +253,7 @@ def render_uncached(scene: Scene, spp: int | None = None) -> Image:
     with ONE_FRAME:
         MAPS.clear()
         prepared = Prepared.of(arrangement(scene))
-        image = prepared.exposed(samples, seed)[0].image()
+        image = prepared.exposed(samples, seed)[0].images()[0]
         _ = _truth(prepared)
         return image
 
