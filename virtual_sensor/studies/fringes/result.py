@@ -58,6 +58,9 @@ class SearchedGrid(Displayed):
         (u, v) of the projector as decoded there; NaN without, and along an axis without patterns.
     compared : ndarray of bool of shape (N,)
         Whether both are good.
+    straight_um : ndarray of shape (N,)
+        Distances from the true surface of the points that the searched pixels give as if light ran
+        straight.
     epipolar_px, decoded_epipolar_px : ndarray of shape (N,)
         Epipolar residual of searched and decoded pixels, camera px.
     """
@@ -66,8 +69,15 @@ class SearchedGrid(Displayed):
     found: Any
     decoded_px: Array
     compared: NDArray[np.bool_]
+    straight_um: Array
     epipolar_px: Array
     decoded_epipolar_px: Array
+
+    @property
+    def row_column(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Row and column (N,) of the pixels: the index of an image there."""
+        column, row = np.rint(self.pixel).astype(np.int64).T
+        return row, column
 
     @property
     def difference_px(self) -> Array:
