@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
+from tests.stand_in_projector import with_projector
 from virtual_sensor.arrays import by_rows, in_own_memory, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import load_scene
@@ -21,6 +22,8 @@ from virtual_sensor.studies.field_info import inside_part
 NONE = np.zeros(0)
 POINTS, PIXELS = np.zeros((0, 3)), np.zeros((0, 2))
 HOT = load_scene("hot_cylinder", width=64, height=64)
+PROJECTED = with_projector(width=64, height=64)
+CAMERA, PROJECTOR = PROJECTED.camera, PROJECTED.source.family
 
 EMPTY = {
     "air_refractivity": lambda: vs.air_refractivity(532.0, NONE),
@@ -29,6 +32,9 @@ EMPTY = {
     "ray_search": lambda: vs.ray_search(HOT, NONE),
     "ray_search, of a list, by Newton": lambda: vs.ray_search(HOT, [], "newton"),
     "ray_search, by maps": lambda: vs.ray_search(HOT, NONE, "tabulated"),
+    "ray_search, of a projector": lambda: vs.ray_search(PROJECTED, projector_pixel=[]),
+    "projector_pixels": lambda: vs.projector_pixels(PROJECTED, PIXELS),
+    "epipolar_residual": lambda: vs.epipolar_residual(CAMERA, PROJECTOR, [], PIXELS),
     "project": lambda: vs.project(HOT, POINTS),
     "project, of a list, straight": lambda: vs.project(HOT, [], through_medium=False),
     "projected_points, by Newton": lambda: projected_points(HOT, POINTS, method="newton"),

@@ -60,7 +60,12 @@ From images to numbers
                          one world.
 
 Light through air
-    ray_search           Find the pixels that see laser rays' incidence points.
+    ray_search           Find the pixels that see the incidence points of a laser's or
+                         projector's rays.
+    projector_pixels     Find the projector's pixels that light what camera pixels see, by
+                         marched rays.
+    epipolar_residual    How far camera pixels lie from the straight epipolar lines of their
+                         projector pixels, px.
     project              The pixels at which a scene's camera sees points, along bent lines of
                          sight.
     projected_points     `project` with a status for each point.
@@ -96,7 +101,8 @@ Air and shape found from images
 Statuses, whose members have a message, and errors
     Status               Why there is a centre, or none.
     CrossingStatus       How the search for a pixel's point ended.
-    SearchStatus         How a laser ray's search ended.
+    SearchStatus         How the search for a ray of laser or projector ended.
+    ProjectorPixelStatus Whether a projector pixel was found for a camera's, and if not, why.
     ProjectionStatus     Whether a point has a pixel, and if not, why.
     RayStatus            How a ray's march ended.
     EstimateStatus       What became of a parameter.
@@ -161,9 +167,12 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.truth import compare_line as compare_line
     from virtual_sensor.optics.bent_points import bent_points as bent_points
     from virtual_sensor.optics.crossing_status import CrossingStatus as CrossingStatus
+    from virtual_sensor.optics.epipolar import epipolar_residual as epipolar_residual
     from virtual_sensor.optics.projection import ProjectionStatus as ProjectionStatus
     from virtual_sensor.optics.projection import project as project
     from virtual_sensor.optics.projection import projected_points as projected_points
+    from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus as ProjectorPixelStatus
+    from virtual_sensor.optics.projector_pixels import projector_pixels as projector_pixels
     from virtual_sensor.optics.ray_search import SearchStatus as SearchStatus
     from virtual_sensor.optics.ray_search import ray_search as ray_search
     from virtual_sensor.optics.ray_status import RayStatus as RayStatus
@@ -193,6 +202,7 @@ _HOME = {
     "Pose": "poses",
     "Prior": "metrology.observations",
     "ProjectionStatus": "optics.projection",
+    "ProjectorPixelStatus": "optics.projector_pixels",
     "RayStatus": "optics.ray_status",
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
@@ -204,6 +214,7 @@ _HOME = {
     "bent_points": "optics.bent_points",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
+    "epipolar_residual": "optics.epipolar",
     "error_budget": "metrology.error_budget",
     "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
@@ -216,6 +227,7 @@ _HOME = {
     "new_scene": "imaging.new_scene.write",
     "project": "optics.projection",
     "projected_points": "optics.projection",
+    "projector_pixels": "optics.projector_pixels",
     "ray_search": "optics.ray_search",
     "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",

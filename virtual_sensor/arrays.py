@@ -302,6 +302,15 @@ def floor(x: Any) -> Any:
     return dr.floor(x)
 
 
+def sqrt(x: Any) -> Any:
+    """The square root of an array of either."""
+    if isinstance(x, float | np.ndarray):
+        return np.sqrt(x)
+    from virtual_sensor.engine import dr
+
+    return dr.sqrt(x)
+
+
 def where(mask: Any, x: Any, y: Any) -> Any:
     """As `numpy.where`, of arrays of either."""
     if isinstance(x, float | np.ndarray):

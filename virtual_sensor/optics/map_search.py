@@ -33,14 +33,16 @@ _NUDGE_MM, _FLAT = 1e-3, 8.0  # a ray so far beside another meets the part so mu
 _REACH_MM = 0.5  # along the later tangents, before and behind the place found
 
 
-def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[Roots, Mask]:
-    """Laser points and their pixels by maps, and which rays the maps hold.
+def tabulated_roots(
+    scene: SearchScene, s: Array, t: Array, tolerance_px: float
+) -> tuple[Roots, Mask]:
+    """Incidence points and their pixels by maps, and which rays the maps hold.
 
     Parameters
     ----------
     scene : SearchScene
-    b : ndarray of shape (N,)
-        Places of the rays along the line; NaN counts as held: it misses.  Unlit rays don't.
+    s, t : ndarray of shape (N,)
+        Coordinates of the source's rays; NaN counts as held: it misses.  Unlit rays don't.
     tolerance_px : float
         Of the maps.
 
@@ -49,14 +51,14 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
     NoMapError
         If the tolerance can't be met, or a ray does not reach its depth.
     """
-    nothing = np.full((len(b), 3), np.nan)
-    slopes, marches = np.full((len(b), 2, 2), np.nan), np.zeros(len(b), int)
+    nothing = np.full((len(t), 3), np.nan)
+    slopes, marches = np.full((len(t), 2, 2), np.nan), np.zeros(len(t), int)
     found = Roots(nothing, nothing[:, :2].copy(), slopes, nothing.copy(), marches)
-    mapped, lit = np.isnan(b), scene.source.reaches(0.0, b)
+    mapped, lit = np.isnan(s + t), scene.source.reaches(s, t)
     camera, family, rows = scene.camera, scene.source.family, np.flatnonzero(lit)
     if not rows.size:
         return found, mapped
-    origins, directions = family.rays(0.0, b[rows])
+    origins, directions = family.rays(s[rows], t[rows])
     ahead = directions @ family.pose.rotation[:, 2]
     met = _distance(scene.surface, origins, directions, np.full(len(rows), np.inf))
     if not np.isfinite(met).any():
@@ -68,7 +70,7 @@ def tabulated_roots(scene: SearchScene, b: Array, tolerance_px: float) -> tuple[
         return found, mapped
     rows = rows[near]
     tolerance_mm = in_mm(tolerance_px, camera, camera.pose.to_local(straight[near])[:, 2])
-    places = np.column_stack([np.zeros(len(rows)), b[rows], (met * ahead)[near]])
+    places = np.column_stack([s[rows], t[rows], (met * ahead)[near]])
     light = covering_map(scene.medium, family, _deeper(places), tolerance_mm)
     target, known = _met(light, places, scene.surface)
     found.target[rows] = target

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import solved
+from virtual_sensor.arrays import determinant, solved
 from virtual_sensor.display import Displayed
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.sight import (
@@ -43,12 +43,12 @@ _FOUND_PX = 1e-4  # by which a root may be missed at most
 
 @dataclass(frozen=True)
 class Roots(Displayed):
-    """Pixels whose lines of sight meet laser points, one row per laser ray.
+    """Pixels whose lines of sight meet incidence points, one row per ray of the source.
 
     Attributes
     ----------
     target : ndarray of shape (N, 3)
-        Where the laser meets the surface, world, mm; NaN if it misses.
+        Where the source's ray meets the surface, world, mm; NaN if it misses.
     pixel : ndarray of shape (N, 2)
     slopes : ndarray of shape (N, 2, 2)
         Derivative by the pixel of where its line of sight goes, parallel to the sensor, mm/px.
@@ -70,17 +70,19 @@ class Roots(Displayed):
             values[rows] = others
 
 
-def newton(scene: SearchScene, b: Array, march: March) -> Roots:
+def newton(scene: SearchScene, t: Array, march: March, s: Array | float = 0.0) -> Roots:
     """Search by Newton's method, all marches of the result being those asked for.
 
     Parameters
     ----------
     scene : SearchScene
-    b : ndarray of shape (N,)
-        Places of the rays along the laser line, mm.
+    t : ndarray of shape (N,)
+        Second coordinates of the source's rays: their places along a laser line, mm.
     march : March
+    s : ndarray of shape (N,) or float
+        Their first coordinates: 0, the middle of a laser's sheet.
     """
-    target = incidence_points(scene, b, march)
+    target = incidence_points(scene, t, march, s)
     pixel, slopes, marches = _roots(scene, target, march)
     seen = seen_points(scene, pixel, march)
     known = np.isfinite(target[:, 0])
@@ -96,9 +98,12 @@ def marched_pixels(scene: SearchScene, points: Array, march: March = REFERENCE) 
     camera = scene.camera
     pixel, slopes, _ = _roots(scene, points, march)
     left = _step(slopes, misses(scene, points, pixel, march))
-    p, q, depth = camera.coordinates(points).T
-    beside_straight = slopes @ camera.pixel_slopes(p, q) / depth[:, None, None]
-    area, trace = np.linalg.det(beside_straight), np.trace(beside_straight, axis1=1, axis2=2)
+    s, t, depth = camera.coordinates(points).T
+    straight = np.stack(np.broadcast_arrays(*camera.by_coordinates(s, t, depth)), axis=-1)
+    with np.errstate(all="ignore"):
+        bent = (slopes @ camera.pixel_slopes(s, t)).reshape(-1, 4).T
+        (a, c), (b, d) = (solved(straight.T, *each) for each in (bent[[0, 2]], bent[[1, 3]]))
+    area, trace = determinant((a, b, c, d)), a + d
     found = (np.abs(left).max(axis=1) <= _FOUND_PX) & (area > 0.0) & (trace > 0.0)
     return np.where(found[:, None], pixel, np.nan)
 

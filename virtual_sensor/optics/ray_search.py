@@ -1,8 +1,9 @@
-"""Which pixel sees a laser point through bent light: the paper's search, and Newton's.
+"""Which pixel sees a source's light through bent air: the paper's search, and Newton's.
 
 Beermann et al. 2018, section 4.2: a laser ray is traced to its incidence point B_l; then the
-camera's pixel is sought whose bent line of sight meets the surface there.  Everything is float64
-and batched over all laser rays at once.
+camera's pixel is sought whose bent line of sight meets the surface there.  A projector in the
+laser's place (section 7) has its pixels' rays traced instead.  Everything is float64 and batched
+over all rays at once.
 """
 
 from __future__ import annotations
@@ -15,7 +16,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import SMALLEST, number_within, numbers_of, one_of, whole_number
+from virtual_sensor.arrays import (
+    SMALLEST,
+    number_within,
+    numbers_of,
+    one_of,
+    points_of,
+    whole_number,
+)
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
@@ -30,6 +38,7 @@ from virtual_sensor.optics.sight import (
     check_progress,
     chosen,
     incidence_points,
+    pixel_family,
     scene_of,
     seen_points,
 )
@@ -54,7 +63,7 @@ _LEAN = 5e-3  # a bent line of sight leans from the straight one by some millira
 
 
 class SearchStatus(StatusEnum):
-    """How a laser ray's search ended."""
+    """How the search for a ray of laser or projector ended."""
 
     FOUND = 0, "The pixel is good to r_max."
     ABOVE_RADIUS = (
@@ -67,21 +76,21 @@ class SearchStatus(StatusEnum):
         "The pixel sees something else in front of the point, or behind it, and is not used: the "
         "part hides the point from the camera.",
     )
-    LASER_MISSED = 3, "The laser ray meets no surface: choose a y at which the part is."
+    LASER_MISSED = 3, "The ray meets no surface: choose a y, or a pixel, at which the part is."
     OUTSIDE_IMAGE = (
         4,
-        "The pixel would lie outside the sensor: choose a y within the camera's view.",
+        "The pixel would lie outside the sensor: choose a ray within the camera's view.",
     )
     UNLIT = (
         5,
-        "The laser sends no light along this ray, beyond the line or at no dot: choose a y on the "
-        "line (line_length, dots).",
+        "No light is sent along this ray, beyond the line, at no dot or beside the projector's "
+        "image: choose a y on the line (line_length, dots), or a pixel of the image.",
     )
 
 
 @dataclass(frozen=True)
 class FoundPixels(Displayed):
-    """What a search found, one row per laser ray.
+    """What a search found, one row per ray of laser or projector.
 
     Attributes
     ----------
@@ -122,9 +131,10 @@ class FoundPixels(Displayed):
 @public
 def ray_search(
     scene: SearchScene | str | Path,
-    laser_y_mm: ArrayLike,
+    laser_y_mm: ArrayLike | None = None,
     method: str = "paper",
     *,
+    projector_pixel: ArrayLike | None = None,
     grid_px: tuple[float, float] = (32.0, 32.0),
     k_stop: int = 15,
     r_max_um: float = 1.0,
@@ -135,20 +145,22 @@ def ray_search(
     source: str | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FoundPixels:
-    """Find the pixels that see laser rays' incidence points.
+    """Find the pixels that see the incidence points of a laser's or projector's rays.
 
     Parameters
     ----------
     scene : Scene, str or Path
         From `load_scene`, or its name or path.
     laser_y_mm : array_like of shape (N,)
-        Positions of the rays along the line, in the laser's reference plane (the paper's discharge
-        locations y).
+        Of a laser: positions of the rays along the line, in its reference plane (the paper's
+        discharge locations y).
     method : str
         "paper": step 2 of section 4.2 to the letter.  "newton": the same root by Newton's method,
         to 1e-6 px on the shipped field.  "tabulated": by ray maps, which take
         a while to make and then serve any number of rays; rays that they don't hold are searched
         by Newton's method.
+    projector_pixel : array_like of shape (N, 2)
+        Of a projector, in the place of `laser_y_mm`: its pixels (u, v), integers at their centres.
     grid_px : tuple of float
         Width and height of the paper's search grid, w_sg and h_sg.
     k_stop : int
@@ -172,16 +184,21 @@ def ray_search(
     Raises
     ------
     InputError
-        If the method is neither, or a number can't be searched with.
+        If the method is neither, a number can't be searched with, or the source is not of the kind
+        whose rays are given.
     """
     scene = chosen(scene_of("ray_search", scene), camera, source)
     check_progress("ray_search", progress)
     progress = progress or (lambda fraction: None)
     one_of("ray_search: method", method, METHODS)
-    b = np.atleast_1d(numbers_of("ray_search: laser_y_mm", laser_y_mm))
-    if b.ndim > 1:
-        raise InputError(f"ray_search: laser_y_mm has the shape {b.shape}; give a list, (N,)")
-    b = np.where(np.isfinite(b), b, np.nan)
+    if (laser_y_mm is None) == (projector_pixel is None):
+        raise InputError(
+            "ray_search: give either laser_y_mm, of a laser, or projector_pixel, of a projector"
+        )
+    if laser_y_mm is not None:
+        s, t = _on_line(laser_y_mm)
+    elif projector_pixel is not None:
+        s, t = _of_pixels(scene, projector_pixel)
     whole_number("ray_search: k_stop", k_stop, 1, _MOST_STEPS)
     grid = numbers_of("ray_search: grid_px", grid_px)
     if grid.shape != (2,) or not np.all((grid > 0.0) & (grid < np.inf)):
@@ -194,18 +211,37 @@ def ray_search(
     (march or REFERENCE).check(scene.medium)
     progress(0.0)
     if method == "paper":
-        found = _paper(scene, b, grid_px, k_stop, r_max_um, march or REFERENCE, progress)
+        found = _paper(scene, s, t, grid_px, k_stop, r_max_um, march or REFERENCE, progress)
     elif method == "newton":
-        found = _found(scene, _newton(scene, b, march))
+        found = _found(scene, _newton(scene, s, t, march))
     else:
-        found = _found(scene, _tabulated(scene, b, march, tolerance_px))
-    lit = scene.source.reaches(0.0, b)
+        found = _found(scene, _tabulated(scene, s, t, march, tolerance_px))
+    lit = scene.source.reaches(s, t)
     return _checked(scene.camera, found, lit, r_max_um, z_max_mm)
+
+
+def _on_line(laser_y_mm: ArrayLike) -> tuple[Array, Array]:
+    """Coordinates (N,) of rays in the middle of a laser's sheet; NaN of what is not finite."""
+    t = np.atleast_1d(numbers_of("ray_search: laser_y_mm", laser_y_mm))
+    if t.ndim > 1:
+        raise InputError(f"ray_search: laser_y_mm has the shape {t.shape}; give a list, (N,)")
+    return np.zeros(t.shape), np.where(np.isfinite(t), t, np.nan)
+
+
+def _of_pixels(scene: SearchScene, projector_pixel: ArrayLike) -> tuple[Array, Array]:
+    """Coordinates (N,) of the rays of a projector's pixels (N, 2); NaN of what is not finite."""
+    pixel = points_of("ray_search: projector_pixel", projector_pixel, 2)
+    if pixel.ndim != 2 or pixel.shape[1] != 2:
+        raise InputError(
+            f"ray_search: projector_pixel has the shape {pixel.shape}; give it (N, 2), (u, v) each"
+        )
+    return pixel_family("ray_search", scene).of_pixels(pixel)
 
 
 def _paper(
     scene: SearchScene,
-    b: Array,
+    s: Array,
+    t: Array,
     grid_px: tuple[float, float],
     k_stop: int,
     r_max_um: float,
@@ -214,7 +250,7 @@ def _paper(
 ) -> FoundPixels:
     """Section 4.2, step 1 and step 2: halve the step, keep the best."""
     camera = scene.camera
-    target = incidence_points(scene, b, march)
+    target = incidence_points(scene, t, march, s)
     pixel = camera.project(target)  # 2.1: the start pixel u_s
     best = FoundPixels(
         target,
@@ -248,23 +284,27 @@ def _paper(
     return best
 
 
-def _newton(scene: SearchScene, b: Array, march: March | None) -> Roots:
-    return newton_along_line(scene, b) if march is None else newton(scene, b, march)
+def _newton(scene: SearchScene, s: Array, t: Array, march: March | None) -> Roots:
+    if march is None and not s.any():
+        return newton_along_line(scene, t)
+    return newton(scene, t, march or REFERENCE, s)
 
 
-def _tabulated(scene: SearchScene, b: Array, march: March | None, tolerance_px: float) -> Roots:
+def _tabulated(
+    scene: SearchScene, s: Array, t: Array, march: March | None, tolerance_px: float
+) -> Roots:
     """Roots by maps, and by Newton's method where those don't hold a ray."""
     try:
-        roots, mapped = tabulated_roots(scene, b, tolerance_px)
+        roots, mapped = tabulated_roots(scene, s, t, tolerance_px)
     except NoMapError:
-        return _newton(scene, b, march)
+        return _newton(scene, s, t, march)
     if not mapped.all():
-        roots.put(~mapped, _newton(scene, b[~mapped], march))
+        roots.put(~mapped, _newton(scene, s[~mapped], t[~mapped], march))
     return roots
 
 
 def _found(scene: SearchScene, roots: Roots) -> FoundPixels:
-    """Roots with how far from the laser point the surface is that their pixels see."""
+    """Roots with how far from the incidence point the surface is that their pixels see."""
     delta = (roots.seen - roots.target) @ scene.camera.pose.rotation[:, :2] * 1e3
     distance = np.linalg.norm(delta, axis=1)
     status = np.zeros(len(distance), int)

@@ -69,6 +69,23 @@ def scene_of(asker: str, scene: Any) -> Any:
     return scene
 
 
+def pixel_family(asker: str, scene: SearchScene) -> Any:
+    """The rays of a scene's projector, which have pixels as a camera's have.
+
+    Raises
+    ------
+    InputError
+        If its source has none: it is a laser line.
+    """
+    family = scene.source.family
+    if not hasattr(family, "of_pixels"):
+        raise InputError(
+            f"{asker}: the source has no pixels, as a laser line has none; give a scene with a"
+            " projector, or name it (source=)"
+        )
+    return family
+
+
 def check_progress(asker: str, progress: object) -> None:
     """Raise InputError unless it can be told how much is done."""
     if progress is not None and not callable(progress):
@@ -78,9 +95,11 @@ def check_progress(asker: str, progress: object) -> None:
         )
 
 
-def incidence_points(scene: SearchScene, b: Array, march: March = REFERENCE) -> Array:
-    """Trace laser rays at b (N,) to the surface, (N, 3) in mm; NaN where they miss."""
-    origins, directions = scene.source.family.rays(0.0, b)
+def incidence_points(
+    scene: SearchScene, t: Array, march: March = REFERENCE, s: Array | float = 0.0
+) -> Array:
+    """Trace the source's rays (s, t), each (N,), to the surface, (N, 3) in mm; NaN: they miss."""
+    origins, directions = scene.source.family.rays(s, t)
     return _to_surface(scene, origins, directions, march)
 
 

@@ -1,0 +1,93 @@
+"""Epipolar geometry of a camera and a projector: the part of an error that no shape can explain.
+
+Where light runs straight, the camera sees all points of one ray of the projector on one line, its
+epipolar line, whatever the shape that the ray meets.  How far a pixel lies from the line of the
+projector's pixel that it sees is what the air has done, across the line; along it air and shape
+look alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.arrays import number_for, points_of, sqrt
+from virtual_sensor.calls import public
+from virtual_sensor.errors import InputError, short
+from virtual_sensor.optics.ray_families import Pinhole, RayFamily
+
+Array = NDArray[np.float64]
+
+_SHARE = 1 << 16  # pixels: so many at once stay in the processor's cache
+
+
+@public
+def epipolar_residual(
+    camera: Pinhole, projector: Any, pixel: ArrayLike, projector_pixel: ArrayLike
+) -> Array:
+    """How far camera pixels lie from the straight epipolar lines of their projector pixels, px.
+
+    Parameters
+    ----------
+    camera : Pinhole
+    projector : Pinhole or other family with pixels
+        `scene.projector.family`, or that of a calibration.
+    pixel : array_like of shape (..., 2)
+        (u, v) of the camera, integers at pixel centres.
+    projector_pixel : array_like of shape (..., 2)
+        (u, v) of the projector that these pixels see.
+
+    Returns
+    -------
+    ndarray of shape (...)
+        In px of the camera's image without its distortion.  Positive on the right of the line as
+        it runs from the projector's near end to the far one, u to the right and v down.  NaN where
+        either pixel is, or where the ray goes through the camera's centre and has no line.
+
+    Raises
+    ------
+    InputError
+        If these are no pixels, or not equally many.
+    """
+    for name, family in (("camera", camera), ("projector", projector)):
+        if not hasattr(family, "of_pixels"):
+            raise InputError(
+                f"epipolar_residual: {name} is {short(family)}; give rays that have pixels, such as"
+                " scene.camera and the family of its projector"
+            )
+    seen = points_of("epipolar_residual: pixel", pixel, 2)
+    lit = points_of("epipolar_residual: projector_pixel", projector_pixel, 2)
+    if seen.shape != lit.shape or seen.shape[-1:] != (2,):
+        raise InputError(
+            f"epipolar_residual: pixel has the shape {seen.shape} and projector_pixel"
+            f" {lit.shape}; give both (N, 2)"
+        )
+    shape, residual = seen.shape[:-1], np.empty(seen.size // 2)
+    seen, lit = seen.reshape(-1, 2), lit.reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        for first in range(0, len(residual), _SHARE):
+            some = slice(first, first + _SHARE)
+            sight, light = camera.of_pixels(seen[some]), projector.of_pixels(lit[some])
+            residual[some] = across_line(camera, projector, *sight, *light)
+    return np.where(np.isfinite(residual), residual, np.nan).reshape(shape)
+
+
+def across_line(camera: Pinhole, projector: RayFamily, p: Any, q: Any, s: Any, t: Any) -> Any:
+    """`epipolar_residual` of lines of sight (p, q) and rays (s, t).
+
+    Of NumPy's arrays as of Dr.Jit's in double precision.  With o a point of the projector's ray and
+    d its direction, in the camera's frame, the line is that of the (p, q, 1) square to o x d.
+    """
+    turn = camera.pose.rotation.T @ projector.pose.rotation
+    shift = camera.pose.to_local(projector.pose.origin_mm)
+    rows = [[number_for(p, float(v)) for v in (*m, b)] for m, b in zip(turn, shift, strict=True)]
+    (x, y), (along_x, along_y) = projector.foot(s, t), projector.slope(s, t)
+    o = [m[0] * x + m[1] * y + m[3] for m in rows]
+    d = [m[0] * along_x + m[1] * along_y + m[2] for m in rows]
+    a = o[1] * d[2] - o[2] * d[1]
+    b = o[2] * d[0] - o[0] * d[2]
+    c = o[0] * d[1] - o[1] * d[0]
+    by_u, by_v = (number_for(p, 1.0 / float(f)) for f in np.diag(camera.matrix)[:2])
+    return (a * p + b * q + c) / sqrt(a * by_u * (a * by_u) + b * by_v * (b * by_v))
