@@ -241,3 +241,25 @@ def test_what_a_camera_knows_need_not_be_said_again():
     assert np.median(np.abs(known.sigma / line_centres(grey).sigma - 1.0)) > 0.01
     clipped = record(image, camera, peak_e=9000.0)
     assert np.all(line_centres(clipped, camera=camera).status == Status.SATURATED)
+
+
+def test_frames_of_a_sequence_are_exposed_alike_and_have_noise_of_their_own():
+    """A dark frame stays dark, and the fixed pattern is the same in all."""
+    camera = CameraNoise(bit_depth=8, gain=0.02, black_level=5.0, dsnu_e=40.0, prnu=0.0)
+    frames = np.stack([np.full((40, 50), level) for level in (0.2, 0.1, 0.0, 0.2)])
+    grey = record(frames.astype(np.float32), camera, 3, peak_e=8000.0)
+    assert grey.dtype == np.uint8
+    assert grey.shape == frames.shape
+    np.testing.assert_allclose(grey.mean(axis=(1, 2)), [165.0, 85.0, 5.0, 165.0], atol=0.1)
+    assert np.std(grey[0].astype(float) - grey[3]) == pytest.approx(
+        np.sqrt(2.0 * (0.02**2 * 8000.0 + 1.0 / 12.0)), rel=0.05
+    )
+    np.testing.assert_array_equal(record(frames, camera, 3, peak_e=8000.0), grey)
+    single = record(frames[1] * 8000.0 / 0.2 / 0.62, camera)
+    assert abs(single.mean() - grey[1].mean()) < 0.1
+    with pytest.raises(InputError, match="dark"):
+        record(np.full((2, 4, 4), np.nan), camera, peak_e=100.0)
+    with pytest.raises(InputError, match="frame 1: 2000 of its 2000 values are not finite"):
+        record(np.stack([frames[0], frames[0] + np.nan]), camera, peak_e=100.0)
+    with pytest.raises(InputError, match="dark"):
+        record(np.zeros((2, 4, 4)), camera, peak_e=100.0)

@@ -24,6 +24,7 @@ from virtual_sensor.arrays import (
     image_of,
     number_within,
     numbers_of,
+    unmasked,
     whole_number,
 )
 from virtual_sensor.calls import public
@@ -104,6 +105,11 @@ class CameraNoise(Displayed):
         return int(2**self.bit_depth - 1)
 
     @property
+    def kind(self) -> type[np.uint8] | type[np.uint16]:
+        """Of its grey values."""
+        return np.uint8 if self.bit_depth <= 8 else np.uint16
+
+    @property
     def grey_noise(self) -> float:
         """Standard deviation of the grey values in the dark: what `line_centres` calls noise."""
         return float(np.sqrt((self.gain * self.dark_noise_e) ** 2 + 1.0 / 12.0))
@@ -147,11 +153,15 @@ def exposed(image: ArrayLike, peak_e: float, camera: CameraNoise) -> Array:
         Where the image is dark.
     """
     image = numbers_of("exposed: the image", image)
+    return image * _exposure(float(np.nanmax(image, initial=0.0)), peak_e, camera)
+
+
+def _exposure(brightest: float, peak_e: float, camera: CameraNoise) -> float:
+    """Photons per unit of an image."""
     number_within("exposed: peak_e", peak_e, SMALLEST, LARGEST, "electrons, more than 0")
-    brightest = float(np.nanmax(image, initial=0.0)) if image.size else 0.0
     if not 0.0 < brightest < np.inf:
         raise InputError("exposed: the image is dark, or not finite; no exposure makes it bright")
-    return image * (peak_e / camera.quantum_efficiency / brightest)
+    return peak_e / camera.quantum_efficiency / brightest
 
 
 @public
@@ -166,20 +176,21 @@ def record(
 
     Parameters
     ----------
-    photons : array_like of shape (H, W)
+    photons : array_like of shape (H, W) or (K, H, W)
         Mean number of photons on each pixel; with `peak_e` an image in any unit, such as `render`
-        gives, or a `Frame`.  A frame without noise is stored by ``vs.save_png(frame.radiance,
-        "frame.png")``.
+        gives, or a `Frame`.  Of a sequence, such as `render_sequence` gives, all frames are
+        exposed alike, and each has noise of its own.  A frame without noise is stored by
+        ``vs.save_png(frame.radiance, "frame.png")``.
     camera : CameraNoise, optional
         By default the 12-bit one that `CameraNoise()` is.
     seed : int or numpy.random.Generator
         Of the temporal noise; the same seed gives the same bits.
     peak_e : float, optional
-        The exposure: electrons of the brightest pixel.
+        The exposure: electrons of the brightest pixel, in all of a sequence.
 
     Returns
     -------
-    ndarray of shape (H, W)
+    ndarray of shape (H, W) or (K, H, W)
         Grey values, uint8 up to 8 bits, else uint16.
 
     Raises
@@ -191,14 +202,40 @@ def record(
     camera = CameraNoise() if camera is None else camera
     if not isinstance(camera, CameraNoise):
         raise InputError(f"record: camera is {short(camera)}; give a CameraNoise, or leave it out")
+    images = unmasked(photons)
+    if images.ndim == 3 and images.size and images.dtype.kind in "bufi":
+        return _sequence(images, camera, generator_of("record: seed", seed), peak_e)
     photons = photons if peak_e is None else exposed(photons, peak_e, camera)
     light = image_of("record: photons", photons, 0.0)
     rng = generator_of("record: seed", seed)
-    if 0.0 < (brightest := light.max(initial=0.0)) < _DARKEST:
+    _check_exposure(light.max(initial=0.0))
+    return _grey(light, camera, rng)
+
+
+def _sequence(
+    images: NDArray, camera: CameraNoise, rng: np.random.Generator, peak_e: float | None
+) -> NDArray:
+    """Grey values (K, H, W) of frames of one exposure; one by one, as all may be large."""
+    brightest = float(np.nanmax(images, initial=0.0))
+    scale = 1.0 if peak_e is None else _exposure(brightest, peak_e, camera)
+    _check_exposure(scale * brightest)
+    grey: NDArray = np.empty(images.shape, camera.kind)
+    for number, (frame, own) in enumerate(zip(images, rng.spawn(len(images)), strict=True)):
+        light = image_of(f"record: photons of frame {number}", frame, 0.0)
+        grey[number] = _grey(light * scale, camera, own)
+    return grey
+
+
+def _check_exposure(brightest: float) -> None:
+    if 0.0 < brightest < _DARKEST:
         raise InputError(
             f"record: photons are at most {brightest:.2g} on a pixel, less than any camera sees; of"
             " a radiance give the exposure too: peak_e, the electrons of its brightest pixel"
         )
+
+
+def _grey(light: Array, camera: CameraNoise, rng: np.random.Generator) -> NDArray:
+    """Grey values (H, W) of so many photons on each pixel."""
     offset, response = _pattern(camera, light.shape)
     full = min(_SURELY_FULL * camera.full_well_e, _MOST_E)
     mean = np.minimum(camera.quantum_efficiency * light * response, full)
@@ -209,7 +246,7 @@ def record(
     electrons += offset
     np.minimum(electrons, camera.full_well_e, out=electrons)
     grey = np.rint(electrons * np.float32(camera.gain) + np.float32(camera.black_level))
-    return np.clip(grey, 0, camera.white).astype(np.uint8 if camera.bit_depth <= 8 else np.uint16)
+    return np.clip(grey, 0, camera.white).astype(camera.kind)
 
 
 def _pattern(
