@@ -15,7 +15,7 @@ from typing import Any
 
 import typer
 from make_data_dictionary import dictionary, files
-from virtual_sensor_plugins import glow, laser_line, refractive
+from virtual_sensor_plugins import glow, laser_line, pattern_projector, refractive
 
 import virtual_sensor as vs
 from virtual_sensor import cli
@@ -28,7 +28,7 @@ FOLDER = Path(__file__).parent / "reference"
 
 ROOMS = {
     "imaging": "Scenes and images",
-    "devices": "Cameras and lasers",
+    "devices": "Lasers and projectors",
     "metrology": "From images to numbers",
     "optics": "Light through air",
     "medium": "Air",
@@ -39,6 +39,7 @@ ROOMS = {
 ELEMENTS = (
     ("integrator", "refractive", refractive.Refractive),
     ("emitter", "laser_line", laser_line.LaserLineEmitter),
+    ("emitter", "pattern_projector", pattern_projector.PatternProjector),
     ("emitter", "glow", glow.Glow),
 )
 """The plugins that a scene names."""
@@ -245,7 +246,9 @@ def _value(hint: Any) -> str:
 
 def scene_parameters() -> str:
     """The parameters of the shipped scenes, with unit and default."""
-    scenes = sorted(shipped_scenes().glob("*.xml"), key=lambda path: path.stem != "hot_cylinder")
+    scenes = sorted(
+        shipped_scenes().glob("*.xml"), key=lambda path: (path.stem != "hot_cylinder", path.stem)
+    )
     words: dict[str, str] = {}
     defaults: dict[str, dict[str, str]] = {}
     for path in scenes:

@@ -1,4 +1,4 @@
-"""The Mitsuba plugins: the refractive integrator, the laser line and the glow of a hot part.
+"""The Mitsuba plugins: the refractive integrator, laser line, projector and glow of a hot part.
 
 Importing this package registers them for the variant that is set, and again whenever Mitsuba
 changes its variant: registration is per variant, and a class can only derive from Mitsuba's once
@@ -11,7 +11,8 @@ from typing import Any
 
 from virtual_sensor.engine import mi
 
-_PLUGINS = tuple(f"virtual_sensor_plugins.{name}" for name in ("laser_line", "glow", "refractive"))
+_NAMES = "laser_line", "glow", "refractive", "pattern_projector"
+_PLUGINS = tuple(f"virtual_sensor_plugins.{name}" for name in _NAMES)
 
 
 _of_variant: dict[str, dict[str, dict[str, Any]]] = {}

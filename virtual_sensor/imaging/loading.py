@@ -32,8 +32,10 @@ _RIGID = 1e-3  # of what a rotation's columns may differ from one by float32 and
 _LONGEST_WORD = 300  # of a message, such as a path
 _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
+    *(("pattern_projector", name) for name in ("fov", "power")),
     ("refractive", "tolerance"),
 }
+_DEVICES = "laser_line", "pattern_projector"  # emitters that are made of one
 _PARTS_CACHED = 8
 _WATERTIGHT = "embree_use_robust_intersections"
 _LARGEST = 1e30  # float32 ends at 3e38
@@ -241,13 +243,16 @@ def _let_no_ray_through(state: Any) -> None:
 
 
 def _name(state: Any) -> None:
-    """Give the sensors and emitters without an `id` one: "camera", "laser", "laser_2" and so on."""
+    """Give the sensors and emitters without an `id` one: "camera", "laser", "laser_2" and so on.
+
+    Of a `laser_line` it is "laser", of a `pattern_projector` "projector".
+    """
     taken = {node.props.id() for node in state.nodes}
     for node in state.nodes:
         if node.props.id() or node.type not in (mi.ObjectType.Sensor, mi.ObjectType.Emitter):
             continue
         kind = "camera" if node.type == mi.ObjectType.Sensor else node.props.plugin_name()
-        kind = kind.removesuffix("_line")
+        kind = kind.removesuffix("_line").removeprefix("pattern_")
         numbered = (f"{kind}_{number}" for number in count(2))
         node.props.set_id(next(name for name in chain([kind], numbered) if name not in taken))
         taken.add(node.props.id())
@@ -379,7 +384,7 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
         if not np.all(np.abs(numbers) < _LARGEST):
             raise InputError(f"{where}: {name} is not a finite number{_culprit(values)}; give one")
         camera = node.type == mi.ObjectType.Sensor
-        if name == "to_world" and (camera or kind == "laser_line"):
+        if name == "to_world" and (camera or kind in _DEVICES):
             notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4), camera)
     if node.type == mi.ObjectType.Film:
         _check_film(where, int(props.get("width", 768)), int(props.get("height", 576)))
@@ -401,7 +406,7 @@ def _culprit(values: dict[str, str]) -> str:
 def _check_pose(where: str, matrix: NDArray[np.float64], camera: bool) -> list[str]:
     """Refuse a pose beyond reason, or a camera's that scales or shears; note one that mirrors."""
     turn, place = matrix[:3, :3], matrix[:3, 3]
-    if camera and not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):  # a laser says so itself
+    if camera and not np.allclose(turn.T @ turn, np.eye(3), atol=_RIGID):  # a source says so itself
         raise InputError(f"{where}: to_world scales or shears; turn and move, and no more")
     if np.max(np.abs(place)) > _FAR_MM:
         raise InputError(

@@ -19,6 +19,7 @@ from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
 from virtual_sensor.calls import public
+from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
@@ -51,7 +52,8 @@ class PixelTruth(Displayed):
         Of that point along the camera's axis.
     source_coordinates : dict
         By the sources' names, ndarray of shape (N, 2): (s, t) of the source's ray that lights the
-        pixel, across the sheet and along the line of a laser; NaN where it does not reach.
+        pixel: across the sheet and along the line of a laser, (p, q) of a projector; NaN where it
+        does not reach.
     status : dict
         By the sources' names, ndarray of shape (N,): `LightStatus`.
     report : RenderReport
@@ -90,7 +92,7 @@ class Frame(Displayed):
     truth : PixelTruth
         The truth where there is one; `point_mm` and its kin are images of it.
     radius_mm : dict
-        By source, the 1/e^2 radius of its line.
+        By source that is a laser line, its 1/e^2 radius.
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
@@ -145,7 +147,7 @@ class Frame(Displayed):
 
     def source_name(self, source: str | None = None) -> str:
         """The name of a source, or of the only one; an InputError where that is none."""
-        held = self.radius_mm
+        held = self.truth.source_coordinates
         name = next(iter(held)) if source is None and len(held) == 1 else source
         if name is None or name not in held:
             raise InputError(
@@ -235,7 +237,8 @@ def render_frame(
     with ONE_FRAME:
         prepared = _prepared(scene)
         exposure, report = prepared.exposed(samples, seed, progress)
-        radius_mm = {name: light.radius_mm for name, light in scene.sources.items()}
+        lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
+        radius_mm = {name: line.radius_mm for name, line in lines.items()}
         return Frame(exposure.images()[0], _truth(prepared), radius_mm, report)
 
 

@@ -9,13 +9,14 @@ integrator                       `refractive`, and no other
 sensor                           a camera, if it is a `perspective`, a pinhole; others are left out,
                                  with a note; a mirrored one is heeded, with a note
 film                             the whole one, no crop; one beyond the memory is refused
-emitter                          a source, if it is a `laser_line`; others light the part too
+emitter                          a source, if it is a `laser_line` or a `pattern_projector`; others
+                                 light the part too
 id                               the name of a camera or a source; those without one get a name
 shape of a file: stl, obj, ply,  checked, and read where Mitsuba can't: `imaging.parts`
 3mf
 other shapes, bsdf, texture      heeded, by Mitsuba
 expansion of a shape's glow      heeded: `imaging.expansion`
-to_world of sensor and laser     turns, moves and mirrors; scale and shear are refused
+to_world of sensor and source    turns, moves and mirrors; scale and shear are refused
 to_world of the integrator       turns and moves the air
 medium                           ignored, with a note
 numbers                          what is not finite is refused
@@ -49,6 +50,7 @@ from virtual_sensor import engine
 from virtual_sensor.arrays import LARGEST, number_within, to_vectors
 from virtual_sensor.calls import public
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.projector import Projector
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.engine import mi
@@ -92,7 +94,8 @@ _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
 _ELEMENTS = {  # that a scene may lack
     "camera": '<sensor type="perspective">',
-    "source": '<emitter type="laser_line">',
+    "source": '<emitter type="laser_line">, or <emitter type="pattern_projector">',
+    "projector": '<emitter type="pattern_projector">; or take the scene fringe_cylinder',
 }
 _OF_NEW = {"emissivity": "--temperature"} | {
     name: f"--{name}"
@@ -160,7 +163,7 @@ class _Stage:
     loaded: Loaded
     surface: Surface
     cameras: dict[str, Pinhole]
-    sources: dict[str, LaserLine]
+    sources: dict[str, LaserLine | Projector]
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
     variant: str  # of Mitsuba
@@ -209,7 +212,7 @@ class Scene(Displayed):
     cameras : Mapping
         `Pinhole` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
     sources : Mapping
-        `LaserLine` by name: likewise, or "laser", "laser_2", ...
+        `LaserLine` or `Projector` by name: likewise, or "laser", "laser_2", "projector", ...
     transport : Transport
         How frames find bent rays.
     hot : bool
@@ -221,7 +224,7 @@ class Scene(Displayed):
     medium: IndexField | None
     air: MediumDescription
     cameras: Mapping[str, Pinhole]
-    sources: Mapping[str, LaserLine]
+    sources: Mapping[str, LaserLine | Projector]
     transport: Transport
     hot: bool = dataclasses.field(
         metadata={"internal": True}
@@ -326,9 +329,33 @@ class Scene(Displayed):
         return self.cameras[self.camera_name]
 
     @property
-    def source(self) -> LaserLine:
+    def source(self) -> LaserLine | Projector:
         """The only source; an InputError where there is none, or several."""
         return self.sources[self.source_name]
+
+    @property
+    def laser(self) -> LaserLine:
+        """The only source, which is a laser line; an InputError where it is none."""
+        source = self.source
+        if isinstance(source, Projector):
+            raise InputError(
+                f"{self.path}: {self.source_element} is a projector, and this needs a laser line;"
+                " measure such a scene by `virtual-sensor fringes`, or take one with a laser_line"
+            )
+        return source
+
+    @property
+    def projector(self) -> Projector:
+        """The only projector, whatever lasers there are; an InputError where it is none."""
+        source = self.sources[self.projector_name]
+        assert isinstance(source, Projector)
+        return source
+
+    @property
+    def projector_name(self) -> str:
+        """The only projector's."""
+        all_of_them = {n: each for n, each in self.sources.items() if isinstance(each, Projector)}
+        return self._one("projector", all_of_them, "source")
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -338,8 +365,8 @@ class Scene(Displayed):
 
     @property
     def sensor(self) -> SensorModel:
-        """The only camera with the only source."""
-        return SensorModel(self.camera, self.source)
+        """The only camera with the only source, which is a laser line."""
+        return SensorModel(self.camera, self.laser)
 
     @property
     def camera_name(self) -> str:
@@ -432,8 +459,8 @@ class Scene(Displayed):
         name : str
             The camera's or the source's.
         pose : Pose
-            Of a camera x along u, y along v, z forward; of a laser x across the sheet, y along the
-            line, z forward.  It may mirror.
+            Of a camera and a projector x along u, y along v, z forward; of a laser x across the
+            sheet, y along the line, z forward.  It may mirror.
 
         Raises
         ------
@@ -468,7 +495,7 @@ class Scene(Displayed):
             raise InputError(f"{self.path}: {name}: pose is {short(pose)}; give a Pose")
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = pose.rotation, pose.origin_mm
-        if name in self.cameras:
+        if name in self.cameras or isinstance(self.sources[name], Projector):
             matrix[:3, :3] = matrix[:3, :3] @ OURS_FROM_MITSUBAS
         return matrix
 
@@ -505,8 +532,8 @@ class Scene(Displayed):
         sources = {name: self._named("source", stage.sources, name) for name in self.sources}
         return Scene(self.path, values, medium, air, cameras, sources, transport, self.hot, stage)
 
-    def _one(self, kind: str, named: Mapping[str, Any]) -> str:
-        """The only name."""
+    def _one(self, kind: str, named: Mapping[str, Any], option: str = "") -> str:
+        """The only name; an option of most functions and commands chooses one of several."""
         if len(named) == 1:
             return next(iter(named))
         if not named:
@@ -515,7 +542,7 @@ class Scene(Displayed):
             )
         raise InputError(
             f"{self.path}: the scene has {len(named)} {kind}s: {_listed(named)}; say which"
-            f" ({kind}=, or --{kind} on the command line)"
+            f" ({option or kind}=, or --{option or kind} on the command line)"
         )
 
     def _named(self, kind: str, named: Mapping[str, T], name: str) -> T:
@@ -590,7 +617,11 @@ def _unpickled(
 def _counted(kind: str, named: Mapping[str, Any]) -> str:
     """The devices of a kind by their names; one that has the usual name says it all."""
     names = _listed(named) or "none"
-    return names if names in ("camera", "laser") else f"{kind}{'s' * (len(named) > 1)} {names}"
+    return (
+        names
+        if names in ("camera", "laser", "projector")
+        else f"{kind}{'s' * (len(named) > 1)} {names}"
+    )
 
 
 def _listed(named: Mapping[str, Any]) -> str:

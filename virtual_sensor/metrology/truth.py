@@ -186,9 +186,11 @@ class TrueLine(Displayed):
         Raises
         ------
         InputError
-            If there is no such source, or there are several.
+            If there is no such source, or there are several; or it is no laser line.
         """
         name = frame.source_name(source)
+        if name not in frame.radius_mm:
+            raise InputError(f"the source '{name}' is no laser line; a frame of fringes has none")
         return cls.of_coordinates(frame.coordinates(name)[:, :, 0], frame.radius_mm[name])
 
     def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> TrueLine:

@@ -151,69 +151,22 @@ def _columns(x: Any, y: Any, z: Any, like: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Sheet(RayFamily):
-    """A plane of laser light with its thickness: telecentric, or fanned in the plane.
+class PixelFamily(RayFamily):
+    """Rays of a device with pixels: a camera's lines of sight, or the light of a projector.
 
-    s = a across the sheet and t = b along the line, in mm, are where a ray crosses the reference
-    plane, which is square to z at `distance_mm`.
-
-    Attributes
-    ----------
-    pose : Pose
-        Its origin is the middle of the generator's exit, where rays start.
-    distance_mm : float
-        From the exit to the reference plane.
-    fan_per_mm : float
-        Growth of the line per mm of depth, relative to the reference plane: 1/mm; 0 is telecentric.
-    """
-
-    pose: Pose
-    distance_mm: float
-    fan_per_mm: float = 0.0
-
-    def _line(self) -> str:
-        fan = f"fanned by {self.fan_per_mm:g}/mm" if self.fan_per_mm else "telecentric"
-        return listed(fan, self.pose._line(), f"{self.distance_mm:g} mm to its reference plane")
-
-    def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """On the exit, which fanned rays leave closer together."""
-        return s, t * (1.0 - self.fan_per_mm * self.distance_mm)
-
-    def slope(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """Fanned along the line alone."""
-        return 0.0 * s, self.fan_per_mm * t
-
-    def straight(self, x: Any, y: Any, depth: Any) -> tuple[Any, Any]:
-        """(a, b) of points of the frame."""
-        return x, y / (1.0 + self.fan_per_mm * (depth - self.distance_mm))
-
-    def by_coordinates(self, s: Any, t: Any, depth: Any) -> tuple[Any, Any, Any, Any]:
-        """Across and along don't mix."""
-        return 1.0, 0.0, 0.0, 1.0 + self.fan_per_mm * (depth - self.distance_mm)
-
-
-@dataclass(frozen=True)
-class Pinhole(RayFamily):
-    """Rays through one point: a camera's lines of sight, or the light of a projector.
-
-    s = p and t = q are x/z and y/z of an ideal pinhole; the matrix and the distortion give the
-    pixel that has them (equations 2 and 3 of Beermann et al. 2018, where there is no distortion).
+    The matrix and the distortion give the pixel that has a ray's coordinates.
 
     Attributes
     ----------
     matrix : ndarray of shape (3, 3)
-        K = [[f/m_x, 0, c_x], [0, f/m_y, c_y], [0, 0, 1]] in px.
+        K, from coordinates (s, t, 1) to pixels of an ideal lens.
     pose : Pose
-        Its origin is the projection centre C_proj.
     size : tuple of int
         Width and height in px.
     distortion : ndarray of shape (0,), (4,), (5,), (8,), (12,) or (14,)
-        OpenCV's coefficients k_1, k_2, p_1, p_2, k_3 ... s_4, tau_x, tau_y; the last two are the
-        tilt of the sensor (Scheimpflug).  Empty: none, as in every scene that is rendered.
+        OpenCV's coefficients.  Empty: none.
     fisheye : bool
-        Whether the lens is OpenCV's fisheye (Kannala and Brandt's; ROS calls it equidistant), and
-        `distortion` its k_1 ... k_4: r = theta (1 + k_1 theta^2 + ... + k_4 theta^8) for light at
-        theta < 90 degrees to the axis.
+        Whether the lens is OpenCV's fisheye.
     """
 
     matrix: Array
@@ -221,28 +174,6 @@ class Pinhole(RayFamily):
     size: tuple[int, int]
     distortion: Array = field(default_factory=lambda: np.zeros(0))
     fisheye: bool = False
-
-    def _line(self) -> str:
-        width, height = self.size
-        focal = f"f {abs(self.matrix[0, 0]):.5g} px"
-        lens = "fisheye" if self.fisheye else "distorts" if self.distorts else ""
-        return listed(f"{width} x {height} px", focal, lens, self.pose._line())
-
-    def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """All in the projection centre."""
-        return 0.0 * s, 0.0 * t
-
-    def slope(self, s: Any, t: Any) -> tuple[Any, Any]:
-        """(p, q) themselves."""
-        return s, t
-
-    def straight(self, x: Any, y: Any, depth: Any) -> tuple[Any, Any]:
-        """(p, q) of points of the frame."""
-        return x / depth, y / depth
-
-    def by_coordinates(self, s: Any, t: Any, depth: Any) -> tuple[Any, Any, Any, Any]:
-        """Rays spread with their depth."""
-        return depth, 0.0, 0.0, depth
 
     @property
     def distorts(self) -> bool:
@@ -271,10 +202,6 @@ class Pinhole(RayFamily):
             return by_pq
         _, by_ideal, _ = self._derivatives(ideal)
         return np.stack(by_ideal, axis=-1).reshape(by_pq.shape) @ by_pq
-
-    def pixel_mm(self, points_mm: ArrayLike) -> Array:
-        """Size (N,) of a pixel along u at the depths of world points (N, 3), mm per px."""
-        return self.pose.to_local(points_mm)[..., 2] / abs(self.matrix[0, 0])
 
     def project(self, points_mm: ArrayLike) -> Array:
         """Project world points (N, 3) straight onto the sensor: pixels (N, 2), equation 2.
@@ -368,3 +295,141 @@ class Pinhole(RayFamily):
         """Camera coordinates x/z, y/z, 1, shape (..., 3), of an ideal pinhole's pixels."""
         ones = np.ones((*pixel.shape[:-1], 1))
         return np.concatenate([pixel, ones], axis=-1) @ np.linalg.inv(self.matrix).T
+
+
+@dataclass(frozen=True)
+class Sheet(RayFamily):
+    """A plane of laser light with its thickness: telecentric, or fanned in the plane.
+
+    s = a across the sheet and t = b along the line, in mm, are where a ray crosses the reference
+    plane, which is square to z at `distance_mm`.
+
+    Attributes
+    ----------
+    pose : Pose
+        Its origin is the middle of the generator's exit, where rays start.
+    distance_mm : float
+        From the exit to the reference plane.
+    fan_per_mm : float
+        Growth of the line per mm of depth, relative to the reference plane: 1/mm; 0 is telecentric.
+    """
+
+    pose: Pose
+    distance_mm: float
+    fan_per_mm: float = 0.0
+
+    def _line(self) -> str:
+        fan = f"fanned by {self.fan_per_mm:g}/mm" if self.fan_per_mm else "telecentric"
+        return listed(fan, self.pose._line(), f"{self.distance_mm:g} mm to its reference plane")
+
+    def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """On the exit, which fanned rays leave closer together."""
+        return s, t * (1.0 - self.fan_per_mm * self.distance_mm)
+
+    def slope(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """Fanned along the line alone."""
+        return 0.0 * s, self.fan_per_mm * t
+
+    def straight(self, x: Any, y: Any, depth: Any) -> tuple[Any, Any]:
+        """(a, b) of points of the frame."""
+        return x, y / (1.0 + self.fan_per_mm * (depth - self.distance_mm))
+
+    def by_coordinates(self, s: Any, t: Any, depth: Any) -> tuple[Any, Any, Any, Any]:
+        """Across and along don't mix."""
+        return 1.0, 0.0, 0.0, 1.0 + self.fan_per_mm * (depth - self.distance_mm)
+
+
+@dataclass(frozen=True)
+class Pinhole(PixelFamily):
+    """Rays through one point: a camera's lines of sight, or the light of a projector.
+
+    s = p and t = q are x/z and y/z of an ideal pinhole; the matrix and the distortion give the
+    pixel that has them (equations 2 and 3 of Beermann et al. 2018, where there is no distortion).
+
+    Attributes
+    ----------
+    matrix : ndarray of shape (3, 3)
+        K = [[f/m_x, 0, c_x], [0, f/m_y, c_y], [0, 0, 1]] in px.
+    pose : Pose
+        Its origin is the projection centre C_proj.
+    size : tuple of int
+        Width and height in px.
+    distortion : ndarray of shape (0,), (4,), (5,), (8,), (12,) or (14,)
+        OpenCV's coefficients k_1, k_2, p_1, p_2, k_3 ... s_4, tau_x, tau_y; the last two are the
+        tilt of the sensor (Scheimpflug).  Empty: none, as in every scene that is rendered.
+    fisheye : bool
+        Whether the lens is OpenCV's fisheye (Kannala and Brandt's; ROS calls it equidistant), and
+        `distortion` its k_1 ... k_4: r = theta (1 + k_1 theta^2 + ... + k_4 theta^8) for light at
+        theta < 90 degrees to the axis.
+    """
+
+    def _line(self) -> str:
+        width, height = self.size
+        focal = f"f {abs(self.matrix[0, 0]):.5g} px"
+        lens = "fisheye" if self.fisheye else "distorts" if self.distorts else ""
+        return listed(f"{width} x {height} px", focal, lens, self.pose._line())
+
+    def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """All in the projection centre."""
+        return 0.0 * s, 0.0 * t
+
+    def slope(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """(p, q) themselves."""
+        return s, t
+
+    def straight(self, x: Any, y: Any, depth: Any) -> tuple[Any, Any]:
+        """(p, q) of points of the frame."""
+        return x / depth, y / depth
+
+    def by_coordinates(self, s: Any, t: Any, depth: Any) -> tuple[Any, Any, Any, Any]:
+        """Rays spread with their depth."""
+        return depth, 0.0, 0.0, depth
+
+    def pixel_mm(self, points_mm: ArrayLike) -> Array:
+        """Size (N,) of a pixel along u at the depths of world points (N, 3), mm per px."""
+        return self.pose.to_local(points_mm)[..., 2] / abs(self.matrix[0, 0])
+
+
+@dataclass(frozen=True)
+class Telecentric(PixelFamily):
+    """Parallel rays: of a telecentric lens, whose pixels are of one size at any depth.
+
+    s and t are x and y in mm, square to z.
+
+    Attributes
+    ----------
+    matrix : ndarray of shape (3, 3)
+        K = [[1/m_x, 0, c_x], [0, 1/m_y, c_y], [0, 0, 1]] with m a pixel's size on the part, mm.
+    pose : Pose
+        Its origin is the middle of the lens, where rays start.
+    size : tuple of int
+        Width and height in px.
+    distortion, fisheye
+        As a `Pinhole`'s, in terms of s and t in mm.
+    """
+
+    def _line(self) -> str:
+        width, height = self.size
+        pixel = f"telecentric, {1e3 / abs(self.matrix[0, 0]):.5g} um per px"
+        return listed(f"{width} x {height} px", pixel, self.pose._line())
+
+    def foot(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """Side by side."""
+        return s, t
+
+    def slope(self, s: Any, t: Any) -> tuple[Any, Any]:
+        """All along the axis."""
+        return 0.0 * s, 0.0 * t
+
+    def straight(self, x: Any, y: Any, depth: Any) -> tuple[Any, Any]:
+        """They are x and y."""
+        return x, y
+
+    def by_coordinates(self, s: Any, t: Any, depth: Any) -> tuple[Any, Any, Any, Any]:
+        """The same at any depth."""
+        return 1.0 + 0.0 * depth, 0.0, 0.0, 1.0 + 0.0 * depth
+
+    def pixel_mm(self, points_mm: ArrayLike) -> Array:
+        """Size (N,) of a pixel along u, the same at all world points (N, 3), mm per px."""
+        depth = self.pose.to_local(points_mm)[..., 2]
+        return np.full_like(depth, 1.0 / abs(self.matrix[0, 0]))

@@ -36,7 +36,7 @@ def close_lines(scene: Scene) -> list[str]:
 def _line(scene: Scene) -> tuple[Array, float]:
     """Row of a laser's line in each column (W,), NaN where it is not, and half its breadth."""
     found = ray_search(
-        scene.cold(), scene.source.along(_SAMPLES), k_stop=1, method="paper", r_max_um=np.inf
+        scene.cold(), scene.laser.along(_SAMPLES), k_stop=1, method="paper", r_max_um=np.inf
     )
     seen = np.isfinite(found.pixel).all(axis=1)
     column, blank = np.arange(scene.camera.size[0]), np.full(scene.camera.size[0], np.nan)
@@ -47,4 +47,4 @@ def _line(scene: Scene) -> tuple[Array, float]:
     away_mm = np.linalg.norm(found.laser_point_mm[seen] - scene.camera.pose.origin_mm, axis=1)
     px_per_mm = scene.camera.matrix[0, 0] / np.median(away_mm)
     row = np.interp(column, u[order], v[order], left=np.nan, right=np.nan)
-    return row, float(scene.source.reach_mm * px_per_mm) + _MARGIN_PX
+    return row, float(scene.laser.reach_mm * px_per_mm) + _MARGIN_PX

@@ -64,7 +64,7 @@ class SeenLine:
     @staticmethod
     def of(scene: Scene) -> SeenLine:
         """Of a scene with one camera and one laser, in cold air."""
-        y_mm = scene.source.along(_SAMPLES)
+        y_mm = scene.laser.along(_SAMPLES)
         found = ray_search(scene.cold(), y_mm, k_stop=1, method="paper", r_max_um=np.inf).status
         statuses = SearchStatus.LASER_MISSED, SearchStatus.OUTSIDE_IMAGE, SearchStatus.UNDERCUT
         beside, outside, hidden = (float(np.mean(found == status)) for status in statuses)

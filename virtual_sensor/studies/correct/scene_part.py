@@ -40,7 +40,7 @@ class ScenePart(Displayed):
     @property
     def laser(self) -> LaserLine:
         """The scene's."""
-        return self.scene.source
+        return self.scene.laser
 
     def along_mm(self, points_mm: Array) -> Array:
         """Position (N,) along the line of world points (N, 3)."""
