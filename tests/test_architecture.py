@@ -31,6 +31,7 @@ PACKAGES = {
 METROLOGY_KNOWS = (
     "virtual_sensor.arrays",
     "virtual_sensor.calls",
+    "virtual_sensor.devices.calibration_files",
     "virtual_sensor.display",
     "virtual_sensor.errors",
     "virtual_sensor.files",
