@@ -32,6 +32,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.arrays",
     "virtual_sensor.calls",
     "virtual_sensor.devices.calibration_files",
+    "virtual_sensor.devices.patterns",
     "virtual_sensor.display",
     "virtual_sensor.errors",
     "virtual_sensor.files",

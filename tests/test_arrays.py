@@ -59,6 +59,7 @@ EMPTY = {
 }
 # What takes a name, a scene, an image or its line: an image has pixels.
 OTHERS = {
+    "codec_of",
     "dot_centres",
     "fit_cylinder",
     "gaussian_blur",

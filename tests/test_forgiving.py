@@ -74,6 +74,11 @@ CALLS = {
     "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),
     "read_calibration": (vs.read_calibration, {"path": "no.yaml"}),
     "ray_search": (vs.ray_search, {"scene": SCENE, "laser_y_mm": [0.0], "method": "newton"}),
+    "codec_of": (vs.codec_of, {"text": "phase 4"}),
+    "PhaseShift": (vs.PhaseShift, {"size_px": (64, 48)}),
+    "PhaseShift.decode": (vs.PhaseShift(axes="u", steps=3).decode, {"images": np.ones((9, 4, 5))}),
+    "GrayCode": (vs.GrayCode, {}),
+    "SingleShot": (vs.SingleShot, {}),
     "projector_pixels": (vs.projector_pixels, {"scene": PROJECTED, "pixel": [[20.0, 30.0]]}),
     "epipolar_residual": (
         vs.epipolar_residual,

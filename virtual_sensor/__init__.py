@@ -59,6 +59,14 @@ From images to numbers
     Calibration          All that `triangulate` needs of a sensor: a camera and a laser plane in
                          one world.
 
+Fringes
+    codec_of             A codec from its text.
+    PhaseShift           Sinusoidal fringes in N steps, of one or several periods along one axis or
+                         both.
+    GrayCode             The Gray code of columns and rows, to whole projector pixels.
+    SingleShot           Sinusoidal fringes of one period, decoded from one image of each axis.
+    DecodedFringes       The projector's pixel at each camera pixel; NaN where `status` is not OK.
+
 Light through air
     ray_search           Find the pixels that see the incidence points of a laser's or
                          projector's rays.
@@ -100,6 +108,7 @@ Air and shape found from images
 
 Statuses, whose members have a message, and errors
     Status               Why there is a centre, or none.
+    FringeStatus         Why a pixel has a projector coordinate, or none.
     CrossingStatus       How the search for a pixel's point ended.
     SearchStatus         How the search for a ray of laser or projector ended.
     ProjectorPixelStatus Whether a projector pixel was found for a camera's, and if not, why.
@@ -151,6 +160,12 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.error_budget import PointBudget as PointBudget
     from virtual_sensor.metrology.error_budget import error_budget as error_budget
     from virtual_sensor.metrology.error_budget import known_air_budget as known_air_budget
+    from virtual_sensor.metrology.fringes.codecs import codec_of as codec_of
+    from virtual_sensor.metrology.fringes.decoded import DecodedFringes as DecodedFringes
+    from virtual_sensor.metrology.fringes.decoded import FringeStatus as FringeStatus
+    from virtual_sensor.metrology.fringes.gray_code import GrayCode as GrayCode
+    from virtual_sensor.metrology.fringes.phase_shift import PhaseShift as PhaseShift
+    from virtual_sensor.metrology.fringes.single_shot import SingleShot as SingleShot
     from virtual_sensor.metrology.identifiability import EstimateStatus as EstimateStatus
     from virtual_sensor.metrology.identifiability import identifiability as identifiability
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
@@ -188,15 +203,19 @@ _HOME = {
     "CameraNoise": "imaging.camera_noise",
     "CrossingStatus": "optics.crossing_status",
     "CylinderShape": "metrology.shapes",
+    "DecodedFringes": "metrology.fringes.decoded",
     "EngineError": "errors",
     "ErrorBudget": "metrology.error_budget",
     "EstimateStatus": "metrology.identifiability",
     "Frame": "imaging.render",
+    "FringeStatus": "metrology.fringes.decoded",
+    "GrayCode": "metrology.fringes.gray_code",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
     "Observation": "metrology.observations",
     "PartShape": "metrology.shapes",
+    "PhaseShift": "metrology.fringes.phase_shift",
     "PlaneShape": "metrology.shapes",
     "PointBudget": "metrology.error_budget",
     "Pose": "poses",
@@ -207,11 +226,13 @@ _HOME = {
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
     "SectionShape": "metrology.shapes",
+    "SingleShot": "metrology.fringes.single_shot",
     "SphereShape": "metrology.shapes",
     "Status": "metrology.centres",
     "TrueLine": "metrology.truth",
     "air_refractivity": "medium.air",
     "bent_points": "optics.bent_points",
+    "codec_of": "metrology.fringes.codecs",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
     "epipolar_residual": "optics.epipolar",

@@ -1,0 +1,481 @@
+"""What all codecs share: their patterns, images as they come, and the statuses of pixels."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.arrays import LARGEST, number_within, truth_of, unmasked, whole_number
+from virtual_sensor.devices.patterns import AXES, Pattern
+from virtual_sensor.display import Displayed, listed
+from virtual_sensor.errors import InputError, short
+from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
+from virtual_sensor.metrology.line_profiles import saturation_level
+
+Block = NDArray[Any]
+"""Grey values (K, P) of P pixels in K images."""
+
+LEAST_MODULATION = 0.02
+"""Of the image's strongest fringes: weaker ones are none."""
+NOISIEST_PHASE_RAD = 1.0 / 3.0
+"""Standard deviation of a phase from which on its fringes drown."""
+
+_MOST_PX = 65_536  # along a side of the projector
+_ROUNDED = 1e-5  # of the mean: float32 knows no weaker fringes
+_BLOCK_PX = 65_536  # pixels that are decoded at a time: they stay in the processor's cache
+_DARK_REGION_PX = 9  # so many dark pixels side by side are no noise
+_CURVED_PX = 0.2  # second difference of neighbours from which on a pixel's mean is off by 0.01 px
+_FAR = 6.0  # spreads of the second differences
+_MAD = 1.4826  # of a normal distribution: its sigma over its median distance
+_THREADS = 2
+
+
+@dataclass(frozen=True)
+class GreyNoise(Displayed):
+    """The noise of grey values.
+
+    Attributes
+    ----------
+    read : float
+        Standard deviation in the dark, before values are rounded.
+    gain : float
+        Growth of the variance per unit of signal: grey values per electron.
+    black : float
+        Grey value of a pixel without light.
+    step : float
+        Of the rounding; 0: none.
+    """
+
+    read: float = 0.0
+    gain: float = 0.0
+    black: float = 0.0
+    step: float = 0.0
+
+    def variance(self, mean: NDArray[Any]) -> NDArray[Any]:
+        """Of a grey value, where images have such means."""
+        shot = np.float32(self.gain) * np.maximum(mean - np.float32(self.black), 0.0)
+        return shot + np.float32(self.read**2 + self.step**2 / 12.0)
+
+
+@dataclass
+class AxisBlock:
+    """What is known of an axis in some pixels: arrays (P,); None of what a codec does not have.
+
+    `coordinate` is in px of the projector, `disagreement` the distance from the fringe order in
+    half periods.
+    """
+
+    coordinate: NDArray[np.float64]
+    sigma: NDArray[np.float32]
+    modulation: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    phase: NDArray[np.float32] | None = None
+    disagreement: NDArray[np.float32] | None = None
+    drowned: NDArray[np.bool_] | None = None
+
+
+class Codec(Displayed, ABC):
+    """A sequence of patterns, and what decodes images of it; subclasses are frozen dataclasses.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        (W, H) of the projector.
+    axes : str
+        "uv": columns and rows; "u" or "v": one of them.
+    """
+
+    size_px: tuple[int, int]
+    axes: str
+
+    @property
+    def patterns(self) -> tuple[Pattern, ...]:
+        """All patterns, in the order of the images."""
+        return tuple(pattern for axis in self.axes for _, pattern in self._patterns_of(axis))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each pattern is, such as "u 16 px, step 2 of 4"."""
+        return tuple(name for axis in self.axes for name, _ in self._patterns_of(axis))
+
+    def __len__(self) -> int:
+        return len(self.patterns)
+
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """The codec as `codec_of` takes it."""
+
+    @abstractmethod
+    def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
+        """Names and patterns of an axis, in the order of the images."""
+
+    @abstractmethod
+    def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
+        """An axis in a block of the axis's own images."""
+
+    @abstractmethod
+    def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:
+        """Which pixels of a block of the axis's own images can't be decoded for clipping."""
+
+    def _images_of(self, axis: str) -> slice:
+        """Which images show an axis."""
+        counts = [sum(1 for _ in self._patterns_of(each)) for each in self.axes]
+        number = self.axes.index(axis)
+        return slice(sum(counts[:number]), sum(counts[: number + 1]))
+
+    def decode(
+        self,
+        images: ArrayLike | Sequence[ArrayLike],
+        *,
+        noise: float | None = None,
+        gain: float = 0.0,
+        camera: Any = None,
+        black: float | None = None,
+        saturation: float | None = None,
+        least_modulation: float = LEAST_MODULATION,
+        most_disagreement: float = 0.75,
+        edges: bool = True,
+    ) -> DecodedFringes:
+        """Decode a sequence of images.
+
+        Parameters
+        ----------
+        images : array_like of shape (K, H, W)
+            Grey values, one image for each of the codec's `patterns`, in their order; or a sequence
+            of K images.  NaN and infinity mark missing pixels, as a NumPy mask does.
+        noise : float, optional
+            Standard deviation of dark grey values, before they are rounded.  By default as the
+            images show it.
+        gain : float
+            Growth of the noise's variance per unit of signal: EMVA 1288's K, in grey values per
+            electron; 1 for images in electrons; 0, none.
+        camera : CameraNoise, optional
+            That took the images: it knows `noise`, `gain`, `black` and `saturation`, where they are
+            not given.
+        black : float, optional
+            Grey value of a pixel without light; by default 0.
+        saturation : float, optional
+            Grey value from which on pixels are clipped.  By default the largest value of uint8 or
+            uint16 images; others have none.
+        least_modulation : float
+            Amplitude of the weakest fringes, relative to the image's strongest.
+        most_disagreement : float
+            Of the periods on the fringe order, in half periods: beyond it a pixel is ORDER.  1
+            takes all.
+        edges : bool
+            Whether pixels at edges are sought and left out.
+
+        Raises
+        ------
+        InputError
+            If there is another number of images than of patterns, they are not of one size, or an
+            option is out of its range.
+        """
+        stack, clipped = _stack(images, saturation, self)
+        light = _noise_of(noise, gain, camera, black, stack)
+        if saturation is None and camera is not None:
+            clipped = min(clipped, float(camera.saturation))
+        within = "a fraction from 0 to 1"
+        least = number_within("least_modulation", least_modulation, 0.0, 1.0, within)
+        most = number_within("most_disagreement", most_disagreement, 0.0, 1.0, within)
+        truth_of("edges", edges)
+        if noise is None and camera is None:
+            light = self._seen_noise(stack, light, clipped)
+        found = self._all_blocks(stack, light, clipped)
+        return self._judged(found, light, stack.shape[1:], least, most, edges)
+
+    def _seen_noise(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> GreyNoise:
+        """The noise as images show it, if they do."""
+        return light
+
+    def _all_blocks(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> Found:
+        """Decode block by block, on all cores."""
+        shape = stack.shape[1:]
+        found = Found.empty(shape, self.axes)
+        rows = max(1, _BLOCK_PX // shape[1])
+
+        def work(first: int) -> None:
+            here = slice(first, min(first + rows, shape[0]))
+            for axis in self.axes:
+                images = stack[self._images_of(axis), here]
+                block = images.reshape(len(images), -1)
+                with np.errstate(all="ignore"):
+                    part = self._decode_axis(axis, block, light)
+                    if clipped < np.inf:
+                        lost = self._clipped(block, clipped)
+                        found.clipped[here] |= lost.reshape(-1, shape[1])
+                found.put(axis, here, part)
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            list(pool.map(work, range(0, shape[0], rows)))
+        return found
+
+    def _judged(
+        self,
+        found: Found,
+        light: GreyNoise,
+        shape: tuple[int, ...],
+        least: float,
+        most: float,
+        edges: bool,
+    ) -> DecodedFringes:
+        """The statuses of all pixels, and NaN where there is no answer."""
+        modulation, mean = found.modulation, found.mean
+        known = np.isfinite(modulation)
+        seen = known & ~found.clipped
+        strongest = float(modulation[seen].max(initial=0.0)) if seen.any() else 0.0
+        weak = ~(modulation > least * strongest) | found.drowned
+        weak |= modulation <= _ROUNDED * np.abs(mean)
+        status = np.zeros(shape, np.uint8)
+        for axis, coordinate in found.coordinate.items():
+            size = self.size_px[AXES.index(axis)]
+            outside = ~((coordinate >= -0.5) & (coordinate <= size - 0.5))
+            status[outside] = FringeStatus.OUTSIDE
+        status[found.disagreement > most] = FringeStatus.ORDER
+        status[weak] = FringeStatus.LOW_MODULATION
+        status[weak & ~(mean - np.float32(light.black) > least * strongest)] = FringeStatus.BLACK
+        status[found.clipped] = FringeStatus.SATURATED
+        status[~known] = FringeStatus.NOT_FINITE
+        self._unwrap_space(found, status)
+        for coordinate in found.coordinate.values():
+            coordinate[status != FringeStatus.OK] = np.nan
+        if edges:
+            edge = _beside_dark(status)
+            for axis, coordinate in found.coordinate.items():
+                edge |= _jumps(coordinate, found.sigma[axis])
+            status[edge & (status == FringeStatus.OK)] = FringeStatus.EDGE
+        bad = status != FringeStatus.OK
+        for coordinate in found.coordinate.values():
+            coordinate[bad] = np.nan
+        for sigma in found.sigma.values():
+            sigma[bad] = np.nan
+        wrong, notes = self._doubts(found, ~bad)
+        return DecodedFringes(
+            column=found.coordinate.get("u"),
+            row=found.coordinate.get("v"),
+            sigma_column=found.sigma.get("u"),
+            sigma_row=found.sigma.get("v"),
+            modulation=modulation,
+            mean=mean,
+            phase=found.phase if self._has_phase else {},
+            status=status,
+            size_px=self.size_px,
+            absolute=self._absolute,
+            wrong_orders=wrong,
+            noise=light.read,
+            notes=notes,
+        )
+
+    @property
+    def _absolute(self) -> bool:
+        return True
+
+    @property
+    def _has_phase(self) -> bool:
+        return True
+
+    def _unwrap_space(self, found: Found, status: NDArray[np.uint8]) -> None:
+        """Make wrapped coordinates continuous over the image, where time does not tell them."""
+
+    def _doubts(self, found: Found, ok: NDArray[np.bool_]) -> tuple[float, tuple[str, ...]]:
+        """Share of wrong fringe orders that is expected, and notes."""
+        return 0.0, ()
+
+
+@dataclass
+class Found:
+    """Images of all that is decoded, by axis, while they are filled.
+
+    Attributes
+    ----------
+    coordinate, sigma, phase : dict of str to ndarray of shape (H, W)
+    modulation, mean, disagreement : ndarray of shape (H, W)
+    clipped, drowned : ndarray of bool of shape (H, W)
+        Where images are clipped, and where fringes are too weak for the noise.
+    first : str
+        The first axis.
+    """
+
+    coordinate: dict[str, NDArray[np.float64]]
+    sigma: dict[str, NDArray[np.float32]]
+    phase: dict[str, NDArray[np.float32]]
+    modulation: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    disagreement: NDArray[np.float32]
+    clipped: NDArray[np.bool_]
+    drowned: NDArray[np.bool_]
+    first: str = field(default="u")
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...], axes: str) -> Found:
+        """Without anything yet."""
+
+        def by_axis(kind: Any) -> dict[str, Any]:
+            return {axis: np.empty(shape, kind) for axis in axes}
+
+        return cls(
+            coordinate=by_axis(np.float64),
+            sigma=by_axis(np.float32),
+            phase=by_axis(np.float32),
+            modulation=np.empty(shape, np.float32),
+            mean=np.empty(shape, np.float32),
+            disagreement=np.zeros(shape, np.float32),
+            clipped=np.zeros(shape, bool),
+            drowned=np.zeros(shape, bool),
+            first=axes[0],
+        )
+
+    def put(self, axis: str, rows: slice, part: AxisBlock) -> None:
+        """An axis in some rows; of both axes the weaker modulation counts."""
+        shape = self.mean[rows].shape
+        self.coordinate[axis][rows] = part.coordinate.reshape(shape)
+        self.sigma[axis][rows] = part.sigma.reshape(shape)
+        if part.phase is not None:
+            self.phase[axis][rows] = part.phase.reshape(shape)
+        modulation, mean = part.modulation.reshape(shape), part.mean.reshape(shape)
+        if axis != self.first:
+            modulation = np.minimum(modulation, self.modulation[rows])
+            mean = 0.5 * (mean + self.mean[rows])
+        self.modulation[rows], self.mean[rows] = modulation, mean
+        if part.disagreement is not None:
+            worse = np.fmax(self.disagreement[rows], part.disagreement.reshape(shape))
+            self.disagreement[rows] = worse
+        if part.drowned is not None:
+            self.drowned[rows] |= part.drowned.reshape(shape)
+
+
+def unwrap_in_space(
+    found: Found, status: NDArray[np.uint8], period_px: float, size_px: tuple[int, int]
+) -> None:
+    """Make wrapped phases continuous from pixel to pixel where the status is OK.
+
+    By reliability sorting, scikit-image (Herraez et al. 2002, Applied Optics 41, 7437).  Of the
+    whole periods that may be missing, those are taken that put the median in the image's middle.
+    """
+    from skimage.restoration import unwrap_phase
+
+    hidden = status != FringeStatus.OK
+    for axis, coordinate in found.coordinate.items():
+        phase = found.phase[axis]
+        if hidden.all():
+            continue
+        whole = unwrap_phase(np.ma.MaskedArray(phase.astype(float), hidden), rng=0)
+        length = np.ma.getdata(whole) * (period_px / (2.0 * np.pi))
+        middle = 0.5 * size_px[AXES.index(axis)]
+        length += period_px * np.rint((middle - np.median(length[~hidden])) / period_px)
+        coordinate[...] = length - 0.5
+
+
+def _stack(images: Any, saturation: float | None, codec: Codec) -> tuple[NDArray[Any], float]:
+    """Images (K, H, W) of float32 or small integers, and the level of clipping."""
+    if isinstance(images, str | PathLike | Mapping):
+        raise InputError(f"images is {short(images)}; give an array (images, height, width)")
+    if isinstance(images, Sequence) and not isinstance(images, np.ndarray) and len(images):
+        levels = [saturation_level(each, saturation) for each in images]
+        shapes = {np.shape(each) for each in images}
+        if len(shapes) > 1:
+            sizes = ", ".join(sorted(" x ".join(map(str, each[::-1])) for each in shapes))
+            raise InputError(f"images are of different sizes, {sizes} px; give those of one camera")
+        clipped = min(levels)
+        stack = np.stack([unmasked(each) for each in images])
+    else:
+        clipped = saturation_level(images, saturation)
+        stack = unmasked(images)
+    if stack.dtype.kind not in "iuf" or stack.dtype.itemsize > 8:
+        raise InputError(f"images are of type {stack.dtype}; give grey values: integers or floats")
+    if stack.ndim != 3 or not stack.size:
+        raise InputError(
+            f"images are of shape {stack.shape}; give (images, height, width) of one grey channel"
+        )
+    if len(stack) != len(codec):
+        raise InputError(
+            f"{len(stack)} images, but '{codec.text}' has {len(codec)} patterns:"
+            f" {codec.names[0]}, ... {codec.names[-1]}; give one image of each, in this order"
+        )
+    return stack, clipped
+
+
+def _noise_of(
+    noise: float | None, gain: float, camera: Any, black: float | None, stack: NDArray[Any]
+) -> GreyNoise:
+    step = 1.0 if stack.dtype.kind in "iu" else 0.0
+    if camera is not None:
+        wanted = ("grey_noise", "gain", "saturation", "black_level")
+        if not all(hasattr(camera, name) for name in wanted):
+            raise InputError(f"camera is {short(camera)}; give a CameraNoise")
+        if noise is None:
+            noise = float(np.sqrt(max(camera.grey_noise**2 - 1.0 / 12.0, 0.0)))
+        black = camera.black_level if black is None else black
+    read = 0.0 if noise is None else number_within("noise", noise, 0.0, LARGEST, "grey values >= 0")
+    gain = number_within("gain", gain, 0.0, LARGEST, "grey values per electron >= 0")
+    gain = gain or getattr(camera, "gain", 0.0)
+    black = 0.0 if black is None else black
+    dark = number_within("black", black, -LARGEST, LARGEST, "a grey value")
+    return GreyNoise(read, gain, dark, step)
+
+
+def checked_size(size_px: Any) -> tuple[int, int]:
+    """A projector's (W, H); raises InputError if it is none."""
+    try:
+        width, height = size_px
+    except (TypeError, ValueError):
+        raise InputError(f"size_px is {short(size_px)}; give (width, height) in px") from None
+    return (
+        whole_number("size_px: width", width, 1, _MOST_PX),
+        whole_number("size_px: height", height, 1, _MOST_PX),
+    )
+
+
+def checked_axes(axes: Any) -> str:
+    """Axes "u", "v" or both, as given; raises InputError else."""
+    if not isinstance(axes, str) or sorted(axes) not in (["u"], ["v"], ["u", "v"]):
+        raise InputError(f"axes is {short(axes)}; give 'uv', 'u' or 'v'")
+    return axes
+
+
+# --------------------------------------------------------------------- edges
+
+
+def _beside_dark(status: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Pixels next to a region without light, which light of a part of their area alone."""
+    reasons = (FringeStatus.BLACK, FringeStatus.LOW_MODULATION, FringeStatus.NOT_FINITE)
+    dark = np.isin(status, reasons).astype(np.uint8)
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
+    if count > 2:
+        large = (sizes[:, cv2.CC_STAT_AREA] >= _DARK_REGION_PX).astype(np.uint8)
+        large[0] = 0
+        dark = large[labels]
+    found: NDArray[np.bool_] = cv2.dilate(dark, np.ones((3, 3), np.uint8)) > 0
+    return found
+
+
+def _jumps(coordinate: NDArray[np.float64], sigma: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Pixels whose neighbours along either side of the image are on no straight line with them."""
+    found = np.zeros(coordinate.shape, bool)
+    for turned in (False, True):
+        values, jumps, spread = (each.T if turned else each for each in (coordinate, found, sigma))
+        if values.shape[1] < 3:
+            continue
+        bend = values[:, 2:] + values[:, :-2]
+        bend -= 2.0 * values[:, 1:-1]
+        np.abs(bend, out=bend)
+        some = bend[:: max(1, bend.shape[0] // 256), :: max(1, bend.shape[1] // 256)]
+        usual = np.nanmedian(some) if np.isfinite(some).any() else 0.0
+        limit = np.sqrt(6.0) * _FAR * spread[:, 1:-1] + (_CURVED_PX + _FAR * _MAD * usual)
+        jumps[:, 1:-1] |= bend > limit
+    return found
+
+
+def described(codec: Codec, *words: str) -> str:
+    """A codec's line."""
+    width, height = codec.size_px
+    return listed(f"{len(codec)} patterns of {width} x {height} px", *words)

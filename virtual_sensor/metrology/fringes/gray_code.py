@@ -1,0 +1,145 @@
+"""Gray code: each column, or row, has a number whose bits are shown one after the other.
+
+Neighbours differ in a single bit, so that a pixel at a border is wrong by one at most.  The order
+of the patterns is that of OpenCV's `structured_light.GrayCodePattern`: the coarsest bit first, each
+followed by its inverse, the columns before the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import truth_of
+from virtual_sensor.calls import public
+from virtual_sensor.devices.patterns import AXES, GrayBit, Pattern, Uniform
+from virtual_sensor.metrology.fringes.codec import (
+    AxisBlock,
+    Block,
+    Codec,
+    GreyNoise,
+    checked_axes,
+    checked_size,
+    described,
+)
+
+_SIGMA_PX = 1.0 / np.sqrt(12.0)  # of a place that is anywhere within a pixel
+_CLEAR = 3.0  # spreads by which a bit's two images must differ
+
+
+def position(
+    bright: NDArray[np.bool_], bits: Sequence[int]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Where stripes of Gray code are.
+
+    Parameters
+    ----------
+    bright : ndarray of bool of shape (B, P)
+        What of B bits is white, the coarsest first.
+    bits : sequence of B int
+        Their numbers; all coarser ones are there.
+
+    Returns
+    -------
+    middle : ndarray of shape (P,)
+        Of the stripe, in px from the image's border.
+    stripe : ndarray of int of shape (P,)
+        Its number.
+    """
+    number = np.zeros(bright.shape[1:], np.int64)
+    last = np.zeros(bright.shape[1:], bool)
+    for each in bright:
+        last = last ^ each
+        number = (number << 1) | last
+    return ((number + 0.5) * 2.0 ** bits[-1]).astype(np.float32), number
+
+
+@public
+@dataclass(frozen=True, kw_only=True)
+class GrayCode(Codec):
+    """The Gray code of columns and rows, to whole projector pixels.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        (W, H) of the projector.
+    axes : str
+        "uv": columns and rows; "u" or "v": one of them.
+    inverted : bool
+        Whether each bit is followed by its inverse, with which it is compared; if not, a white and
+        a black image come first, and bits are compared with their mean.
+    """
+
+    size_px: tuple[int, int] = (1280, 800)
+    axes: str = "uv"
+    inverted: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", checked_size(self.size_px))
+        object.__setattr__(self, "axes", checked_axes(self.axes))
+        truth_of("inverted", self.inverted)
+
+    def _line(self) -> str:
+        return described(self, f"axes {self.axes}", "inverted too" if self.inverted else "")
+
+    @property
+    def text(self) -> str:
+        """The codec as `codec_of` takes it."""
+        return f"gray {self.axes}{'' if self.inverted else ' single'}"
+
+    def _bits(self, axis: str) -> range:
+        size = self.size_px[AXES.index(axis)]
+        return range(max((size - 1).bit_length(), 1) - 1, -1, -1)
+
+    def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
+        if not self.inverted:
+            yield f"{axis} white", Uniform(1.0)
+            yield f"{axis} black", Uniform(0.0)
+        for bit in self._bits(axis):
+            for inverted in (False, True)[: 1 + self.inverted]:
+                yield (
+                    f"{axis} Gray bit {bit}{' inverted' * inverted}",
+                    GrayBit(axis, bit, inverted),
+                )
+
+    @property
+    def _has_phase(self) -> bool:
+        return False
+
+    def _pairs(self, block: Block) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Of each bit its images, and what they are compared with: (B, P) each."""
+        grey = block.astype(np.float32, copy=False)
+        if self.inverted:
+            return grey[::2], grey[1::2]
+        half = 0.5 * (grey[0] + grey[1])
+        return grey[2:], np.broadcast_to(half, grey[2:].shape)
+
+    def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
+        lit, other = self._pairs(block)
+        apart = np.abs(lit - other)
+        middle, _ = position(lit > other, self._bits(axis))
+        # One bit may be split between two stripes, at their border: the next to lowest counts.
+        contrast = np.partition(apart, min(1, len(apart) - 1), axis=0)[min(1, len(apart) - 1)]
+        contrast = contrast + 0.0 * apart.sum(axis=0)
+        mean = 0.5 * (lit + other).mean(axis=0)
+        size = self.size_px[AXES.index(axis)]
+        coordinate = middle.astype(float) - 0.5
+        coordinate[coordinate > size - 0.5] = np.inf
+        spread = np.sqrt(noise.variance(mean))
+        return AxisBlock(
+            coordinate=coordinate,
+            sigma=np.full(mean.shape, _SIGMA_PX, np.float32),
+            modulation=0.5 * contrast * (1.0 if self.inverted else 2.0),
+            mean=mean,
+            drowned=contrast < _CLEAR * spread,
+        )
+
+    def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:
+        """Where both images of a bit are clipped, the bit is lost."""
+        lit, other = self._pairs(block)
+        both = np.asarray((lit >= saturation) & (other >= saturation))
+        return np.asarray(both.any(axis=0))

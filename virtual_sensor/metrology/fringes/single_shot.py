@@ -1,0 +1,143 @@
+"""A single image of fringes: Fourier transform profilometry.
+
+The band about the carrier's frequency, moved back, is B/2 exp(i phi): Takeda and Mutoh 1983,
+Applied Optics 22, 3977.  What changes within less than about two fringes is lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from virtual_sensor.arrays import number_within
+from virtual_sensor.calls import public
+from virtual_sensor.devices.patterns import Pattern, Sine
+from virtual_sensor.metrology.fringes.codec import (
+    NOISIEST_PHASE_RAD,
+    AxisBlock,
+    Block,
+    Codec,
+    Found,
+    GreyNoise,
+    checked_axes,
+    checked_size,
+    described,
+    unwrap_in_space,
+)
+
+_FEWEST_FRINGES = 4.0  # within the image: fewer are none apart from its brightness
+_FAINT = 1e-9  # of the image's brightness: a carrier of that strength is rounding
+_LONGEST_PX = 1e6
+_TURN = 2.0 * math.pi
+
+
+@public
+@dataclass(frozen=True, kw_only=True)
+class SingleShot(Codec):
+    """Sinusoidal fringes of one period, decoded from one image of each axis.
+
+    The coordinates lack whole periods: as many for each connected region.  Columns are taken to
+    grow along the camera's u, rows along its v.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        (W, H) of the projector.
+    period_px : float
+        Of the fringes.
+    axes : str
+        "u", "v", or "uv": an image of each.
+    """
+
+    size_px: tuple[int, int] = (1280, 800)
+    period_px: float = 16.0
+    axes: str = "u"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", checked_size(self.size_px))
+        object.__setattr__(self, "axes", checked_axes(self.axes))
+        number_within("period_px", self.period_px, 2.0, _LONGEST_PX, "a period from 2 px on")
+
+    def _line(self) -> str:
+        return described(self, f"period {self.period_px:g} px", f"axes {self.axes}")
+
+    @property
+    def text(self) -> str:
+        """The codec as `codec_of` takes it."""
+        return f"single {self.period_px:.12g} {self.axes}"
+
+    def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
+        yield f"{axis} {self.period_px:g} px", Sine(axis, self.period_px)
+
+    @property
+    def _absolute(self) -> bool:
+        return False
+
+    def _all_blocks(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> Found:
+        """The spectrum is one of the whole image."""
+        shape = stack.shape[1:]
+        found, all_rows = Found.empty(shape, self.axes), slice(0, shape[0])
+        for axis in self.axes:
+            image = stack[self._images_of(axis)][0]
+            if clipped < np.inf:
+                found.clipped |= image >= clipped
+            found.put(axis, all_rows, self._decode_image(axis, image, light))
+        return found
+
+    def _decode_image(self, axis: str, image: NDArray[Any], noise: GreyNoise) -> AxisBlock:
+        holes = ~np.isfinite(image)
+        grey = image.astype(float)
+        grey[holes] = 0.0
+        band, share = _band(fft.fft2(grey, workers=-1), axis)
+        signal = fft.ifft2(band, workers=-1)
+        turns = np.angle(signal).astype(np.float32) * np.float32(1.0 / _TURN)
+        turns += turns < 0.0
+        modulation = (2.0 * np.abs(signal)).astype(np.float32)
+        mean = (grey - 2.0 * signal.real).astype(np.float32)
+        modulation[holes] = np.nan
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sigma = np.sqrt(2.0 * share * noise.variance(mean)) / modulation
+        return AxisBlock(
+            coordinate=turns * float(self.period_px) - 0.5,
+            sigma=np.float32(self.period_px / _TURN) * sigma,
+            modulation=modulation,
+            mean=mean,
+            phase=np.float32(_TURN) * turns,
+            drowned=sigma > NOISIEST_PHASE_RAD,
+        )
+
+    def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
+        raise NotImplementedError  # it is never asked for blocks
+
+    def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:
+        raise NotImplementedError
+
+    def _unwrap_space(self, found: Found, status: NDArray[np.uint8]) -> None:
+        unwrap_in_space(found, status, self.period_px, self.size_px)
+
+
+def _band(spectrum: NDArray[Any], axis: str) -> tuple[NDArray[Any], float]:
+    """The part of a spectrum (H, W) about the carrier, and which share of white noise it has.
+
+    The carrier is the strongest frequency of more than a few fringes in the image that runs rather
+    along the axis than across it; the window is Gaussian, half its frequency wide.
+    """
+    height, width = spectrum.shape
+    across, along = np.meshgrid(fft.fftfreq(height), fft.fftfreq(width), indexing="ij")
+    ahead, beside = (along, across) if axis == "u" else (across, along)
+    least = _FEWEST_FRINGES / (width if axis == "u" else height)
+    power = np.where((ahead >= least) & (np.abs(beside) <= ahead), np.abs(spectrum), 0.0)
+    row, column = np.unravel_index(int(np.argmax(power)), power.shape)
+    if not power[row, column] > _FAINT * np.abs(spectrum[0, 0]):
+        return np.zeros_like(spectrum), 0.0
+    carrier = np.array([along[row, column], across[row, column]])
+    wide = max(float(np.hypot(*carrier)) / 4.0, 1e-9)
+    far2 = ((along - carrier[0]) ** 2 + (across - carrier[1]) ** 2) / wide**2
+    window = np.exp(-0.5 * far2) * (far2 < 16.0)
+    return spectrum * window, float(np.mean(window**2))
