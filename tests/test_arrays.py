@@ -77,6 +77,7 @@ OTHERS = {
     "line_centres",
     "lines_by_source",
     "estimate_air",
+    "fringe_observation",
     "identifiability",
     "error_budget",
     "known_air_budget",

@@ -41,6 +41,11 @@ ESTIMATE = {
     "names": (),
     "shape": vs.CylinderShape(),
 }
+V, U = np.mgrid[:64.0, :64.0]
+MAPS = [400.0 + 8.0 * U, 200.0 + 8.0 * V, *[np.full((64, 64), 0.1, np.float32)] * 4]
+DECODED = vs.DecodedFringes(
+    *MAPS, phase={}, status=np.zeros((64, 64), np.uint8), size_px=(1280, 800)
+)
 TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
@@ -70,6 +75,7 @@ CALLS = {
         {"observation": ESTIMATE["observations"], "sigmas": {"sensor_x": 0.01}},
     ),
     "Observation": (vs.Observation, {"scene": SCENE, "pixel": [[20.0, 30.0]]}),
+    "fringe_observation": (vs.fringe_observation, {"scene": PROJECTED, "decoded": DECODED}),
     "Prior": (vs.Prior, {"value": 1.0, "sigma": 1.0}),
     "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),
     "read_calibration": (vs.read_calibration, {"path": "no.yaml"}),

@@ -89,6 +89,8 @@ Air and shape found from images
     estimate_air         Find parameters of the air, of a shape and of the sensor's poses in what
                          images hold.
     identifiability      Tell what observations can say of parameters, without fitting any.
+    fringe_observation   What decoded fringes say of air and shape, for `estimate_air`: a pixel for
+                         each block.
     Observation          Pixels that one sensor measured at one moment, and what is known of their
                          light.
     Prior                What is known of a parameter before anything is measured.
@@ -164,6 +166,9 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.fringes.decoded import DecodedFringes as DecodedFringes
     from virtual_sensor.metrology.fringes.decoded import FringeStatus as FringeStatus
     from virtual_sensor.metrology.fringes.gray_code import GrayCode as GrayCode
+    from virtual_sensor.metrology.fringes.observations import (
+        fringe_observation as fringe_observation,
+    )
     from virtual_sensor.metrology.fringes.phase_shift import PhaseShift as PhaseShift
     from virtual_sensor.metrology.fringes.single_shot import SingleShot as SingleShot
     from virtual_sensor.metrology.identifiability import EstimateStatus as EstimateStatus
@@ -239,6 +244,7 @@ _HOME = {
     "error_budget": "metrology.error_budget",
     "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
+    "fringe_observation": "metrology.fringes.observations",
     "gaussian_blur": "imaging.lens",
     "identifiability": "metrology.identifiability",
     "known_air_budget": "metrology.error_budget",

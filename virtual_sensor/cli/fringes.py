@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from virtual_sensor.cli import shared
+from virtual_sensor.cli import fringe_poses, shared
 from virtual_sensor.errors import InputError
 
 
@@ -114,3 +114,6 @@ def fringes(
     Exit status 3: there are results, but no pixel has a phase; the statuses say why.
     """
     raise InputError("fringes SCENE is not there yet")
+
+
+app.command("poses", epilog=fringe_poses.EPILOG)(fringe_poses.poses)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,7 +140,8 @@ def triangulated_points(
     if scene is not None:
         if isinstance(medium, str | Path):
             medium = scene.with_medium(medium).medium
-        sensor = scene.only(camera, source).sensor
+        scene = scene.only(camera, source)
+        sensor = _Sensor(scene.camera, scene.source)
     _check_size(pixel, sensor.camera.size, scene)
     places: Any = pixel.pixel if hasattr(pixel, "pixel") else pixel
     pixel = points_of("triangulate: pixel", places, 2)
@@ -167,6 +168,19 @@ def triangulated_points(
         method = method or ("tabulated" if by_maps else "newton")
         point, status = _on_rays(sensor, *rows, medium, method, tolerance_px)
     return TriangulatedPoints(point.reshape(*shape, 3), status.reshape(shape))
+
+
+class _Sensor(NamedTuple):
+    """A scene's camera, and its laser line or projector."""
+
+    camera: Any
+    laser: Any
+
+    @property
+    def triangulation_angle_deg(self) -> float:
+        """Between their axes."""
+        cosine = self.camera.pose.rotation[:, 2] @ self.laser.pose.rotation[:, 2]
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
 def _check_size(line: Any, size: tuple[int, int], scene: Any) -> None:

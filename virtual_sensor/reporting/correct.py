@@ -439,7 +439,7 @@ def removed_panel(measurements: Sequence[Corrected]) -> Panel:
 
     def draw(axes: Axes) -> None:
         for each, paint, label in _marked(measurements):
-            _, along, away = each.part.laser.pose.rotation.T
+            _, along, away = each.part.source.pose.rotation.T
             error = -each.moved_um
             alone = len(measurements) == 1
             paints = (colour("y"), colour("z")) if alone else (paint, paint)

@@ -328,7 +328,7 @@ def _estimate(
         if settings.temperature_c is not None:
             model = replace(model, temperature_c=settings.temperature_c)
     _check_names(settings, model)
-    shape, free = shape_of(settings, group, [triangulate(m.scene, m.pixel) for m in group])
+    shape, free = shape_of(settings, group, [_straight(m) for m in group])
     if shape is not None:
         _check_that_they_show_one_part(group)
     stage = f"estimating {', '.join(settings.estimate)}"
@@ -416,10 +416,12 @@ def _from_one_pose(group: Sequence[Measured], estimate: AirEstimate) -> list[str
     free = [name for name in estimate.names if name in shown]
     poses = {tuple(each.scene.camera.pose.rotation.round(6).ravel()) for each in group}
     dots = any(each.along_mm is not None for each in group)
+    epipolar = "fringes" if any(each.fringes is not None for each in group) else "dots"
     if len(poses) > 1 or (dots if estimate.shape else not dots) or not (free or dots):
         return []
     found = (
-        "air is found from the dots of one pose, where air of another kind can leave as little"
+        f"air is found from the {epipolar} of one pose, where air of another kind can leave as"
+        " little"
         if dots
         else f"air and shape ({', '.join(free)}) are found from one pose, where one can pass for"
         " the other however small the residual is"
@@ -436,10 +438,16 @@ def _observation(measured: Measured) -> Observation:
         measured.scene,
         measured.pixel,
         measured.sigma_px,
-        along_mm=measured.along_mm,
-        name=measured.name,
-        normal_deg=None if either else measured.normal_deg,
+        measured.coordinate,
+        measured.along_mm,
+        measured.name,
+        None if either else measured.normal_deg,
     )
+
+
+def _straight(measured: Measured) -> Array:
+    """Its points (N, 3) as if light ran straight."""
+    return triangulate(measured.scene, measured.pixel, coordinate=measured.coordinate)
 
 
 def _of_poses(settings: Settings) -> dict[str, float]:
@@ -468,7 +476,7 @@ def _through(measured: Measured, own: Scene, settings: Settings) -> Corrected:
     Of the wall's temperature they say it where one is given, of the air of `own`.
     """
     seen, scene = _observation(measured), measured.scene
-    points = bent_points(scene, measured.pixel)
+    points = bent_points(scene, measured.pixel, coordinate=measured.coordinate)
     if settings.priors:
         sigmas = {name: prior.sigma for name, prior in settings.priors.items()}
         model = None
@@ -493,7 +501,7 @@ def _corrected(
         measured.sigma_px,
         measured.centre_status,
         points.status,
-        triangulate(scene, measured.pixel),
+        _straight(measured),
         points.point_mm,
         budget,
         ScenePart.of(scene),

@@ -67,7 +67,7 @@ _DERIVED = ("film_width", "pixel", "fov")  # parameters that follow from others 
 
 @dataclass(frozen=True)
 class Measured(Displayed):
-    """Line centres, or dots, and the scene in which they were seen.
+    """Line centres, dots or decoded fringes, and the scene in which they were seen.
 
     Attributes
     ----------
@@ -84,7 +84,12 @@ class Measured(Displayed):
     centre_status : ndarray of shape (N,)
         `Status` of the centres.
     along_mm : ndarray of shape (N,) or None
-        Of dots, whose light it is: their positions along the line; None of a line.
+        Of dots, whose light it is: their positions along the line; of fringes along both axes the
+        second coordinate t of the projector's rays. None of a line.
+    coordinate : ndarray of shape (N,) or float
+        First coordinate s of the light: 0 of a laser line.
+    fringes : DecodedFringes or None
+        Of which the pixels are the middles of blocks.
     one_of_many : bool
         Whether it is a frame of a burst, whose air is another in each.
     notes : tuple of str
@@ -97,6 +102,8 @@ class Measured(Displayed):
     normal_deg: Array
     centre_status: NDArray[np.uint8]
     along_mm: Array | None = None
+    coordinate: Array | float = 0.0
+    fringes: Any = None
     one_of_many: bool = False
     notes: tuple[str, ...] = ()
 
