@@ -9,6 +9,7 @@ import pytest
 import tifffile
 import trimesh
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 
@@ -24,6 +25,7 @@ from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.reporting.objects import _silhouette, drawing_of
+from virtual_sensor.reporting.style import colour
 from virtual_sensor.studies.measure import SearchedRays
 from virtual_sensor.studies.search import SearchTable
 
@@ -241,3 +243,18 @@ def test_a_fine_mesh_is_drawn_whole_with_its_bore():
     away = np.hypot(*(np.indices(black.shape) - np.array([[[29.0]], [[49.5]]])))
     assert black[away > 13.0].all()
     assert not black[away < 7.0].any()
+
+
+def test_a_projector_is_drawn_with_all_its_light_and_patterns_as_they_are_thrown():
+    scene = vs.load_scene("fringe_cylinder", width=64, height=64, pattern="sine v 100 0")
+    for thing in (scene, scene.projector):
+        axes = thing.plot(Figure().add_subplot())
+        paint = to_rgba(colour("laser"))
+        (light,) = (p.get_xy() for p in axes.patches if p.get_edgecolor() == paint)
+        # 60 mm along the world's x, seen at 30 degrees.
+        low = light[light[:, 1] < 100.0]
+        assert np.linalg.norm(np.ptp(low, axis=0)) == pytest.approx(60.0, rel=0.02)
+    drawn = scene.projector.pattern.plot(Figure().add_subplot()).images[0]
+    assert drawn.get_array().shape == (800, 1280)
+    assert drawn.get_extent() == [-0.5, 1279.5, 799.5, -0.5]
+    assert drawn.get_array()[49].max() < 0.01  # half a period from the upper border

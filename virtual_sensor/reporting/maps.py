@@ -12,9 +12,11 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from virtual_sensor.reporting.pictures import Panel
 from virtual_sensor.reporting.style import colour
 from virtual_sensor.statuses import StatusEnum
 
@@ -25,12 +27,13 @@ Window = tuple[slice, slice]
 NO_VALUE = "#D9D9D9"
 """Colour of pixels without a value."""
 
-_COLOURS = {"signed": "RdBu_r", "size": "cividis", "span": "cividis", "phase": "twilight_shifted"}
+_COLOURS = {"signed": "RdBu_r", "size": "cividis", "span": "cividis", "phase": "twilight"}
 _SHARE = 0.5  # percent of the values at either end that may lie beyond the colours
 _NEAR = 1.5  # times the colours' range: within it all values have a colour of their own
 _MOST_PX = 600  # of a map along a side
 _MOST_VALUES = 1 << 18  # of which a scale is found
 _MARGIN = 0.03  # about what is known, of its size
+_LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
 _THUMB_PX = 150
 _LABEL_PX = 0.16  # strip above a thumbnail, of its height
 
@@ -42,7 +45,7 @@ class Scale:
     Attributes
     ----------
     kind : "signed", "size", "span" or "phase"
-        Signed about zero; from zero on; from the least to the largest; round a circle, in rad.
+        Signed about zero; from zero on; from the least to the largest; 0 to 2 pi, round a circle.
     low, high : float
         What the first and the last colour stand for.
     beyond : "neither", "min", "max" or "both"
@@ -58,7 +61,7 @@ class Scale:
 def scale_of(kind: Kind, *maps: NDArray[Any]) -> Scale:
     """The scale that several maps share: a few values far off the others leave it as it is."""
     if kind == "phase":
-        return Scale(kind, -np.pi, np.pi)
+        return Scale(kind, 0.0, 2.0 * np.pi)
     values = np.concatenate([_known(each) for each in maps]) if maps else np.zeros(0)
     if not values.size:
         return Scale(kind, -1.0 if kind == "signed" else 0.0, 1.0)
@@ -92,12 +95,65 @@ def window_of(*maps: NDArray[Any]) -> Window:
     return found[0], found[1]
 
 
+def map_panel(
+    title: str,
+    values: NDArray[Any],
+    words: str,
+    scale: Scale | Kind = "span",
+    window: Window | None = None,
+    alt: str = "",
+) -> Panel:
+    """A panel with a map and its bar; for what is not said see `draw_map`."""
+    window = window or window_of(values)
+
+    def draw(figure: Figure) -> None:
+        axes, (left, low, wide, high) = _placed(figure, window)
+        bar = figure.add_axes((left + wide + 0.02, low + 0.04 * high, 0.025, 0.92 * high))
+        draw_map(axes, values, words, scale, window, bar)
+
+    alt = alt or f"{title}: {words}, pixel by pixel."
+    return Panel(title, draw, alt, axes=False, layout=None)
+
+
+def status_panel(title: str, status: NDArray[Any], kind: type[StatusEnum], alt: str) -> Panel:
+    """A panel with what became of each pixel (H, W)."""
+
+    def draw(figure: Figure) -> None:
+        whole = slice(0, status.shape[0]), slice(0, status.shape[1])
+        draw_statuses(_placed(figure, whole)[0], status, kind)
+
+    return Panel(title, draw, alt, axes=False, layout=None)
+
+
+def frames_panel(
+    title: str, images: NDArray[Any], names: Sequence[str], window: Window | None, alt: str
+) -> Panel:
+    """A panel with small pictures of frames (K, H, W)."""
+
+    def draw(figure: Figure) -> None:
+        draw_frames(figure.add_axes((0.02, 0.02, 0.96, 0.86)), images, names, window)
+
+    return Panel(title, draw, alt, axes=False, layout=None)
+
+
+def _placed(figure: Figure, window: Window) -> tuple[Axes, tuple[float, float, float, float]]:
+    """Axes as high as a panel and as wide as the pixels of a window then are, at its left."""
+    width, height = figure.get_size_inches()
+    left, low, right, top = _LEFT_IN / width, _LOW_IN / height, 1.0 - _BAR_IN / width, 0.9
+    high_px, wide_px = (each.stop - each.start for each in window)
+    wide = min((top - low) * height / width * wide_px / max(high_px, 1), right - left)
+    high = min(wide * width / height * high_px / max(wide_px, 1), top - low)
+    place = left, top - high, wide, high
+    return figure.add_axes(place), place
+
+
 def draw_map(
     axes: Axes,
     values: NDArray[Any],
     words: str,
     scale: Scale | Kind = "span",
     window: Window | None = None,
+    bar: Axes | None = None,
 ) -> None:
     """Draw numbers (H, W) for each pixel; those without one are grey.
 
@@ -112,16 +168,19 @@ def draw_map(
         Of maps that are compared, one scale; a kind makes one of these values.
     window : pair of slice
         Rows and columns that are shown; by default those with values.
+    bar : Axes, optional
+        For the bar; by default beside `axes`, in their place.
     """
     window = window or window_of(values)
     scale = scale if isinstance(scale, Scale) else scale_of(scale, values[window])
     colours = colormaps[_COLOURS[scale.kind]].with_extremes(bad=NO_VALUE)
     drawn = _draw(axes, values, window, cmap=colours, norm=Normalize(scale.low, scale.high))
-    bar = axes.figure.colorbar(drawn, ax=axes, extend=scale.beyond, shrink=0.92, aspect=24)
-    bar.set_label(words)
-    bar.outline.set_linewidth(0.5)
+    place: dict[str, Any] = {"cax": bar} if bar else {"ax": axes, "shrink": 0.92, "aspect": 24}
+    key = axes.figure.colorbar(drawn, extend=scale.beyond, **place)
+    key.set_label(words)
+    key.outline.set_linewidth(0.5)
     if scale.kind == "phase":
-        bar.set_ticks([-np.pi, 0.0, np.pi], labels=["−π", "0", "π"])
+        key.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])
     if not np.isfinite(values[window]).any():
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
 
@@ -160,7 +219,7 @@ def draw_frames(
     rows, label = ceil(count / columns), max(round(_LABEL_PX * size[1]), 1)
     step_x, step_y = size[0] + 4, size[1] + label
     white = max((float(np.nanmax(each[::8, ::8], initial=0.0)) for each in images), default=0.0)
-    room = 60.0 * axes.figure.get_figwidth() / columns  # printer's points above a thumbnail
+    room = 66.0 * axes.figure.get_figwidth() / columns  # printer's points above a thumbnail
     letters = float(np.clip(room / (0.6 * max(map(len, names), default=1)), 4.0, 8.0))
     sheet = np.full((rows * step_y, columns * step_x - 4), np.nan)
     for number, (image, name) in enumerate(zip(images, names, strict=True)):

@@ -222,6 +222,7 @@ _POINTS = {
     "optics.bent_points.BentPoints": "point_mm",
     "optics.crossings.Crossings": "point_mm",
     "optics.ray_maps.RayPoints": "point_mm",
+    "optics.projector_pixels.ProjectorPixels": "point_mm",
     "optics.ray_search.FoundPixels": "laser_point_mm",
     "optics.sensitivity.Sensitivity": "laser_point_mm",
     "optics.trace.Rays": "position",

@@ -24,6 +24,7 @@ from virtual_sensor.display import names_of
 from virtual_sensor.errors import InputError, a
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
+from virtual_sensor.reporting.maps import draw_map
 from virtual_sensor.reporting.pictures import coarser, from_side, side_of
 from virtual_sensor.reporting.style import (
     ALONG,
@@ -38,12 +39,15 @@ from virtual_sensor.reporting.style import (
 )
 
 if TYPE_CHECKING:  # what they are, not what is imported
+    from virtual_sensor.devices.patterns import Pattern
+    from virtual_sensor.devices.projector import Projector
     from virtual_sensor.imaging.camera_noise import CameraNoise
     from virtual_sensor.imaging.render import Frame
     from virtual_sensor.medium.index_field import IndexField
     from virtual_sensor.metrology.centres import LineCentres
     from virtual_sensor.metrology.cylinder_fit import CylinderFit
     from virtual_sensor.metrology.dot_peaks import DotCentres
+    from virtual_sensor.metrology.fringes.decoded import DecodedFringes
     from virtual_sensor.metrology.truth import DotErrors, LineErrors, TrueLine
     from virtual_sensor.optics.ray_families import Pinhole, RayFamily
     from virtual_sensor.optics.sensitivity import Sensitivity
@@ -56,6 +60,7 @@ Draw = Callable[[Axes, Any], object]
 
 _U, _V = "u in px", "v in px"
 _DRAWINGS: dict[str, Draw] = {}
+_USUAL_PX = 1280, 800  # of a projector
 _BESIDE_IN = 2.0  # of axes: their numbers, and a colour bar
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
@@ -257,6 +262,62 @@ def _image(axes: Axes, image: NDArray[Any], window: tuple[slice, slice] | None =
     axes.grid(visible=False)
 
 
+# ------------------------------------------------------------------------------------- fringes
+
+
+@draws("devices.patterns.Pattern")
+def _pattern(axes: Axes, pattern: Pattern) -> None:
+    """What a projector of usual size shows, or the picture as it is."""
+    values = getattr(pattern, "values", None)
+    _whole(axes, pattern.image(_USUAL_PX) if values is None else values)
+
+
+@draws("metrology.fringes.decoded.DecodedFringes")
+def _decoded(axes: Axes, decoded: DecodedFringes) -> None:
+    """The column of the projector, or its row where there is none."""
+    known = (("column", decoded.column), ("row", decoded.row))
+    name, values = next((n, v) for n, v in known if v is not None)
+    draw_map(axes, values, f"projector's {name} in px")
+
+
+@draws("studies.fringes.result.Surface")
+def _surface(axes: Axes, surface: Any) -> None:
+    """How far it is from the true one."""
+    draw_map(axes, surface.deviation_um, "outside (+) or inside (−) the part in µm", "signed")
+
+
+@draws("studies.fringes.result.FringeState")
+def _fringe_state(axes: Axes, state: Any) -> None:
+    _surface(axes, state.surfaces.get("bent", state.straight))
+
+
+@draws("studies.fringes.result.FringeMeasurement")
+def _fringe_measurement(axes: Axes, result: Any) -> None:
+    """The surface as it is measured if light is taken for straight."""
+    _surface(axes, (result.hot or result.cold).straight)
+
+
+@draws("studies.fringes.result.SearchedGrid")
+def _searched_grid(axes: Axes, grid: Any) -> None:
+    """Decoded minus searched projector pixels."""
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    for axis, marker, error in zip("uv", "os", grid.difference_px.T, strict=True):
+        if np.isfinite(error).any():
+            axes.plot(grid.pixel[:, 0], error, marker, ms=2.0, color=colour(axis), label=axis)
+    axes.set(xlabel=_U, ylabel="decoded minus searched in projector px")
+    if axes.lines[1:]:
+        axes.legend(markerscale=2.0)
+
+
+def _whole(axes: Axes, image: NDArray[Any]) -> None:
+    """An image of a projector, black to white."""
+    height, width = image.shape
+    extent = (-0.5, width - 0.5, height - 0.5, -0.5)
+    axes.imshow(image, "gray", vmin=0.0, vmax=1.0, extent=extent, interpolation="antialiased")
+    axes.grid(visible=False)
+    axes.set(xlabel="projector's u in px", ylabel="projector's v in px")
+
+
 # ------------------------------------------------------------------------------------ in space
 
 
@@ -332,6 +393,11 @@ def _laser(axes: Axes, laser: Any) -> None:
     _devices(axes, {}, {"laser": laser.family}, {"laser": laser})
 
 
+@draws("devices.projector.Projector")
+def _projector(axes: Axes, projector: Projector) -> None:
+    _devices(axes, {}, {"projector": projector.family}, {"projector": projector})
+
+
 @draws("optics.ray_families.Sheet")
 def _sheet(axes: Axes, sheet: RayFamily) -> None:
     _devices(axes, {}, {"sheet": sheet})
@@ -382,10 +448,10 @@ def _devices(
     for name, family in (families or {}).items():
         source = (sources or {}).get(name)
         low, high = source.extent if source else (np.array([0.0, -5.0]), np.array([0.0, 5.0]))
-        starts, directions = family.rays(np.zeros(2), np.array([low[1], high[1]]))
+        starts, directions = family.rays(*np.array(list(product(*np.stack([low, high], 1)))).T)
         reach = _reach(family.pose, towards)
-        lights[name] = np.stack([*starts, *(starts + reach * directions)[::-1]])
-    targets = [corners[2:].mean(axis=0) for corners in lights.values()]
+        lights[name] = starts, starts + reach * directions
+    targets = [ends.mean(axis=0) for _, ends in lights.values()]
     target = np.mean(targets, axis=0) if targets else towards
     sights = {}
     for name, camera in cameras.items():
@@ -394,7 +460,10 @@ def _devices(
         reach = _reach(camera.pose, target)
         lines = camera.lines_of_sight(corners)
         sights[name] = camera.pose.origin_mm, camera.pose.origin_mm + reach * np.nan_to_num(lines)
-    seen = [*lights.values(), *(np.stack([o, *far]) for o, far in sights.values())]
+    seen = [
+        *(np.concatenate(each) for each in lights.values()),
+        *(np.stack([o, *far]) for o, far in sights.values()),
+    ]
     across, up = side_of(np.concatenate(seen))
     flat = [across, up]
     if medium is not None:
@@ -409,9 +478,11 @@ def _devices(
             continue
         polygons = [_hull_of(each[:, flat]) for each in outline]
         axes.add_collection(PolyCollection(polygons, facecolor=GREY, edgecolor=GREY, lw=0.4))
-    for name, corners in lights.items():
-        _hull(axes, corners[:, flat], facecolor=(colour("laser"), 0.3), edgecolor=colour("laser"))
-        _name(axes, name, corners[:2].mean(axis=0)[flat], colour("laser"), "s")
+    for name, (starts, ends) in lights.items():
+        paint = colour("laser")
+        outline = np.concatenate([starts, ends])[:, flat]
+        _hull(axes, outline, facecolor=(paint, 0.3), edgecolor=paint)
+        _name(axes, name, starts.mean(axis=0)[flat], paint, "s")
     for name, (origin, far) in sights.items():
         _hull(axes, np.stack([origin, *far])[:, flat], facecolor=(colour("camera"), 0.3))
         _name(axes, name, origin[flat], colour("camera"), "o")

@@ -95,6 +95,12 @@ COLOURS = {
     "doubled": BLUE,
     "cut": YELLOW,
     "overlapping": BROWN,
+    "black": "#4D4D4D",
+    "low_modulation": SKY,
+    "edge": YELLOW,
+    "order": PURPLE,
+    "outside": "#B5B5B5",
+    "not_finite": ORANGE,
 }
 
 _RC = {
