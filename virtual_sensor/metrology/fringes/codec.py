@@ -31,8 +31,10 @@ NOISIEST_PHASE_RAD = 1.0 / 3.0
 _MOST_PX = 65_536  # along a side of the projector
 _ROUNDED = 1e-5  # of the mean: float32 knows no weaker fringes
 _BLOCK_PX = 65_536  # pixels that are decoded at a time: they stay in the processor's cache
-_DARK_REGION_PX = 9  # so many dark pixels side by side are no noise
-_CURVED_PX = 0.2  # second difference of neighbours from which on a pixel's mean is off by 0.01 px
+_REGION_PX = 9  # so many pixels side by side are no noise
+_SQUARE = np.ones((3, 3), np.uint8)
+_DISPLACED_PX = 0.008  # of a pixel's mean from its centre, from which on there is an edge
+_BEND, _SLOPE = np.array([1.0, -2.0, 1.0]), np.array([-0.5, 0.0, 0.5])
 _FAR = 6.0  # spreads of the second differences
 _MAD = 1.4826  # of a normal distribution: its sigma over its median distance
 _THREADS = 2
@@ -249,10 +251,12 @@ class Codec(Displayed, ABC):
         for coordinate in found.coordinate.values():
             coordinate[status != FringeStatus.OK] = np.nan
         if edges:
-            edge = _beside_dark(status)
+            edge, lit = _beside_dark(status), mean - np.float32(light.black)
             for axis, coordinate in found.coordinate.items():
-                edge |= _jumps(coordinate, found.sigma[axis])
+                edge |= _mixed(coordinate, found.sigma[axis], lit)
             status[edge & (status == FringeStatus.OK)] = FringeStatus.EDGE
+            ok = status == FringeStatus.OK
+            status[ok & _in_splinters(ok)] = FringeStatus.EDGE
         bad = status != FringeStatus.OK
         for coordinate in found.coordinate.values():
             coordinate[bad] = np.nan
@@ -448,31 +452,63 @@ def checked_axes(axes: Any) -> str:
 def _beside_dark(status: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels next to a region without light, which light of a part of their area alone."""
     reasons = (FringeStatus.BLACK, FringeStatus.LOW_MODULATION, FringeStatus.NOT_FINITE)
-    dark = np.isin(status, reasons).astype(np.uint8)
-    count, labels, sizes, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)
-    if count > 2:
-        large = (sizes[:, cv2.CC_STAT_AREA] >= _DARK_REGION_PX).astype(np.uint8)
-        large[0] = 0
-        dark = large[labels]
-    found: NDArray[np.bool_] = cv2.dilate(dark, np.ones((3, 3), np.uint8)) > 0
+    return cv2.dilate(_regions(np.isin(status, reasons)), _SQUARE) > 0
+
+
+def _in_splinters(ok: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels of what is narrower than three, whose neighbours do not tell whether it is an edge."""
+    good = 1 - _regions(~ok)
+    return cv2.morphologyEx(good, cv2.MORPH_OPEN, _SQUARE, borderValue=1) == 0
+
+
+def _regions(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """A mask's connected regions of several pixels, 1 in them: single ones are noise."""
+    whole = mask.astype(np.uint8)
+    count, labels, sizes, _ = cv2.connectedComponentsWithStats(whole, connectivity=8)
+    if count <= 2:
+        return whole
+    large = (sizes[:, cv2.CC_STAT_AREA] >= _REGION_PX).astype(np.uint8)
+    large[0] = 0
+    found: NDArray[np.uint8] = large[labels]
     return found
 
 
-def _jumps(coordinate: NDArray[np.float64], sigma: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels whose neighbours along either side of the image are on no straight line with them."""
-    found = np.zeros(coordinate.shape, bool)
-    for turned in (False, True):
-        values, jumps, spread = (each.T if turned else each for each in (coordinate, found, sigma))
-        if values.shape[1] < 3:
+def _mixed(
+    coordinate: NDArray[np.float64], sigma: NDArray[np.float32], mean: NDArray[np.float32]
+) -> NDArray[np.bool_]:
+    """Pixels whose coordinate is not that of their centre, as their neighbours show.
+
+    They jump; or the surface's bend, and the light's change over the pixel, displace its mean by
+    slope change/12 + bend/24.
+    """
+    place = coordinate.astype(np.float32)
+    found = np.zeros(place.shape, bool)
+    for along in (0, 1):
+        if place.shape[along] < 3:
             continue
-        bend = values[:, 2:] + values[:, :-2]
-        bend -= 2.0 * values[:, 1:-1]
-        np.abs(bend, out=bend)
-        some = bend[:: max(1, bend.shape[0] // 256), :: max(1, bend.shape[1] // 256)]
-        usual = np.nanmedian(some) if np.isfinite(some).any() else 0.0
-        limit = np.sqrt(6.0) * _FAR * spread[:, 1:-1] + (_CURVED_PX + _FAR * _MAD * usual)
-        jumps[:, 1:-1] |= bend > limit
+        inner = np.s_[1:-1] if along == 0 else np.s_[:, 1:-1]
+        bend, slope, change = (
+            _filtered(image, kernel, along)[inner]
+            for image, kernel in ((place, _BEND), (place, _SLOPE), (mean, _SLOPE))
+        )
+        some = np.abs(bend[:: max(1, bend.shape[0] // 256), :: max(1, bend.shape[1] // 256)])
+        usual = _FAR * _MAD * float(np.nanmedian(some)) if np.isfinite(some).any() else 0.0
+        spread = sigma[inner]
+        found[inner] |= np.abs(bend) > np.float32(np.sqrt(6.0) * _FAR) * spread + (
+            24.0 * _DISPLACED_PX + usual
+        )
+        with np.errstate(all="ignore"):
+            slope *= change / mean[inner]
+        slope += 0.5 * bend
+        most = np.maximum(spread, max(_DISPLACED_PX, usual / 24.0))
+        found[inner] |= np.abs(slope) > 12.0 * most
     return found
+
+
+def _filtered(image: NDArray[Any], kernel: NDArray[Any], along: int) -> NDArray[Any]:
+    """An image with each pixel replaced by a sum over itself and its neighbours along an axis."""
+    shape = (3, 1) if along == 0 else (1, 3)
+    return np.asarray(cv2.filter2D(image, -1, kernel.reshape(shape)))
 
 
 def described(codec: Codec, *words: str) -> str:

@@ -35,8 +35,8 @@ class FringeStatus(StatusEnum):
     )
     EDGE = (
         4,
-        "An edge runs through the pixel or beside it: neighbours jump or are dark, and the pixel "
-        "mixes the light of two places.",
+        "The pixel mixes the light of unlike places: neighbours jump or are dark, or the surface "
+        "bends, or its light changes, too much within a pixel; use smaller pixels.",
     )
     ORDER = (
         5,
