@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
-from tests.stand_in_projector import with_projector
 from virtual_sensor.arrays import by_rows, in_own_memory, to_numpy, to_scalars, to_vectors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.scene import load_scene
@@ -22,8 +21,8 @@ from virtual_sensor.studies.field_info import inside_part
 NONE = np.zeros(0)
 POINTS, PIXELS = np.zeros((0, 3)), np.zeros((0, 2))
 HOT = load_scene("hot_cylinder", width=64, height=64)
-PROJECTED = with_projector(width=64, height=64)
-CAMERA, PROJECTOR = PROJECTED.camera, PROJECTED.source.family
+PROJECTED = load_scene("fringe_cylinder", width=64, height=64)
+CAMERA, PROJECTOR = PROJECTED.camera, PROJECTED.projector.family
 
 EMPTY = {
     "air_refractivity": lambda: vs.air_refractivity(532.0, NONE),
@@ -68,6 +67,7 @@ OTHERS = {
     "speckled",
     "save_png",
     "compare_line",
+    "reconstruct",
     "load_scene",
     "new_scene",
     "survey",

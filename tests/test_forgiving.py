@@ -9,7 +9,6 @@ import pandas
 import pytest
 
 import virtual_sensor as vs
-from tests.stand_in_projector import with_projector
 
 NAN = float("nan")
 WORDS = ["", "abc", "no such/file ä.xml", b"abc", Path("abc"), np.array(["a"]), ["1", "2"]]
@@ -30,7 +29,7 @@ ARRAYS = [
 IMAGES = [np.full((6, 8), 1, kind) for kind in (bool, np.uint8, np.int32, np.uint64, np.float16)]
 GIVEN = [*WORDS, *THINGS, *NUMBERS, *LISTS, *ARRAYS, *IMAGES, -np.ones((6, 8))]
 SCENE = vs.load_scene("hot_cylinder", width=64, height=64, spp=1)
-PROJECTED = with_projector(width=64, height=64)
+PROJECTED = vs.load_scene("fringe_cylinder", width=64, height=64)
 LINE = np.repeat(np.exp(-((np.arange(24.0)[:, None] - 11.3) ** 2) / 8.0), 16, 1)
 CENTRES = vs.line_centres(LINE)
 FIELD = vs.IndexField.from_arrays(np.full((5, 5, 5), 2e-4), [-20, -20, -20], [10, 10, 10])
@@ -85,6 +84,7 @@ CALLS = {
     "PhaseShift.decode": (vs.PhaseShift(axes="u", steps=3).decode, {"images": np.ones((9, 4, 5))}),
     "GrayCode": (vs.GrayCode, {}),
     "SingleShot": (vs.SingleShot, {}),
+    "reconstruct": (vs.reconstruct, {"sensor": PROJECTED, "decoded": DECODED}),
     "projector_pixels": (vs.projector_pixels, {"scene": PROJECTED, "pixel": [[20.0, 30.0]]}),
     "epipolar_residual": (
         vs.epipolar_residual,

@@ -50,6 +50,8 @@ From images to numbers
     bent_points          Find the points that pixels see on a source's rays, and their
                          derivatives, by marched rays.
     triangulated_points  `triangulate` with a status for each pixel, and a tolerance in px.
+    reconstruct          Make a range image of decoded fringes: straight, or through a medium.
+    RangeImage           The points that a camera's pixels see; NaN where `status` is not OK.
     fit_cylinder         Fit a circular cylinder by orthogonal least squares.
     compare_line         Compare the centres that are OK with the truth.
     TrueLine             A line's true rows: arrays of shape (K, W), as a column may see the
@@ -176,6 +178,8 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
     from virtual_sensor.metrology.observations import Observation as Observation
     from virtual_sensor.metrology.observations import Prior as Prior
+    from virtual_sensor.metrology.range_image import RangeImage as RangeImage
+    from virtual_sensor.metrology.range_image import reconstruct as reconstruct
     from virtual_sensor.metrology.shapes import CylinderShape as CylinderShape
     from virtual_sensor.metrology.shapes import PartShape as PartShape
     from virtual_sensor.metrology.shapes import PlaneShape as PlaneShape
@@ -227,6 +231,7 @@ _HOME = {
     "Prior": "metrology.observations",
     "ProjectionStatus": "optics.projection",
     "ProjectorPixelStatus": "optics.projector_pixels",
+    "RangeImage": "metrology.range_image",
     "RayStatus": "optics.ray_status",
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
@@ -258,6 +263,7 @@ _HOME = {
     "ray_search": "optics.ray_search",
     "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",
+    "reconstruct": "metrology.range_image",
     "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",

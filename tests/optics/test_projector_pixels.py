@@ -1,11 +1,12 @@
 """Camera pixel to projector pixel and back, and the residual across the epipolar line."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 import virtual_sensor as vs
-from tests.stand_in_projector import with_projector
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
 from virtual_sensor.optics.rays import March
 
@@ -16,7 +17,7 @@ QUICK = March(1.0, "leapfrog", "double")
 
 @pytest.fixture(scope="module")
 def hot():
-    return with_projector()
+    return vs.load_scene("fringe_cylinder")
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +30,11 @@ def found(hot):
     return projector_pixels(hot, GRID, march=QUICK)
 
 
+def with_family(scene, family):
+    """The scene with other rays of its projector."""
+    return replace(scene, sources={"projector": replace(scene.projector, family=family)})
+
+
 def by_opencv(family, points):
     """Pixels of points by OpenCV, from a family's K, distortion and pose."""
     to_family = family.pose.rotation.T
@@ -37,12 +43,13 @@ def by_opencv(family, points):
     return pixel[:, 0]
 
 
-def test_straight_pixels_are_opencvs():
+def test_straight_pixels_are_opencvs(cold):
     """Rationale: OpenCV projects, with distortion on the projector's side; SciPy is not needed.
 
     Points on the cylinder come from the closed formula of the line of sight.
     """
-    scene = with_projector(distortion=[-0.1, 0.5, 1e-3, -2e-3, 0.3]).cold()
+    lens = np.array([-0.1, 0.5, 1e-3, -2e-3, 0.3])
+    scene = with_family(cold, replace(cold.projector.family, distortion=lens))
     found = projector_pixels(scene, GRID)
     assert np.all(found.status == ProjectorPixelStatus.OK)
     origin, direction = scene.camera.pose.origin_mm, scene.camera.lines_of_sight(GRID)
@@ -52,7 +59,7 @@ def test_straight_pixels_are_opencvs():
     length = (-b - np.sqrt(b**2 - a * (y**2 + z**2 - 13.5**2))) / a
     point = origin + length[:, None] * direction
     np.testing.assert_allclose(found.point_mm, point, atol=1e-9)
-    expected = by_opencv(scene.source.family, point)
+    expected = by_opencv(scene.projector.family, point)
     np.testing.assert_allclose(found.projector_pixel, expected, atol=1e-8)
 
 
@@ -75,7 +82,7 @@ def test_the_papers_search_takes_projectors_too(hot, found):
 
 def test_epipolar_lines_are_opencvs(cold, hot, found):
     """The fundamental matrix's lines; cold, pixels lie on them, hot some pixels beside."""
-    camera, projector = hot.camera, hot.source.family
+    camera, projector = hot.camera, hot.projector.family
     turn = camera.pose.rotation.T @ projector.pose.rotation
     x, y, z = camera.pose.to_local(projector.pose.origin_mm)
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
@@ -94,7 +101,7 @@ def test_epipolar_lines_are_opencvs(cold, hot, found):
 
 def test_right_of_the_epipolar_line_is_positive(hot, found):
     """Seen as the line runs from near to far, u to the right, v down."""
-    camera, projector = hot.camera, hot.source.family
+    camera, projector = hot.camera, hot.projector.family
     light = projector.lines_of_sight(found.projector_pixel[:1])
     near, far = (camera.project(projector.pose.origin_mm + d * light)[0] for d in (290.0, 300.0))
     along = (far - near) / np.linalg.norm(far - near)
@@ -114,9 +121,10 @@ def test_no_value_without_a_reason(cold):
     np.testing.assert_array_equal(np.isnan(found.projector_pixel[:, 0]), [True, True, False])
 
     about_axis = vs.Pose.turn(100.0, [1.0, 0.0, 0.0], [0.0, 0.0, -13.5])
-    pose = cold.source.pose.moved(about_axis)
+    family = cold.projector.family
+    pose = family.pose.moved(about_axis)
     row = np.column_stack([np.linspace(560.0, 1490.0, 200), np.full(200, 1023.0)])
-    turned = projector_pixels(with_projector(pose=pose).cold(), row, march=QUICK)
+    turned = projector_pixels(with_family(cold, family.with_pose(pose)), row, march=QUICK)
     lit = np.isfinite(turned.projector_pixel[:, 0])
     shadowed = turned.status == ProjectorPixelStatus.SHADOWED
     assert lit.sum() > 20
@@ -142,9 +150,9 @@ def test_pixels_with_an_edge_within_are_named(cold):
 
 
 def test_lasers_have_no_pixels():
-    with pytest.raises(vs.InputError, match="projector_pixels: the source has no pixels"):
+    with pytest.raises(vs.InputError, match='needs one; add <emitter type="pattern_projector'):
         projector_pixels("hot_cylinder", GRID)
-    with pytest.raises(vs.InputError, match="ray_search: the source has no pixels"):
+    with pytest.raises(vs.InputError, match="pattern_projector"):
         vs.ray_search("hot_cylinder", projector_pixel=GRID)
     with pytest.raises(vs.InputError, match="either laser_y_mm"):
         vs.ray_search("hot_cylinder")

@@ -64,6 +64,22 @@ def covering_map(
     return MAPS.forward(_covering(field, family, places, tolerance_mm))
 
 
+def covering_inverse_map(
+    field: Field | None, family: RayFamily, places: Array, tolerance_mm: float
+) -> InverseMap:
+    """The map of a family's bent rays through points, by the straight rays through these.
+
+    As `covering_map`; places (N, 3) are (s, t, depth) of straight rays.
+
+    Raises
+    ------
+    NoMapError
+        If the tolerance can't be met, or a ray does not reach its depth; as CausticError, if more
+        than one ray goes through a point.
+    """
+    return MAPS.inverse(_covering(field, family, places, tolerance_mm))
+
+
 def rays_through(
     field: Field | None, family: RayFamily, points_mm: Array, tolerance_mm: float
 ) -> PointRays:

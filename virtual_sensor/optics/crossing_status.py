@@ -10,7 +10,7 @@ class CrossingStatus(StatusEnum):
     NO_PIXEL = (
         1,
         "Pixel or coordinate are not finite, or the lens shows nothing there: look at the status "
-        "of the line's centres.",
+        "of the line's centres, or of the decoded fringes.",
     )
     NO_CROSSING = (
         2,

@@ -8,6 +8,7 @@ look alike.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import number_for, points_of, sqrt
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError, short
-from virtual_sensor.optics.ray_families import Pinhole, RayFamily
+from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, RayFamily
 
 Array = NDArray[np.float64]
 
@@ -25,14 +26,14 @@ _SHARE = 1 << 16  # pixels: so many at once stay in the processor's cache
 
 @public
 def epipolar_residual(
-    camera: Pinhole, projector: Any, pixel: ArrayLike, projector_pixel: ArrayLike
+    camera: Pinhole, projector: PixelFamily, pixel: ArrayLike, projector_pixel: ArrayLike
 ) -> Array:
     """How far camera pixels lie from the straight epipolar lines of their projector pixels, px.
 
     Parameters
     ----------
     camera : Pinhole
-    projector : Pinhole or other family with pixels
+    projector : PixelFamily
         `scene.projector.family`, or that of a calibration.
     pixel : array_like of shape (..., 2)
         (u, v) of the camera, integers at pixel centres.
@@ -52,7 +53,7 @@ def epipolar_residual(
         If these are no pixels, or not equally many.
     """
     for name, family in (("camera", camera), ("projector", projector)):
-        if not hasattr(family, "of_pixels"):
+        if not isinstance(family, PixelFamily):
             raise InputError(
                 f"epipolar_residual: {name} is {short(family)}; give rays that have pixels, such as"
                 " scene.camera and the family of its projector"
@@ -64,14 +65,38 @@ def epipolar_residual(
             f"epipolar_residual: pixel has the shape {seen.shape} and projector_pixel"
             f" {lit.shape}; give both (N, 2)"
         )
-    shape, residual = seen.shape[:-1], np.empty(seen.size // 2)
-    seen, lit = seen.reshape(-1, 2), lit.reshape(-1, 2)
+    sight = coordinates_of(camera, seen.reshape(-1, 2))
+    light = coordinates_of(projector, lit.reshape(-1, 2))
+    return across_lines(camera, projector, sight, light).reshape(seen.shape[:-1])
+
+
+def coordinates_of(family: PixelFamily, pixel: Array) -> Array:
+    """Coordinates (N, 2) of the rays of pixels (N, 2): `of_pixels` of millions, quickly."""
+    rays = np.empty(pixel.shape)
+    a, b, c, d, e, f = np.linalg.inv(family.matrix)[:2].ravel()
+    for some in shares(len(pixel)):
+        if family.distorts:
+            rays[some] = np.stack(family.of_pixels(pixel[some]), axis=1)
+        else:  # without a matrix product, which waits for threads
+            u, v = pixel[some].T
+            rays[some, 0], rays[some, 1] = a * u + b * v + c, d * u + e * v + f
+    return rays
+
+
+def across_lines(
+    camera: Pinhole, projector: PixelFamily, sight: Array, light: Array
+) -> NDArray[np.float64]:
+    """`epipolar_residual` of lines of sight (N, 2) and the projector's rays (N, 2)."""
+    residual = np.empty(len(sight))
     with np.errstate(all="ignore"):
-        for first in range(0, len(residual), _SHARE):
-            some = slice(first, first + _SHARE)
-            sight, light = camera.of_pixels(seen[some]), projector.of_pixels(lit[some])
-            residual[some] = across_line(camera, projector, *sight, *light)
-    return np.where(np.isfinite(residual), residual, np.nan).reshape(shape)
+        for some in shares(len(sight)):
+            residual[some] = across_line(camera, projector, *sight[some].T, *light[some].T)
+    return np.where(np.isfinite(residual), residual, np.nan)
+
+
+def shares(count: int) -> Iterator[slice]:
+    """So many rows in shares that stay in the processor's cache."""
+    return (slice(first, first + _SHARE) for first in range(0, count, _SHARE))
 
 
 def across_line(camera: Pinhole, projector: RayFamily, p: Any, q: Any, s: Any, t: Any) -> Any:

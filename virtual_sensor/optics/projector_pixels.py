@@ -24,10 +24,10 @@ from virtual_sensor.optics.rays import Field, March
 from virtual_sensor.optics.sight import (
     REFERENCE,
     SearchScene,
-    chosen,
     pixel_family,
     scene_of,
     seen_points,
+    with_projector,
 )
 from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import Surface
@@ -39,8 +39,7 @@ Mask = NDArray[np.bool_]
 _LONG_MM = 2.0  # steps of the marches to a pixel's corners: 2e-3 px off on the shipped fields
 _CORNERS = np.array([[-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5]])  # opposite ones in pairs
 
-MOST_BENT_PX = 2e-3
-"""Where the mean over a pixel differs from its centre by more projector px, an edge lies in it."""
+_EDGE = 0.1  # of a pixel's extent in the projector's image: what lies smoothly bends by less
 
 
 class ProjectorPixelStatus(StatusEnum):
@@ -50,7 +49,7 @@ class ProjectorPixelStatus(StatusEnum):
     EDGE = (
         1,
         "An edge of the surface, of a shadow or of the projector's image lies within the pixel, or "
-        "the surface bends away: its mean is another value than that of its centre, given here.",
+        "the surface bends away: the value is that of its centre, a mean over it is another.",
     )
     SHADOWED = (
         2,
@@ -137,7 +136,7 @@ def projector_pixels(
     InputError
         If `pixel` is no list of (u, v), or the scene's source is no projector.
     """
-    scene = chosen(scene_of("projector_pixels", scene), camera, source)
+    scene = with_projector(scene_of("projector_pixels", scene), camera, source)
     pixel = points_of("projector_pixels: pixel", pixel, 2)
     if pixel.ndim != 2 or pixel.shape[1] != 2:
         raise InputError(
@@ -181,8 +180,7 @@ def _shadowed(lit: SearchScene, point: Array, projector_pixel: Array, march: Mar
 def _edges(seen: SearchScene, lit: SearchScene, pixel: Array, found: Array) -> Mask:
     """Within which pixels (N, 2) of the camera the projector's pixel is no smooth function.
 
-    By the pixels' corners, along straight light: it differs from bent light by next to nothing
-    within a pixel.
+    By the pixels' corners; the projector's light is taken as bent there as in the middle.
     """
     long = replace(REFERENCE, step_mm=_LONG_MM)
     around = (pixel + _CORNERS[:, None]).reshape(-1, 2)
@@ -193,6 +191,6 @@ def _edges(seen: SearchScene, lit: SearchScene, pixel: Array, found: Array) -> M
     shadowed = _shadowed(lit, point, corner, long) | ~lit.camera.inside(corner)
     corner[shadowed] = np.nan
     one, two, three, four = corner.reshape(4, -1, 2)
-    # The mean of f over a pixel is f + (f_uu + f_vv) / 24, and the two sums are half of these.
+    extent = np.maximum(np.abs(two - one), np.abs(four - three)).max(axis=1)
     bends = np.abs(one + two - 2.0 * found) + np.abs(three + four - 2.0 * found)
-    return ~(bends.max(axis=1) <= 12.0 * MOST_BENT_PX)
+    return ~(bends.max(axis=1) <= _EDGE * extent)

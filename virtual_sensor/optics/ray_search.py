@@ -26,7 +26,7 @@ from virtual_sensor.arrays import (
 )
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.errors import InputError, naming, short
 from virtual_sensor.optics.map_search import tabulated_roots
 from virtual_sensor.optics.newton_search import Roots, newton, newton_along_line
 from virtual_sensor.optics.ray_families import Pinhole
@@ -41,6 +41,7 @@ from virtual_sensor.optics.sight import (
     pixel_family,
     scene_of,
     seen_points,
+    with_projector,
 )
 from virtual_sensor.statuses import StatusEnum
 
@@ -187,14 +188,19 @@ def ray_search(
         If the method is neither, a number can't be searched with, or the source is not of the kind
         whose rays are given.
     """
-    scene = chosen(scene_of("ray_search", scene), camera, source)
-    check_progress("ray_search", progress)
-    progress = progress or (lambda fraction: None)
-    one_of("ray_search: method", method, METHODS)
     if (laser_y_mm is None) == (projector_pixel is None):
         raise InputError(
             "ray_search: give either laser_y_mm, of a laser, or projector_pixel, of a projector"
         )
+    loaded: SearchScene = scene_of("ray_search", scene)
+    if projector_pixel is None:
+        scene = chosen(loaded, camera, source)
+    else:
+        with naming("ray_search: projector_pixel"):
+            scene = with_projector(loaded, camera, source)
+    check_progress("ray_search", progress)
+    progress = progress or (lambda fraction: None)
+    one_of("ray_search: method", method, METHODS)
     if laser_y_mm is not None:
         s, t = _on_line(laser_y_mm)
     elif projector_pixel is not None:

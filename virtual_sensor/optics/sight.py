@@ -69,6 +69,13 @@ def scene_of(asker: str, scene: Any) -> Any:
     return scene
 
 
+def with_projector(scene: SearchScene, camera: str | None, source: str | None) -> SearchScene:
+    """As `chosen`; of a scene with lasers too, its projector, if there is only one."""
+    if source is None:
+        source = getattr(scene, "projector_name", None)
+    return chosen(scene, camera, source)
+
+
 def pixel_family(asker: str, scene: SearchScene) -> Any:
     """The rays of a scene's projector, which have pixels as a camera's have.
 
