@@ -44,6 +44,10 @@ _MOST_TRIALS = 6
 _OF_EACH = 0.5  # of the tolerance, of the camera and the source: other parts of a frame err too
 _PAD_PX = 2.0  # what the maps hold round the lit pixels
 _PAD_MM = 0.2
+_WIDE_MM = 5.0  # light that is wider along both coordinates falls on a surface
+_NOISE = 0.15  # of a map's tolerance is for the march there
+_MOST_HALVINGS = 4
+_MOST_NODES = 2_000_000  # of a map: light of a projector may fall on all that is seen
 _FARTHEST_MM = np.float32(1e6)
 _THREE = np.ones((3, 3), np.uint8)
 
@@ -194,6 +198,11 @@ class _Beam:
     sight_mm: float = 0.0
     march_mm: float = float("nan")
 
+    @property
+    def wide(self) -> bool:
+        """Whether its light falls on a surface, not on a line."""
+        return bool(np.all(np.ptp(self.own[:, :2], axis=0) > _WIDE_MM * self.per_mm))
+
     def near(self) -> "_Beam":
         """Those of its pixels that are within the margin; all, if none is."""
         s, t, _ = self.own.T
@@ -247,9 +256,10 @@ class _Region:
         NoMapError
             If there is none that can be trusted.
         """
-        camera, march, medium = self.view.camera, marched.march, marched.medium
+        camera, medium = self.view.camera, marched.medium
         assert camera is not None
         error_mm = _OF_EACH * tolerance_px * self.pixel_mm
+        march = self._finer(marched.march, error_mm)
         places = np.concatenate([_ends(beam.seen) for beam in self.beams.values()])
         pad = np.append(np.full(2, (self.beyond_px + _PAD_PX) * self.view.pitch), _PAD_MM)
         seen = places.min(axis=0) - pad, places.max(axis=0) + pad
@@ -262,11 +272,22 @@ class _Region:
             first, last = _ends(beam.own) + np.array([-around, around])
             first[:2] = np.maximum(first[:2], low - beam.moved - spare)
             last[:2] = np.minimum(last[:2], high + beam.moved + spare)
-            asked = MapRequest(medium, family, first, last, march, error_mm)
+            asked = MapRequest(medium, family, first, last, march, error_mm, _MOST_NODES)
             maps.append(MAPS.inverse(asked))
             pads.append(spare)
-        sight = MAPS.forward(MapRequest(medium, camera, *seen, march, error_mm))
+        asked = MapRequest(medium, camera, *seen, march, error_mm, _MOST_NODES)
+        sight = MAPS.forward(asked)
         return Tabulated(sight, tuple(maps), tuple(pads), marched)
+
+    def _finer(self, march: March, error_mm: float) -> March:
+        """The march for maps: where light is wide, its own error must be small beside theirs.
+
+        That error depends on where a ray's steps end, and so differs from ray to ray.
+        """
+        noise_mm = max((beam.march_mm for beam in self.beams.values() if beam.wide), default=0.0)
+        times = max(noise_mm / (_NOISE * error_mm), 1.0)
+        halvings = min(int(np.ceil(np.log2(times) / 2.0)), _MOST_HALVINGS)  # of order 2
+        return replace(march, step_mm=march.step_mm / 2**halvings) if halvings else march
 
     def lit(self, sight: Sight) -> tuple[NDArray[np.intp], int]:
         """Which candidates are lit, or beside such; and how many have light that is folded."""
