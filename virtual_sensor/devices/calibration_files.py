@@ -64,7 +64,9 @@ ALSO_OF_BOTH = {
 """Other names of elements in files of a camera with a projector: of OpenCV's stereo calibration and
 of programs for structured light (scan3d-capture, SLStudio, procam-calibration)."""
 
-_COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""So many a distortion of OpenCV's may have."""
+
 _FLAGS = {"0": False, "1": True}  # fisheye?
 _MODELS = {
     **dict.fromkeys(("plumb_bob", "radtan", "rational_polynomial"), False),
@@ -264,7 +266,7 @@ def camera_in(
     if f.min() < 0.0:
         file.notes.append(f"'{matrix}' has a negative f: the image is taken as mirrored")
     fisheye = _is_fisheye(file)
-    counts = (4,) if fisheye else _COEFFICIENTS
+    counts = (4,) if fisheye else COEFFICIENTS
     lens = file.numbers(distortion, counts, None if fisheye else np.zeros(0))
     if file.find(distortion) is None:
         file.notes.append(f"has no '{distortion}': the lens is taken as ideal")

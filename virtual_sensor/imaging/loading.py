@@ -32,7 +32,14 @@ _RIGID = 1e-3  # of what a rotation's columns may differ from one by float32 and
 _LONGEST_WORD = 300  # of a message, such as a path
 _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
-    *(("pattern_projector", name) for name in ("fov", "power")),
+    *(
+        ("pattern_projector", name)
+        for name in (
+            *("fov", "focal_length", "pixel", "image_width", "power", "lumen", "wavelength"),
+            *("principal_point_offset_x", "principal_point_offset_y"),
+            *("contrast", "gamma", "defocus"),
+        )
+    ),
     ("refractive", "tolerance"),
 }
 _DEVICES = "laser_line", "pattern_projector"  # emitters that are made of one
