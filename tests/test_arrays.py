@@ -58,6 +58,7 @@ EMPTY = {
 }
 # What takes a name, a scene, an image or its line: an image has pixels.
 OTHERS = {
+    "pattern_of",
     "codec_of",
     "dot_centres",
     "fit_cylinder",

@@ -62,6 +62,16 @@ From images to numbers
                          one world.
 
 Fringes
+    pattern_of           A pattern from its text.
+    Sine                 A fringe: mean + amplitude cos(2 pi (x + 0.5)/period - phase), x being u
+                         or v.
+    GrayBit              A bit of the Gray code of columns or rows: of the pixel's number n, n xor
+                         n/2.
+    Checker              A checkerboard of square fields, the one in the upper left corner white.
+    Stripe               A white stripe on black.
+    Uniform              The same grey everywhere: 1 is all white, 0 all black.
+    Picture              An image of the projector's size.
+    Projector            A projector that shows a pattern.
     codec_of             A codec from its text.
     PhaseShift           Sinusoidal fringes in N steps, of one or several periods along one axis or
                          both.
@@ -133,6 +143,14 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from virtual_sensor.devices.patterns import Checker as Checker
+    from virtual_sensor.devices.patterns import GrayBit as GrayBit
+    from virtual_sensor.devices.patterns import Picture as Picture
+    from virtual_sensor.devices.patterns import Sine as Sine
+    from virtual_sensor.devices.patterns import Stripe as Stripe
+    from virtual_sensor.devices.patterns import Uniform as Uniform
+    from virtual_sensor.devices.patterns import pattern_of as pattern_of
+    from virtual_sensor.devices.projector import Projector as Projector
     from virtual_sensor.errors import EngineError as EngineError
     from virtual_sensor.errors import InputError as InputError
     from virtual_sensor.imaging.camera_noise import CameraNoise as CameraNoise
@@ -210,6 +228,7 @@ _HOME = {
     "Aperture": "imaging.speckle",
     "Calibration": "metrology.calibration",
     "CameraNoise": "imaging.camera_noise",
+    "Checker": "devices.patterns",
     "CrossingStatus": "optics.crossing_status",
     "CylinderShape": "metrology.shapes",
     "DecodedFringes": "metrology.fringes.decoded",
@@ -218,6 +237,7 @@ _HOME = {
     "EstimateStatus": "metrology.identifiability",
     "Frame": "imaging.render",
     "FringeStatus": "metrology.fringes.decoded",
+    "GrayBit": "devices.patterns",
     "GrayCode": "metrology.fringes.gray_code",
     "IndexField": "medium.index_field",
     "InputError": "errors",
@@ -225,21 +245,26 @@ _HOME = {
     "Observation": "metrology.observations",
     "PartShape": "metrology.shapes",
     "PhaseShift": "metrology.fringes.phase_shift",
+    "Picture": "devices.patterns",
     "PlaneShape": "metrology.shapes",
     "PointBudget": "metrology.error_budget",
     "Pose": "poses",
     "Prior": "metrology.observations",
     "ProjectionStatus": "optics.projection",
+    "Projector": "devices.projector",
     "ProjectorPixelStatus": "optics.projector_pixels",
     "RangeImage": "metrology.range_image",
     "RayStatus": "optics.ray_status",
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
     "SectionShape": "metrology.shapes",
+    "Sine": "devices.patterns",
     "SingleShot": "metrology.fringes.single_shot",
     "SphereShape": "metrology.shapes",
     "Status": "metrology.centres",
+    "Stripe": "devices.patterns",
     "TrueLine": "metrology.truth",
+    "Uniform": "devices.patterns",
     "air_refractivity": "medium.air",
     "bent_points": "optics.bent_points",
     "codec_of": "metrology.fringes.codecs",
@@ -257,6 +282,7 @@ _HOME = {
     "lines_by_source": "studies.lines_by_source",
     "load_scene": "imaging.scene",
     "new_scene": "imaging.new_scene.write",
+    "pattern_of": "devices.patterns",
     "project": "optics.projection",
     "projected_points": "optics.projection",
     "projector_pixels": "optics.projector_pixels",

@@ -6,6 +6,8 @@ A pattern is a function of all (u, v), between pixel centres too; whether a proj
 function or its values at pixel centres is the projector's matter.
 """
 
+from __future__ import annotations
+
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -31,6 +33,7 @@ from virtual_sensor.arrays import (
     where,
     whole_number,
 )
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, nearest, short
 
@@ -73,9 +76,16 @@ class Pattern(Displayed, ABC):
         return (u if self.axis == "u" else v) + 0.5
 
 
+@public
 @dataclass(frozen=True)
 class Uniform(Pattern):
-    """The same grey everywhere: 1 is all white, 0 all black."""
+    """The same grey everywhere: 1 is all white, 0 all black.
+
+    Attributes
+    ----------
+    level : float
+        The grey value.
+    """
 
     level: float = 1.0
 
@@ -94,6 +104,7 @@ class Uniform(Pattern):
         return {0.0: "black", 1.0: "white"}.get(self.level, f"uniform {self.level:.12g}")
 
 
+@public
 @dataclass(frozen=True)
 class Sine(Pattern):
     """A fringe: mean + amplitude cos(2 pi (x + 0.5)/period - phase), x being u or v.
@@ -139,6 +150,7 @@ class Sine(Pattern):
         return f"sine {self.axis} {self.period_px:.12g} {self.phase_rad:.12g}{own}"
 
 
+@public
 @dataclass(frozen=True)
 class GrayBit(Pattern):
     """A bit of the Gray code of columns or rows: of the pixel's number n, n xor n/2.
@@ -174,9 +186,16 @@ class GrayBit(Pattern):
         return f"gray {self.axis} {self.bit}{' inverted' * self.inverted}"
 
 
+@public
 @dataclass(frozen=True)
 class Checker(Pattern):
-    """A checkerboard of square fields, the one in the upper left corner white."""
+    """A checkerboard of square fields, the one in the upper left corner white.
+
+    Attributes
+    ----------
+    square_px : float
+        Length of a field's side.
+    """
 
     square_px: float
 
@@ -198,6 +217,7 @@ class Checker(Pattern):
         return f"checker {self.square_px:.12g}"
 
 
+@public
 @dataclass(frozen=True)
 class Stripe(Pattern):
     """A white stripe on black.
@@ -229,6 +249,7 @@ class Stripe(Pattern):
         return f"stripe {self.axis} {self.middle_px:.12g} {self.width_px:.12g}"
 
 
+@public
 @dataclass(frozen=True)
 class Picture(Pattern):
     """An image of the projector's size.
@@ -333,6 +354,7 @@ _KINDS: dict[str, tuple[Callable[..., Pattern], int, tuple[Callable[[str], Any],
 """By the first word of a text: what makes the pattern, how many words it needs, and of what."""
 
 
+@public
 def pattern_of(text: str | Path | Pattern, folders: tuple[Path, ...] = ()) -> Pattern:
     """A pattern from its text.
 

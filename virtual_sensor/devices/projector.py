@@ -1,5 +1,7 @@
 """A projector: a camera turned round, which rays of its family it lights, and by how much."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -19,6 +21,7 @@ from virtual_sensor.arrays import (
     where,
     whole_number,
 )
+from virtual_sensor.calls import public
 from virtual_sensor.devices.patterns import Pattern, Picture, Uniform
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
@@ -36,6 +39,7 @@ _STEP = 2e-3  # of the image's width, for a distortion's derivatives
 _ON_BORDER = 65  # places along each side of the image that show its extent
 
 
+@public
 @dataclass(frozen=True)
 class Projector(Displayed):
     """A projector that shows a pattern.
@@ -106,11 +110,11 @@ class Projector(Displayed):
         """Of its lens: x along u, y along v, z forward."""
         return self.family.pose
 
-    def with_pose(self, pose: Pose) -> "Projector":
+    def with_pose(self, pose: Pose) -> Projector:
         """The same in another place."""
         return replace(self, family=self.family.with_pose(pose))
 
-    def with_pattern(self, pattern: Pattern) -> "Projector":
+    def with_pattern(self, pattern: Pattern) -> Projector:
         """The same with another pattern."""
         return replace(self, pattern=pattern)
 
