@@ -268,3 +268,17 @@ def test_a_field_file_that_is_not_there_is_named_with_those_that_are(tmp_path, w
     words = refusal(with_field(tmp_path / "air_800.nc"))
     assert "air_800.nc: there is no such field file" in words
     assert "air_900.nc" in words
+
+
+def test_a_projector_is_checked_as_a_laser_is():
+    """Rationale: its scene has no laser line, and none of the notes may say that it needs one."""
+    assert load_scene("fringe_cylinder").notes == ()
+    (glowing,) = check_scene(load_scene("fringe_cylinder", emissivity=0.8))
+    assert "of the projector's light" in glowing
+    refused = {
+        '<emitter id="projector">: the projector misses the part': {"along": 200},
+        "e-06 mm from the projector's axis": {"alpha": 0},
+    }
+    for words, given in refused.items():
+        with pytest.raises(InputError, match=re.escape(words)):
+            check_scene(load_scene("fringe_cylinder", **given))

@@ -96,7 +96,8 @@ def test_checks_ask_at_the_place_of_the_air(still, moved):
     """The same faces are crossed at moved places, with the same jumps, and the line is covered."""
     assert check_scene(moved) == [note.replace(str(still.path), "") for note in check_scene(still)]
     one, other = (
-        border_crossings(scene.medium, scene.sensor, lit_line(scene)) for scene in (still, moved)
+        border_crossings(scene.medium, scene.camera, scene.source, lit_line(scene))
+        for scene in (still, moved)
     )
     for name in ("camera", "laser"):
         np.testing.assert_array_equal(other[name].face, one[name].face)

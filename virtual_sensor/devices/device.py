@@ -2,7 +2,12 @@
 
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from virtual_sensor.optics.sources import Source
+
+Array = NDArray[np.float64]
 
 
 class Device(Source, Protocol):
@@ -11,3 +16,12 @@ class Device(Source, Protocol):
     def flux(self, s: Any, t: Any) -> Any:
         """Power per unit of both coordinates, W; none for NaN."""
         ...
+
+
+def irradiance(device: Device, points_mm: ArrayLike) -> Array:
+    """Flux density (N,) square to a device's straight light at world points (N, 3), W/mm^2."""
+    family = device.family
+    s, t, depth = family.coordinates(points_mm).T
+    cosine = family.rays(s, t)[1] @ family.pose.rotation[:, 2]
+    found: Array = device.flux(s, t) / (np.abs(family.spread(s, t, depth)) * cosine)
+    return found

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import exp, number_for, where
+from virtual_sensor.devices.device import irradiance
 from virtual_sensor.display import Displayed, listed, place
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.poses import Pose
@@ -124,9 +125,7 @@ class LaserLine(Displayed):
 
     def irradiance(self, points_mm: ArrayLike) -> Array:
         """Flux density (N,) square to the straight light at world points (N, 3), W/mm^2."""
-        s, t, depth = self.family.coordinates(points_mm).T
-        cosine = self.family.rays(s, t)[1] @ self.pose.rotation[:, 2]
-        return self.flux(s, t) / (np.abs(self.family.spread(s, t, depth)) * cosine)
+        return irradiance(self, points_mm)
 
     def radius_at(self, points_mm: ArrayLike) -> Array:
         """1/e^2 radius (N,) across the straight sheet at world points (N, 3), mm."""

@@ -1,12 +1,16 @@
 """Whether a scene can be measured: checked before any light is followed through the field."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import to_vectors
-from virtual_sensor.devices.sensor import SensorModel
+from virtual_sensor.devices.device import irradiance
+from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.patterns import Uniform
+from virtual_sensor.devices.projector import Projector
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
@@ -21,8 +25,9 @@ from virtual_sensor.optics.field_border import (
     BorderCrossing,
     border_crossing,
 )
+from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.optics.sensor_geometry import check_geometry
+from virtual_sensor.optics.sensor_geometry import NEAREST_MM, SINGULAR, check_geometry
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
@@ -35,6 +40,7 @@ FACETS_LIE = "the part's facets lie"
 
 _CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
 _DULL = 0.2  # reflectance of an oxidised part
+_SPREAD = 9, 7  # columns and rows of a projector's pixels that stand for all
 _ALL_ROUND = 0.1  # of a border's jump: so much it may vary that is the same everywhere
 
 
@@ -42,7 +48,7 @@ _ALL_ROUND = 0.1  # of a border's jump: so much it may vary that is the same eve
 class LitLine(Displayed):
     """Where straight light draws the laser line: y (N,) of its rays and points (N, 3) on the part.
 
-    In mm, the points in the world frame.
+    In mm, the points in the world frame. Of a projector they are spread over its image, and y NaN.
     """
 
     y_mm: Array
@@ -127,13 +133,14 @@ def _facet_note(scene: Scene, line: LitLine) -> list[str]:
             vertices = np.array(held["vertex_positions"], float).reshape(-1, 3)
             faces = np.array(held["faces"], np.int64).reshape(-1, 3)
             error_mm = max(error_mm, facet_error_mm(vertices, faces, line.points_mm))
-    pixel_mm = float(scene.sensor.camera.pixel_mm(line.points_mm).mean())
+    pixel_mm = float(scene.camera.pixel_mm(line.points_mm).mean())
     if error_mm < FACETS_TOLD_PX * pixel_mm:
         return []
     tolerance_um = 1e3 * FACETS_TOLD_PX * pixel_mm
     return [
         f"{FACETS_LIE} up to {1e3 * error_mm:.2g} um ({error_mm / pixel_mm:.2g} px) beside"
-        " the curved surface, where the line meets them (estimated from the angles between them);"
+        f" the curved surface, where the {_light(scene.source).split()[-1]} meets them (estimated"
+        " from the angles between them);"
         f" export the part finer, with a chord tolerance of {tolerance_um:.1g} um"
     ]
 
@@ -143,16 +150,26 @@ def _glow_note(scene: Scene, line: LitLine) -> list[str]:
     glow = arrangement(scene).glow
     if not glow:
         return []
-    irradiance = scene.sensor.laser.irradiance(line.points_mm).max()
-    share = glow / (irradiance * _DULL / np.pi)
+    source = scene.source
+    if isinstance(source, Projector):
+        source = source.with_pattern(Uniform())
+    share = glow / (irradiance(source, line.points_mm).max() * _DULL / np.pi)
     return [
         f"the hot part glows with {glow:.2g} W/(mm^2 sr) through its filter: {share:.1g} of the"
-        f" laser line on a surface that reflects {_DULL:.0%}"
+        f" {_light(source)} on a surface that reflects {_DULL:.0%}"
     ]
 
 
+def _kind(source: LaserLine | Projector) -> str:
+    return "projector" if isinstance(source, Projector) else "laser"
+
+
+def _light(source: LaserLine | Projector) -> str:
+    return "projector's light" if isinstance(source, Projector) else "laser line"
+
+
 def lit_line(scene: Scene) -> LitLine:
-    """Find the laser line on the part by straight light, and check all but the field's border.
+    """Find a source's light on the part by straight light, and check all but the field's border.
 
     Raises
     ------
@@ -160,15 +177,32 @@ def lit_line(scene: Scene) -> LitLine:
         If the sensor can't measure, the camera or the laser stands where it can't, no point of the
         line is in the picture, or the field does not hold all of it.
     """
-    sensor = scene.sensor
     with naming(scene.path):
-        check_geometry(sensor)
+        if isinstance(scene.source, Projector):
+            _check_baseline(scene.camera, scene.source)
+        else:
+            check_geometry(scene.sensor)
         _check_place(scene, scene.camera_element, scene.camera.pose)
         _check_place(scene, scene.source_element, scene.source.pose)
         line = _line_on_part(scene)
         if scene.medium:
             _check_cover(scene, scene.medium, line)
     return line
+
+
+def _check_baseline(camera: Pinhole, projector: Projector) -> None:
+    """The camera must see the projector's light from the side."""
+    middle = projector.rays_of(*(np.array(projector.size) / 2.0 - 0.5))
+    start, along = projector.family.rays(*middle)
+    offset = camera.pose.origin_mm - start
+    base = float(np.linalg.norm(offset - (offset @ along) * along))
+    distance = max(float(np.linalg.norm(camera.pose.origin_mm - projector.target_mm)), NEAREST_MM)
+    if not base > SINGULAR * distance:
+        raise InputError(
+            f"sensor: the camera's projection centre lies {base:.3g} mm from the projector's axis,"
+            " so that no depth can be measured; turn the camera away from it, to alpha = 60 deg for"
+            " example"
+        )
 
 
 def _check_place(scene: Scene, element: str, pose: Pose) -> None:
@@ -187,14 +221,25 @@ def _check_place(scene: Scene, element: str, pose: Pose) -> None:
 
 
 def _line_on_part(scene: Scene) -> LitLine:
-    """Trace the laser's rays to the part; some of the points must be in the picture."""
-    y = scene.sensor.laser.along(33)
-    found = ray_search(scene.cold(), y, k_stop=1, method="paper", r_max_um=np.inf)
+    """Trace the source's rays to the part; some of the points must be in the picture."""
+    source = scene.source
+    kind, light = _kind(source), _light(source)
+    asked: Any
+    if isinstance(source, Projector):
+        sides = (
+            np.linspace(0.0, n - 1.0, count) for n, count in zip(source.size, _SPREAD, strict=True)
+        )
+        pixel = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+        y, asked = np.full(len(pixel), np.nan), {"projector_pixel": pixel}
+    else:
+        y = source.along(33)
+        asked = {"laser_y_mm": y}
+    found = ray_search(scene.cold(), **asked, k_stop=1, method="paper", r_max_um=np.inf)
     met = found.status != SearchStatus.LASER_MISSED
     if not met.any():
         box = scene.mitsuba.bbox()
         raise InputError(
-            f"{scene.source_element}: the laser misses the part; turn it (to_world, tilt) or move"
+            f"{scene.source_element}: the {kind} misses the part; turn it (to_world, tilt) or move"
             f" the part, which lies from {_point(box.min)} to {_point(box.max)} mm"
         )
     outside, hidden = (
@@ -205,9 +250,9 @@ def _line_on_part(scene: Scene) -> LitLine:
         raise InputError(
             f"{scene.camera_element}: "
             + (
-                "the part hides the laser line from the camera; turn the camera (to_world, alpha)"
+                f"the part hides the {light} from the camera; turn the camera (to_world, alpha)"
                 if hidden.any()
-                else "the camera's image does not hold the laser line; turn the camera (to_world,"
+                else f"the camera's image does not hold the {light}; turn the camera (to_world,"
                 " alpha) or widen its fov"
             )
         )
@@ -227,9 +272,10 @@ def _check_cover(scene: Scene, field: IndexField, line: LitLine) -> None:
         f"give a larger field, make one of this part ({scene.simulate_command}), or move it"
         " (to_world of the integrator)"
     )
+    where = _point(points[np.argmax(short.max(axis=1))])
     raise InputError(
         f"{_air(scene)} from {_point(low)} to {_point(high)} mm does not cover the light path: the"
-        f" laser meets the part at {_point(points[np.argmax(short.max(axis=1))])} mm{frame},"
+        f" {_kind(scene.source)} meets the part at {where} mm{frame},"
         f" {short[:, axis].max():.3g} mm beyond its end along {'xyz'[axis]}; {remedy}"
     )
 
@@ -242,7 +288,8 @@ def _check_solid(scene: Scene, line: LitLine) -> None:
     height = fit.solid.height_mm(field.to_local(line.points_mm))
     if fit.outside > REFUSED or np.median(height) > _CELLS_FAR * fit.solid.cell_mm:
         middle = np.median(height)
-        off = f"; the laser's line lies {middle:.2g} mm above it" if middle > 0.0 else ""
+        lit = "laser's line" if isinstance(scene.source, LaserLine) else "lit surface"
+        off = f"; the {lit} lies {middle:.2g} mm above it" if middle > 0.0 else ""
         raise InputError(
             f"{_air(scene)} is not of this part: {fit.words}{off}; make one of this part"
             f" ({scene.simulate_command}), or give none (field=)"
@@ -264,7 +311,7 @@ def _check_border(scene: Scene, field: IndexField, line: LitLine) -> list[str]:
             f"its border is {np.median(border):.3g} all round, its ambient {field.ambient:.3g}: was"
             " the ambient forgotten?"
         )
-    for name, crossing in border_crossings(field, scene.sensor, line).items():
+    for name, crossing in border_crossings(field, scene.camera, scene.source, line).items():
         worst = int(np.argmax(crossing.shift_px))
         text = (
             f"{_air(scene)} does not fade to ambient where the {name}'s light enters it, at"
@@ -279,18 +326,18 @@ def _check_border(scene: Scene, field: IndexField, line: LitLine) -> list[str]:
 
 
 def border_crossings(
-    field: IndexField, sensor: SensorModel, line: LitLine
+    field: IndexField, camera: Pinhole, source: LaserLine | Projector, line: LitLine
 ) -> dict[str, BorderCrossing]:
-    """Where the camera's and the laser's light enters a field on its straight path to the line.
+    """Where the camera's and the source's light enters a field on its straight path to the part.
 
     Returns
     -------
     dict
-        `BorderCrossing` by "camera" and "laser", one row per point of the line.
+        `BorderCrossing` by "camera" and "laser" or "projector", one row per point of the line.
     """
-    families = {"camera": sensor.camera, "laser": sensor.laser.family}
+    families = {"camera": camera, _kind(source): source.family}
     return {
-        name: border_crossing(field, sensor.camera, family, line.points_mm)
+        name: border_crossing(field, camera, family, line.points_mm)
         for name, family in families.items()
     }
 

@@ -418,7 +418,7 @@ def _light(
 
 def _faces(air: IndexField, scene: Scene, line: LitLine | None) -> tuple[Face, ...]:
     """The jump at each face of the border, and its effect where light crosses it."""
-    crossings = border_crossings(air, scene.sensor, line) if line else {}
+    crossings = border_crossings(air, scene.camera, scene.source, line) if line else {}
     faces = []
     for index, (name, jump) in enumerate(zip(FACES, air.border_jump(), strict=True)):
         figures = {f"{of}_{what}": np.nan for of in ("laser", "camera") for what in _CROSSED}
