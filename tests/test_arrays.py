@@ -62,6 +62,7 @@ OTHERS = {
     "codec_of",
     "dot_centres",
     "fit_cylinder",
+    "fit_shape",
     "gaussian_blur",
     "read_calibration",
     "read_image",

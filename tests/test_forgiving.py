@@ -62,6 +62,7 @@ CALLS = {
     "triangulate": (vs.triangulate, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
     "triangulated_points": (vs.triangulated_points, {"sensor": SCENE, "pixel": [[30.0, 30.0]]}),
     "bent_points": (vs.bent_points, {"scene": SCENE, "pixel": [[30.0, 30.0]]}),
+    "fit_shape": (vs.fit_shape, {"points_mm": ARC, "direction": [1, 0, 0]}),
     "fit_cylinder": (vs.fit_cylinder, {"points_mm": ARC, "direction": [1, 0, 0]}),
     "estimate_air": (vs.estimate_air, ESTIMATE),
     "identifiability": (vs.identifiability, ESTIMATE),

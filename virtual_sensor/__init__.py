@@ -53,6 +53,8 @@ From images to numbers
     reconstruct          Make a range image of decoded fringes: straight, or through a medium.
     RangeImage           The points that a camera's pixels see; NaN where `status` is not OK.
     fit_cylinder         Fit a circular cylinder by orthogonal least squares.
+    fit_shape            Fit a cylinder, a plane, a sphere or any shape by orthogonal least squares.
+    FittedShape          The shape nearest to points; NaN in all numbers where there is none.
     compare_line         Compare the centres that are OK with the truth.
     TrueLine             A line's true rows: arrays of shape (K, W), as a column may see the
                          line up to K times.
@@ -198,6 +200,8 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.observations import Prior as Prior
     from virtual_sensor.metrology.range_image import RangeImage as RangeImage
     from virtual_sensor.metrology.range_image import reconstruct as reconstruct
+    from virtual_sensor.metrology.shape_fits import FittedShape as FittedShape
+    from virtual_sensor.metrology.shape_fits import fit_shape as fit_shape
     from virtual_sensor.metrology.shapes import CylinderShape as CylinderShape
     from virtual_sensor.metrology.shapes import PartShape as PartShape
     from virtual_sensor.metrology.shapes import PlaneShape as PlaneShape
@@ -235,6 +239,7 @@ _HOME = {
     "EngineError": "errors",
     "ErrorBudget": "metrology.error_budget",
     "EstimateStatus": "metrology.identifiability",
+    "FittedShape": "metrology.shape_fits",
     "Frame": "imaging.render",
     "FringeStatus": "metrology.fringes.decoded",
     "GrayBit": "devices.patterns",
@@ -274,6 +279,7 @@ _HOME = {
     "error_budget": "metrology.error_budget",
     "estimate_air": "metrology.air_estimate",
     "fit_cylinder": "metrology.cylinder_fit",
+    "fit_shape": "metrology.shape_fits",
     "fringe_observation": "metrology.fringes.observations",
     "gaussian_blur": "imaging.lens",
     "identifiability": "metrology.identifiability",

@@ -33,12 +33,12 @@ _SAMPLED = 100  # points that take part in that
 class FitStatus(StatusEnum):
     """How a fit ended."""
 
-    FITTED = 0, "The cylinder was found."
+    FITTED = 0, "The shape was found."
     TOO_FEW = 1, "There are no more points than unknowns: give more finite points."
     UNDETERMINED = (
         2,
-        "More than one cylinder goes through the points, which lie on a line or a plane, say, or "
-        "all in one section while the direction is free: give the axis (direction), or points that "
+        "More than one such shape goes through the points, which lie on a line or a plane, or all "
+        "in one section while the direction is free: give the axis (direction), or points that "
         "span more of the surface.",
     )
     NOT_CONVERGED = 3, "The fit did not converge: look for outliers, or give the axis (direction)."

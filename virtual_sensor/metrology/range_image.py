@@ -19,6 +19,8 @@ from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.range_mesh import STEEPEST_DEG, RangeMesh, mesh_of
+from virtual_sensor.metrology.shapes import Shape
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole, PixelFamily
 
@@ -28,6 +30,7 @@ Image = NDArray[np.float64]
 USES = ("column", "row", "both")
 """Which of the projector's coordinates give the points."""
 
+_SHARE = 1 << 16  # points at once: they stay in the processor's cache
 _NODES_PX = 16  # apart: between these, lines of sight through a lens are interpolated
 
 
@@ -77,6 +80,37 @@ class RangeImage(Displayed):
     def ok(self) -> NDArray[np.bool_]:
         """Mask (H, W) of the pixels that have a point."""
         return self.status == CrossingStatus.OK
+
+    def deviation_um(self, shape: Shape) -> NDArray[np.float32]:
+        """How far the points are from a shape along its normal, (H, W), um: positive outside.
+
+        Parameters
+        ----------
+        shape : Shape
+            The true surface: of a scene `PartShape.of(scene)`; or `CylinderShape`, `PlaneShape`,
+            `SphereShape`.  NaN where it is nowhere near.
+        """
+        if not isinstance(shape, Shape):
+            raise InputError(
+                f"deviation_um: shape is {short(shape)}; give a Shape, such as PartShape.of(scene)"
+            )
+        deviation = np.full(self.status.shape, np.nan, np.float32)
+        index = np.flatnonzero(self.ok)
+        points = self.point_mm.reshape(-1, 3)
+        for first in range(0, len(index), _SHARE):
+            some = index[first : first + _SHARE]
+            deviation.ravel()[some] = UM_PER_MM * shape.distance(points[some]).distance_mm
+        return deviation
+
+    def mesh(self, steepest_deg: float = STEEPEST_DEG) -> RangeMesh:
+        """The points as triangles; none bridges an edge, where depth jumps.
+
+        Parameters
+        ----------
+        steepest_deg : float
+            How far the steepest triangle that is kept leans from the camera's view.
+        """
+        return mesh_of(self, steepest_deg)
 
 
 @public

@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 _BEFORE_MM = 2.0  # from so far before a known part, points look for it
 _FARTHEST_MM = 5.0  # and no farther than so
+_SAME_FACE = 0.9  # cosine of the normals of places on one face
 
 
 @dataclass(frozen=True)
@@ -150,11 +151,24 @@ class CylinderShape(Shape):
     turn_z_deg: float = 0.0
     pose: Pose | None = None
 
+    @property
+    def axis(self) -> tuple[Array, Array]:
+        """A point (3,) of its axis, and the axis' direction, a unit vector: world."""
+        place, along = np.array([0.0, self.y_mm, self.z_mm]), self._along
+        return (
+            (self.pose.to_world(place), self.pose.rotation @ along) if self.pose else (place, along)
+        )
+
+    @property
+    def _along(self) -> Array:
+        by_y, by_z = np.radians([self.turn_y_deg, self.turn_z_deg])
+        return np.array([np.cos(by_z) * np.cos(by_y), np.sin(by_z) * np.cos(by_y), -np.sin(by_y)])
+
     def distance(self, points_mm: ArrayLike) -> Distances:
         """How far world points (N, 3) are from it."""
         local, axes = _local(self.pose, points_mm)
         by_y, by_z = np.radians([self.turn_y_deg, self.turn_z_deg])
-        axis = np.array([np.cos(by_z) * np.cos(by_y), np.sin(by_z) * np.cos(by_y), -np.sin(by_y)])
+        axis = self._along
         axis_by = {
             "turn_y_deg": [
                 -np.cos(by_z) * np.sin(by_y),
@@ -194,6 +208,17 @@ class PlaneShape(Shape):
     turn_x_deg: float = 0.0
     turn_y_deg: float = 0.0
     pose: Pose | None = None
+
+    @property
+    def axis(self) -> tuple[Array, Array]:
+        """A point (3,) of it, and its normal, a unit vector: world."""
+        place = np.array([0.0, 0.0, self.z_mm])
+        normal = _turn(self.turn_x_deg, self.turn_y_deg, 0.0)[0][:, 2]
+        return (
+            (self.pose.to_world(place), self.pose.rotation @ normal)
+            if self.pose
+            else (place, normal)
+        )
 
     def distance(self, points_mm: ArrayLike) -> Distances:
         """How far world points (N, 3) are from it, positive above."""
@@ -297,8 +322,7 @@ class PartShape(Shape):
 
         known: Any = np.isfinite(points).all(axis=1)
 
-        def met(start: Array) -> tuple[Array, Array]:
-            heading = np.tile(-towards, (len(start), 1))
+        def met(start: Array, heading: Array) -> tuple[Array, Array]:
             origin, direction = to_vectors(start), to_vectors(heading)
             limit = to_scalars(np.full(len(start), _BEFORE_MM + _FARTHEST_MM))
             reach = np.array(self.surface.distance(origin, direction, limit, True))
@@ -308,10 +332,17 @@ class PartShape(Shape):
             )
             return there, normal
 
-        start = np.where(known[:, None], points, 0.0) + _BEFORE_MM * towards
-        there, normal = by_rows(met, start)
+        at = np.where(known[:, None], points, 0.0)
+        there, normal = by_rows(met, at + _BEFORE_MM * towards, np.tile(-towards, (len(at), 1)))
         normal = np.where(known[:, None] & (normal @ towards > 0.0)[:, None], normal, np.nan)
-        return np.sum((points - there) * normal, axis=1), normal
+        distance = np.sum((points - there) * normal, axis=1)
+        # Once more along that normal: a curved face turns away on the way that the first one took.
+        ahead = np.where(np.isfinite(normal), normal, towards)
+        nearest, closer = by_rows(met, at + _BEFORE_MM * ahead, -ahead)
+        again = np.sum((points - nearest) * closer, axis=1)
+        same = (np.sum(closer * ahead, axis=1) > _SAME_FACE) & np.isfinite(distance)
+        distance = np.where(same, again, distance)
+        return distance, np.where(same[:, None], closer, normal)
 
 
 @public

@@ -215,7 +215,7 @@ def _arrays(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:
             yield name, array
 
 
-_MESHES = ("imaging.parts.Part", "imaging.part_survey.Mesh")
+_MESHES = ("imaging.parts.Part", "imaging.part_survey.Mesh", "metrology.range_mesh.RangeMesh")
 _POINTS = {
     "metrology.triangulation.TriangulatedPoints": "point_mm",
     "metrology.error_budget.PointBudget": "point_mm",
