@@ -137,7 +137,8 @@ def _key(key: Any) -> str:
 
 def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:
     """Names of status numbers, in lower case."""
-    return np.array([kind(n).name.lower() for n in np.asarray(status).ravel()], np.str_)
+    numbers, place = np.unique(np.asarray(status).ravel(), return_inverse=True)
+    return np.array([kind(n).name.lower() for n in numbers], np.str_)[place]
 
 
 def counts_of(status: ArrayLike, kind: type[IntEnum]) -> dict[str, int]:
@@ -289,12 +290,40 @@ def write_ply(
     vertex["intensity"] = intensity[finite]
     for name, numbers in whole.items():
         vertex[name] = numbers[finite]
+    properties = "".join(f"property float {name}\n" for name, _ in floats)
+    properties += "".join(f"property int {name}\n" for name in whole)
+    _write_ply(path, vertex, properties)
+
+
+def write_ply_mesh(
+    path: Path,
+    vertices_mm: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    **values: NDArray[np.floating],
+) -> None:
+    """Write triangles (M, 3) of points (N, 3), world frame, mm, as binary PLY with values (N,)."""
+    named = dict(zip("xyz", np.asarray(vertices_mm).T, strict=True)) | values
+    vertex = np.zeros(len(vertices_mm), [(name, "<f4") for name in named])
+    for name, numbers in named.items():
+        vertex[name] = numbers
+    face = np.zeros(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    face["count"], face["corners"] = 3, faces
+    properties = "".join(f"property float {name}\n" for name in named)
+    _write_ply(path, vertex, properties, face)
+
+
+def _write_ply(
+    path: Path,
+    vertex: NDArray[np.void],
+    properties: str,
+    face: NDArray[np.void] | None = None,
+) -> None:
     header = (
         "ply\nformat binary_little_endian 1.0\ncomment points in mm, world frame\n"
-        f"element vertex {len(vertex)}\n"
-        + "".join(f"property float {name}\n" for name, _ in floats)
-        + "".join(f"property int {name}\n" for name in whole)
-        + "end_header\n"
+        f"element vertex {len(vertex)}\n{properties}"
     )
+    if face is not None:
+        header += f"element face {len(face)}\nproperty list uchar int vertex_indices\n"
+    parts = [f"{header}end_header\n".encode("ascii"), vertex.tobytes()]
     with written_whole(path) as temporary:
-        temporary.write_bytes(header.encode("ascii") + vertex.tobytes())
+        temporary.write_bytes(b"".join(parts + ([face.tobytes()] if face is not None else [])))

@@ -1,6 +1,5 @@
 """Statuses: why there is a result, or none. Each member says it in a sentence."""
 
-from collections import Counter
 from enum import IntEnum
 from typing import Self
 
@@ -45,5 +44,6 @@ class StatusEnum(IntEnum):
 
         ``for status, count in Status.counts(line.status).items(): print(count, status.message)``
         """
-        numbers = Counter(np.asarray(status).ravel().tolist())
-        return {cls(number): count for number, count in numbers.most_common()}
+        numbers, counts = np.unique(np.asarray(status), return_counts=True)
+        order = np.argsort(-counts, kind="stable")
+        return {cls(n): int(c) for n, c in zip(numbers[order], counts[order], strict=True)}

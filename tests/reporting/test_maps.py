@@ -10,9 +10,11 @@ from virtual_sensor.reporting.maps import (
     draw_frames,
     draw_map,
     draw_statuses,
+    map_panel,
     scale_of,
     window_of,
 )
+from virtual_sensor.reporting.pictures import write_vector
 
 
 @pytest.fixture
@@ -67,6 +69,33 @@ def test_each_pixel_stands_where_it_is_in_the_image(axes):
     assert top + row * height <= 700 < top + (row + 1) * height
     assert left + column * height <= 800 < left + (column + 1) * height
     assert axes.figure.axes[1].get_ylabel() == "height in mm"
+
+
+def test_very_small_numbers_have_their_power_beside_the_bar(axes):
+    """Rationale: matplotlib writes it above the bar, over the map."""
+    draw_map(axes, np.linspace(0.0, 4e-6, 12).reshape(3, 4), "W", "size")
+    axes.figure.canvas.draw()
+    bar = axes.figure.axes[1]
+    assert bar.get_ylabel() == "W in 10⁻⁶"
+    assert [text.get_text() for text in bar.get_yticklabels()][:3] == ["0", "0.5", "1"]
+
+
+def test_panels_of_maps_are_drawn_as_pixels_and_as_curves(tmp_path):
+    """Rationale: the map is as wide as its pixels are, with the bar close beside it."""
+    tall, wide = np.ones((60, 20)), np.ones((20, 60))
+    for values in (tall, wide):
+        panel = map_panel("a map", values, "mm")
+        figure = Figure(figsize=(6.0, 4.2))
+        panel.draw(figure)
+        shown, bar = (axes.get_position() for axes in figure.axes)
+        shape = shown.width * 6.0 / (shown.height * 4.2)
+        rows, columns = window_of(values)
+        expected = (columns.stop - columns.start) / (rows.stop - rows.start)
+        assert shape == pytest.approx(expected)
+        assert bar.x0 - shown.x1 == pytest.approx(0.02)
+        assert bar.x1 < 0.9
+    write_vector(tmp_path / "map.svg", "", [panel])
+    assert (tmp_path / "map.svg").stat().st_size > 1000
 
 
 def test_pixels_without_a_value_are_no_colour_of_the_bar(axes):

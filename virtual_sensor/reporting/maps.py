@@ -12,8 +12,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
+from matplotlib.figure import FigureBase
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from virtual_sensor.reporting.pictures import Panel
@@ -34,6 +35,7 @@ _MOST_PX = 600  # of a map along a side
 _MOST_VALUES = 1 << 18  # of which a scale is found
 _MARGIN = 0.03  # about what is known, of its size
 _LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THUMB_PX = 150
 _LABEL_PX = 0.16  # strip above a thumbnail, of its height
 
@@ -106,7 +108,7 @@ def map_panel(
     """A panel with a map and its bar; for what is not said see `draw_map`."""
     window = window or window_of(values)
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: FigureBase) -> None:
         axes, (left, low, wide, high) = _placed(figure, window)
         bar = figure.add_axes((left + wide + 0.02, low + 0.04 * high, 0.025, 0.92 * high))
         draw_map(axes, values, words, scale, window, bar)
@@ -118,7 +120,7 @@ def map_panel(
 def status_panel(title: str, status: NDArray[Any], kind: type[StatusEnum], alt: str) -> Panel:
     """A panel with what became of each pixel (H, W)."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: FigureBase) -> None:
         whole = slice(0, status.shape[0]), slice(0, status.shape[1])
         draw_statuses(_placed(figure, whole)[0], status, kind)
 
@@ -130,15 +132,15 @@ def frames_panel(
 ) -> Panel:
     """A panel with small pictures of frames (K, H, W)."""
 
-    def draw(figure: Figure) -> None:
+    def draw(figure: FigureBase) -> None:
         draw_frames(figure.add_axes((0.02, 0.02, 0.96, 0.86)), images, names, window)
 
     return Panel(title, draw, alt, axes=False, layout=None)
 
 
-def _placed(figure: Figure, window: Window) -> tuple[Axes, tuple[float, float, float, float]]:
+def _placed(figure: FigureBase, window: Window) -> tuple[Axes, tuple[float, float, float, float]]:
     """Axes as high as a panel and as wide as the pixels of a window then are, at its left."""
-    width, height = figure.get_size_inches()
+    width, height = (size / figure.dpi for size in (figure.bbox.width, figure.bbox.height))
     left, low, right, top = _LEFT_IN / width, _LOW_IN / height, 1.0 - _BAR_IN / width, 0.9
     high_px, wide_px = (each.stop - each.start for each in window)
     wide = min((top - low) * height / width * wide_px / max(high_px, 1), right - left)
@@ -177,8 +179,12 @@ def draw_map(
     drawn = _draw(axes, values, window, cmap=colours, norm=Normalize(scale.low, scale.high))
     place: dict[str, Any] = {"cax": bar} if bar else {"ax": axes, "shrink": 0.92, "aspect": 24}
     key = axes.figure.colorbar(drawn, extend=scale.beyond, **place)
-    key.set_label(words)
     key.outline.set_linewidth(0.5)
+    power = _power(scale)
+    if power:
+        key.formatter = FuncFormatter(lambda value, _: f"{value / 10.0**power:.10g}")
+        words += f" in 10{str(power).translate(_RAISED)}"
+    key.set_label(words)
     if scale.kind == "phase":
         key.set_ticks([0.0, np.pi, 2.0 * np.pi], labels=["0", "π", "2π"])
     if not np.isfinite(values[window]).any():
@@ -219,7 +225,9 @@ def draw_frames(
     rows, label = ceil(count / columns), max(round(_LABEL_PX * size[1]), 1)
     step_x, step_y = size[0] + 4, size[1] + label
     white = max((float(np.nanmax(each[::8, ::8], initial=0.0)) for each in images), default=0.0)
-    room = 66.0 * axes.figure.get_figwidth() / columns  # printer's points above a thumbnail
+    room = (
+        66.0 * axes.figure.bbox.width / axes.figure.dpi / columns
+    )  # printer's points above a thumbnail
     letters = float(np.clip(room / (0.6 * max(map(len, names), default=1)), 4.0, 8.0))
     sheet = np.full((rows * step_y, columns * step_x - 4), np.nan)
     for number, (image, name) in enumerate(zip(images, names, strict=True)):
@@ -239,6 +247,12 @@ def _columns(count: int, shape: float) -> int:
     wanted = max((1.55 * count / shape) ** 0.5, 1.0)
     even = [n for n in range(1, count + 1) if count % n == 0 and 0.6 <= n / wanted <= 1.7]
     return min(even, key=lambda n: abs(np.log(n / wanted))) if even else ceil(wanted)
+
+
+def _power(scale: Scale) -> int:
+    """Of ten, that the numbers of very small or large values leave out; 0: none."""
+    power = int(np.floor(np.log10(max(abs(scale.low), abs(scale.high)))))
+    return 0 if -3 <= power <= 4 else power
 
 
 def _draw(axes: Axes, values: NDArray[Any], window: Window, **style: Any) -> Any:

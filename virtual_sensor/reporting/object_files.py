@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed, names_of
 from virtual_sensor.errors import InputError, a, naming
 from virtual_sensor.files import path_of, written_whole
-from virtual_sensor.records import Table, plain, status_names, write_csv, write_json, write_ply
+from virtual_sensor.records import (
+    Table,
+    plain,
+    status_names,
+    write_csv,
+    write_json,
+    write_ply,
+    write_ply_mesh,
+)
 
 Writer = Callable[[Path, Any], None]
 
@@ -254,6 +262,12 @@ def _write_mesh(path: Path, mesh: Any) -> None:
         temporary.write_bytes(data if isinstance(data, bytes) else data.encode("utf-8"))
 
 
+def _write_range_image(path: Path, image: Any) -> None:
+    mesh = image.mesh()
+    values = {} if image.sigma_um is None else {"sigma_um": image.sigma_um.ravel()[mesh.index]}
+    write_ply_mesh(path, mesh.vertices, mesh.faces, **values)
+
+
 def _image_of(thing: Any) -> tuple[NDArray[Any], int | None]:
     """An object's image (H, W), and its bits; None of floats."""
     names = ("radiance", "pixels", "values", "grey")
@@ -320,6 +334,7 @@ _OWN: dict[str, dict[str, Writer]] = {
         (".yaml", ".yml", ".xml", ".json"), _write_calibration
     ),
     "imaging.scene.Scene": {".json": _write_scene},
+    "metrology.range_image.RangeImage": {".ply": _write_range_image},
     "studies.measure.Measurement": {".json": _write_summary},
 }
 """Formats that only some objects have, by their classes' names (see `display.names_of`)."""

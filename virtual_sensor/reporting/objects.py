@@ -48,6 +48,7 @@ if TYPE_CHECKING:  # what they are, not what is imported
     from virtual_sensor.metrology.cylinder_fit import CylinderFit
     from virtual_sensor.metrology.dot_peaks import DotCentres
     from virtual_sensor.metrology.fringes.decoded import DecodedFringes
+    from virtual_sensor.metrology.range_image import RangeImage
     from virtual_sensor.metrology.truth import DotErrors, LineErrors, TrueLine
     from virtual_sensor.optics.ray_families import Pinhole, RayFamily
     from virtual_sensor.optics.sensitivity import Sensitivity
@@ -278,6 +279,11 @@ def _decoded(axes: Axes, decoded: DecodedFringes) -> None:
     known = (("column", decoded.column), ("row", decoded.row))
     name, values = next((n, v) for n, v in known if v is not None)
     draw_map(axes, values, f"projector's {name} in px")
+
+
+@draws("metrology.range_image.RangeImage")
+def _range_image(axes: Axes, image: RangeImage) -> None:
+    draw_map(axes, image.depth_mm, "depth along the camera's axis in mm")
 
 
 @draws("studies.fringes.result.Surface")
