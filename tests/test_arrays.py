@@ -59,6 +59,9 @@ EMPTY = {
 # What takes a name, a scene, an image or its line: an image has pixels.
 OTHERS = {
     "pattern_of",
+    "calibrate_fringes",
+    "find_marks",
+    "projector_marks",
     "codec_of",
     "dot_centres",
     "fit_cylinder",

@@ -45,6 +45,17 @@ MAPS = [400.0 + 8.0 * U, 200.0 + 8.0 * V, *[np.full((64, 64), 0.1, np.float32)] 
 DECODED = vs.DecodedFringes(
     *MAPS, phase={}, status=np.zeros((64, 64), np.uint8), size_px=(1280, 800)
 )
+PLATE = vs.CalibrationTarget(columns=4, rows=4)
+TILTED = [vs.Pose.turn(25.0, (np.cos(k), np.sin(k), 0.2 * k)) for k in range(5)]
+SEEN = SCENE.camera.with_pose(vs.Pose.shift((0.0, 0.0, -300.0)))
+CALIBRATION = {
+    "target_mm": PLATE.points_mm,
+    "camera_px": [SEEN.project(pose.to_world(PLATE.points_mm)) for pose in TILTED],
+    "projector_px": [SEEN.project(pose.to_world(PLATE.points_mm)) for pose in TILTED],
+    "camera_size": (64, 64),
+    "projector_size": (64, 48),
+    "distortion": 0,
+}
 TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
@@ -89,6 +100,18 @@ CALLS = {
     "Picture": (vs.Picture, {"values": np.eye(4)}),
     "Projector": (vs.Projector, {"family": SCENE.camera}),
     "codec_of": (vs.codec_of, {"text": "phase 4"}),
+    "CalibrationTarget": (vs.CalibrationTarget, {}),
+    "find_marks": (vs.find_marks, {"image": LINE, "target": vs.CalibrationTarget()}),
+    "projector_marks": (
+        vs.projector_marks,
+        {
+            "marks": vs.find_marks(LINE, vs.CalibrationTarget()),
+            "target": vs.CalibrationTarget(),
+            "column": MAPS[0],
+            "row": MAPS[1],
+        },
+    ),
+    "calibrate_fringes": (vs.calibrate_fringes, CALIBRATION),
     "PhaseShift": (vs.PhaseShift, {"size_px": (64, 48)}),
     "PhaseShift.decode": (vs.PhaseShift(axes="u", steps=3).decode, {"images": np.ones((9, 4, 5))}),
     "GrayCode": (vs.GrayCode, {}),

@@ -80,6 +80,14 @@ Fringes
     GrayCode             The Gray code of columns and rows, to whole projector pixels.
     SingleShot           Sinusoidal fringes of one period, decoded from one image of each axis.
     DecodedFringes       The projector's pixel at each camera pixel; NaN where `status` is not OK.
+    CalibrationTarget    A plate with marks on a grid: inner corners of a checkerboard, or centres
+                         of dots.
+    find_marks           Find a target's marks in an image, to hundredths of a pixel.
+    projector_marks      The projector's pixels at marks that a camera sees, by decoded fringes
+                         around them.
+    calibrate_fringes    Calibrate camera and projector by the marks of a plane in several poses.
+    FringeCalibration    A camera and a projector in one world, with the covariance of what was
+                         found.
 
 Light through air
     ray_search           Find the pixels that see the incidence points of a laser's or
@@ -125,6 +133,7 @@ Air and shape found from images
 Statuses, whose members have a message, and errors
     Status               Why there is a centre, or none.
     FringeStatus         Why a pixel has a projector coordinate, or none.
+    MarkStatus           Whether a mark of a target takes part in a calibration, and if not, why.
     CrossingStatus       How the search for a pixel's point ended.
     SearchStatus         How the search for a ray of laser or projector ended.
     ProjectorPixelStatus Whether a projector pixel was found for a camera's, and if not, why.
@@ -184,6 +193,8 @@ if TYPE_CHECKING:
     from virtual_sensor.metrology.error_budget import PointBudget as PointBudget
     from virtual_sensor.metrology.error_budget import error_budget as error_budget
     from virtual_sensor.metrology.error_budget import known_air_budget as known_air_budget
+    from virtual_sensor.metrology.fringes.calibration import FringeCalibration as FringeCalibration
+    from virtual_sensor.metrology.fringes.calibration import calibrate_fringes as calibrate_fringes
     from virtual_sensor.metrology.fringes.codecs import codec_of as codec_of
     from virtual_sensor.metrology.fringes.decoded import DecodedFringes as DecodedFringes
     from virtual_sensor.metrology.fringes.decoded import FringeStatus as FringeStatus
@@ -193,6 +204,10 @@ if TYPE_CHECKING:
     )
     from virtual_sensor.metrology.fringes.phase_shift import PhaseShift as PhaseShift
     from virtual_sensor.metrology.fringes.single_shot import SingleShot as SingleShot
+    from virtual_sensor.metrology.fringes.target import CalibrationTarget as CalibrationTarget
+    from virtual_sensor.metrology.fringes.target import MarkStatus as MarkStatus
+    from virtual_sensor.metrology.fringes.target import find_marks as find_marks
+    from virtual_sensor.metrology.fringes.target import projector_marks as projector_marks
     from virtual_sensor.metrology.identifiability import EstimateStatus as EstimateStatus
     from virtual_sensor.metrology.identifiability import identifiability as identifiability
     from virtual_sensor.metrology.line_peaks import line_centres as line_centres
@@ -231,6 +246,7 @@ _HOME = {
     "AirModel": "medium.air_model",
     "Aperture": "imaging.speckle",
     "Calibration": "metrology.calibration",
+    "CalibrationTarget": "metrology.fringes.target",
     "CameraNoise": "imaging.camera_noise",
     "Checker": "devices.patterns",
     "CrossingStatus": "optics.crossing_status",
@@ -241,12 +257,14 @@ _HOME = {
     "EstimateStatus": "metrology.identifiability",
     "FittedShape": "metrology.shape_fits",
     "Frame": "imaging.render",
+    "FringeCalibration": "metrology.fringes.calibration",
     "FringeStatus": "metrology.fringes.decoded",
     "GrayBit": "devices.patterns",
     "GrayCode": "metrology.fringes.gray_code",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
+    "MarkStatus": "metrology.fringes.target",
     "Observation": "metrology.observations",
     "PartShape": "metrology.shapes",
     "PhaseShift": "metrology.fringes.phase_shift",
@@ -272,12 +290,14 @@ _HOME = {
     "Uniform": "devices.patterns",
     "air_refractivity": "medium.air",
     "bent_points": "optics.bent_points",
+    "calibrate_fringes": "metrology.fringes.calibration",
     "codec_of": "metrology.fringes.codecs",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
     "epipolar_residual": "optics.epipolar",
     "error_budget": "metrology.error_budget",
     "estimate_air": "metrology.air_estimate",
+    "find_marks": "metrology.fringes.target",
     "fit_cylinder": "metrology.cylinder_fit",
     "fit_shape": "metrology.shape_fits",
     "fringe_observation": "metrology.fringes.observations",
@@ -291,6 +311,7 @@ _HOME = {
     "pattern_of": "devices.patterns",
     "project": "optics.projection",
     "projected_points": "optics.projection",
+    "projector_marks": "metrology.fringes.target",
     "projector_pixels": "optics.projector_pixels",
     "ray_search": "optics.ray_search",
     "read_calibration": "metrology.calibration",

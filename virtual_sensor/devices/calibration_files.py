@@ -195,6 +195,7 @@ class CalibrationFile:
         counts: tuple[int, ...],
         default: Array | None = None,
         below: float = _LARGEST,
+        most: int = _MOST_NUMBERS,
     ) -> Array:
         """The numbers of an element, as many as it may have."""
         found = self.find(name)
@@ -205,7 +206,7 @@ class CalibrationFile:
                 )
             return default
         try:
-            values = np.array(_numbers(found))
+            values = np.array(_numbers(found, most))
         except (ValueError, TypeError, OverflowError, RecursionError):
             values = np.array([np.nan])
         if values.size not in counts or not (np.abs(values) < below).all():
@@ -412,7 +413,7 @@ def pose_in(file: CalibrationFile, names: tuple[str, str] = ("rotation", "transl
     return Pose(turned, -turned @ file.numbers(names[1], (3,), np.zeros(3)))
 
 
-def _numbers(value: Any) -> list[float]:
+def _numbers(value: Any, most: int = _MOST_NUMBERS) -> list[float]:
     """Numbers of a matrix, of lists within lists or a single one.
 
     Raises
@@ -428,8 +429,8 @@ def _numbers(value: Any) -> list[float]:
         return [float(value)]
     rows: list[list[float]] = []
     for each in value:
-        rows.append(_numbers(each))
+        rows.append(_numbers(each, most))
         length = len(rows[0])
-        if not 0 < length <= _MOST_NUMBERS // len(rows) or len(rows[-1]) != length:
+        if not 0 < length <= most // len(rows) or len(rows[-1]) != length:
             raise ValueError("rows")  # YAML's references make much out of little
     return [number for row in rows for number in row]

@@ -511,12 +511,31 @@ class Scene(Displayed):
         """
         return self._again(_texts(parameters), {})
 
-    def _again(self, parameters: dict[str, str], poses: dict[str, Array]) -> Scene:
+    def from_file(self, path: Path, **parameters: object) -> Scene:
+        """The same devices and air, with all changes, in another file that has them too.
+
+        Parameters
+        ----------
+        path : Path
+            A scene file with all the parameters of this one's, such as one with another part.
+        **parameters
+            Values for its ``$parameters``, beside those that this scene was given.
+
+        Raises
+        ------
+        InputError
+            As `load_scene` does.
+        """
+        return self._again(_texts(parameters), {}, path)
+
+    def _again(
+        self, parameters: dict[str, str], poses: dict[str, Array], path: Path | None = None
+    ) -> Scene:
         """The scene loaded again with some parameters and poses, its other changes applied."""
         before, origin = self._stage, self._stage.origin
         origin.check()
         given, poses = origin.given | parameters, before.poses | poses
-        stage = _staged(origin.files[0], given, origin.here, poses)
+        stage = _staged(path or origin.files[0], given, origin.here, poses)
         air, medium, values = self.air, self.medium, stage.parameters
         if air.path:
             air = stage.air
@@ -530,7 +549,8 @@ class Scene(Displayed):
         stage.check_march(transport, medium)
         cameras = {name: self._named("camera", stage.cameras, name) for name in self.cameras}
         sources = {name: self._named("source", stage.sources, name) for name in self.sources}
-        return Scene(self.path, values, medium, air, cameras, sources, transport, self.hot, stage)
+        path = path or self.path
+        return Scene(path, values, medium, air, cameras, sources, transport, self.hot, stage)
 
     def _one(self, kind: str, named: Mapping[str, Any], option: str = "") -> str:
         """The only name; an option of most functions and commands chooses one of several."""
