@@ -268,6 +268,12 @@ def _write_range_image(path: Path, image: Any) -> None:
     write_ply_mesh(path, mesh.vertices, mesh.faces, **values)
 
 
+def _write_surface(path: Path, surface: Any) -> None:
+    from virtual_sensor.reporting.fringes import write_surface
+
+    write_surface(path, surface, None)
+
+
 def _image_of(thing: Any) -> tuple[NDArray[Any], int | None]:
     """An object's image (H, W), and its bits; None of floats."""
     names = ("radiance", "pixels", "values", "grey")
@@ -335,6 +341,7 @@ _OWN: dict[str, dict[str, Writer]] = {
     ),
     "imaging.scene.Scene": {".json": _write_scene},
     "metrology.range_image.RangeImage": {".ply": _write_range_image},
+    "studies.fringes.result.Surface": {".ply": _write_surface},
     "studies.measure.Measurement": {".json": _write_summary},
 }
 """Formats that only some objects have, by their classes' names (see `display.names_of`)."""

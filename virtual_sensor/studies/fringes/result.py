@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.imaging.render import RenderReport
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.records import Record, Table
+from virtual_sensor.metrology.fringes.decoded import FringeStatus
+from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
+from virtual_sensor.records import Record, Table, status_names
 from virtual_sensor.studies.provenance import SceneFacts
 
 Array = NDArray[np.float64]
@@ -412,3 +414,23 @@ class FringeSearchTable(Table):
     point_mm: Array
     search_status: Texts
     decoded_status: Texts
+
+
+def search_table(state: FringeState) -> FringeSearchTable:
+    """A state's searched pixels."""
+    grid = state.grid
+    names = AXES.values()
+
+    def by_axis(values: Array) -> dict[str, Array]:
+        columns = dict(zip(names, values.T, strict=True))
+        return {n: c for n, c in columns.items() if getattr(state.decoded, n) is not None}
+
+    return FringeSearchTable(
+        pixel=grid.pixel,
+        searched_px=by_axis(grid.found.projector_pixel),
+        decoded_px=by_axis(grid.decoded_px),
+        difference_px=by_axis(grid.difference_px),
+        point_mm=grid.found.point_mm,
+        search_status=status_names(grid.found.status, ProjectorPixelStatus),
+        decoded_status=status_names(state.decoded.status[grid.row_column], FringeStatus),
+    )
