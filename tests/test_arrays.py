@@ -78,6 +78,7 @@ OTHERS = {
     "survey",
     "render",
     "render_frame",
+    "render_sequence",
     "record",
     "line_centres",
     "lines_by_source",

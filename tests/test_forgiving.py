@@ -30,6 +30,7 @@ IMAGES = [np.full((6, 8), 1, kind) for kind in (bool, np.uint8, np.int32, np.uin
 GIVEN = [*WORDS, *THINGS, *NUMBERS, *LISTS, *ARRAYS, *IMAGES, -np.ones((6, 8))]
 SCENE = vs.load_scene("hot_cylinder", width=64, height=64, spp=1)
 PROJECTED = vs.load_scene("fringe_cylinder", width=64, height=64)
+FRINGES = vs.load_scene("fringe_cylinder", width=16, height=16, spp=1).cold()
 LINE = np.repeat(np.exp(-((np.arange(24.0)[:, None] - 11.3) ** 2) / 8.0), 16, 1)
 CENTRES = vs.line_centres(LINE)
 FIELD = vs.IndexField.from_arrays(np.full((5, 5, 5), 2e-4), [-20, -20, -20], [10, 10, 10])
@@ -61,6 +62,7 @@ CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
     "render": (vs.render, {"scene": SCENE}),
     "render_frame": (vs.render_frame, {"scene": SCENE}),
+    "render_sequence": (vs.render_sequence, {"scene": FRINGES, "patterns": ["white"]}),
     "record": (vs.record, {"photons": 100.0 * LINE}),
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
     "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),

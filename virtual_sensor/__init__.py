@@ -25,6 +25,8 @@ Scenes, and what a camera sees of them
     render               Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
     render_frame         Render a camera's image together with its ground truth.
     Frame                A rendered frame, and the truth at its pixels' centres.
+    render_sequence      Render a camera's images while a projector shows patterns.
+    PatternFrames        Frames of a sequence of K patterns.
 
 Images as a camera gives them
     record               Take a frame: the grey values of a camera, with its noise, black level
@@ -176,6 +178,8 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.render import render_frame as render_frame
     from virtual_sensor.imaging.scene import Scene as Scene
     from virtual_sensor.imaging.scene import load_scene as load_scene
+    from virtual_sensor.imaging.sequence import PatternFrames as PatternFrames
+    from virtual_sensor.imaging.sequence import render_sequence as render_sequence
     from virtual_sensor.imaging.speckle import Aperture as Aperture
     from virtual_sensor.imaging.speckle import speckled as speckled
     from virtual_sensor.medium.air import air_refractivity as air_refractivity
@@ -266,6 +270,7 @@ _HOME = {
     "LineCentres": "metrology.centres",
     "MarkStatus": "metrology.fringes.target",
     "Observation": "metrology.observations",
+    "PatternFrames": "imaging.sequence",
     "PartShape": "metrology.shapes",
     "PhaseShift": "metrology.fringes.phase_shift",
     "Picture": "devices.patterns",
@@ -320,6 +325,7 @@ _HOME = {
     "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",
+    "render_sequence": "imaging.sequence",
     "save_png": "imaging.image_files",
     "speckled": "imaging.speckle",
     "survey": "imaging.part_survey",

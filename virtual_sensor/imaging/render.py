@@ -19,7 +19,10 @@ from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
 from virtual_sensor.arrays import to_numpy, whole_number
 from virtual_sensor.calls import public
+from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.patterns import Uniform
+from virtual_sensor.devices.projector import Projector
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import written_whole
@@ -204,9 +207,9 @@ def render(
     EngineError
         If the scene was loaded under another Mitsuba variant.
     """
-    scene, samples, seed = _checked("render", scene, spp, seed, camera, source)
+    scene, samples, seed = checked("render", scene, spp, seed, camera, source)
     with ONE_FRAME:
-        return _prepared(scene).exposed(samples, seed)[0].images()[0]
+        return prepared_for(scene).exposed(samples, seed)[0].images()[0]
 
 
 @public
@@ -233,31 +236,31 @@ def render_frame(
         As `render` does.
     """
     check_progress("render_frame", progress)
-    scene, samples, seed = _checked("render_frame", scene, spp, seed, camera, source)
+    scene, samples, seed = checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
-        prepared = _prepared(scene)
+        prepared = prepared_for(scene)
         exposure, report = prepared.exposed(samples, seed, progress)
         lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
         radius_mm = {name: line.radius_mm for name, line in lines.items()}
-        return Frame(exposure.images()[0], _truth(prepared), radius_mm, report)
+        return Frame(exposure.images()[0], truth_of(prepared), radius_mm, report)
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
     """Radiance (H, W) of the pixels that sources light in some columns; zero in all others."""
-    scene, samples, seed = _checked("render_columns", scene, spp, seed)
+    scene, samples, seed = checked("render_columns", scene, spp, seed)
     with ONE_FRAME:
-        exposure, _ = _prepared(scene, column).exposed(samples, seed, others=False)
+        exposure, _ = prepared_for(scene, column).exposed(samples, seed, others=False)
         return exposure.images()[0]
 
 
 def render_uncached(scene: Scene, spp: int | None = None) -> Image:
     """Render a scene with nothing cached, as if for the first time."""
-    scene, samples, seed = _checked("render_uncached", scene, spp, 0)
+    scene, samples, seed = checked("render_uncached", scene, spp, 0)
     with ONE_FRAME:
         MAPS.clear()
         prepared = Prepared.of(arrangement(scene))
         image = prepared.exposed(samples, seed)[0].images()[0]
-        _ = _truth(prepared)
+        _ = truth_of(prepared)
         return image
 
 
@@ -265,7 +268,7 @@ def lit_pixels(scene: Scene) -> PixelTruth:
     """The pixels that the sources light, with the truth at their centres, and no frame."""
     scene = scene_of("lit_pixels", scene)
     with ONE_FRAME:
-        return _truth(_prepared(scene))
+        return truth_of(prepared_for(scene))
 
 
 def arrangement(scene: Scene) -> Arrangement:
@@ -281,7 +284,7 @@ def arrangement(scene: Scene) -> Arrangement:
     )
 
 
-def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
+def prepared_for(scene: Scene, column: Columns | None = None) -> Prepared:
     """What frames of a scene need: cached while the scene lives and stays as it is.
 
     A frame is equal to the bit to a first one, as its samples are of the same rays by the same
@@ -304,7 +307,8 @@ def _prepared(scene: Scene, column: Columns | None = None) -> Prepared:
     return prepared
 
 
-def _truth(prepared: Prepared) -> PixelTruth:
+def truth_of(prepared: Prepared) -> PixelTruth:
+    """The truth at the centres of lit pixels; a black pixel of a projector lights too."""
     lit, sources = prepared.lit, prepared.arrangement.sources
     index, sight, count = lit.index, lit.sight, lit.index.size
     coordinates = {name: np.full((count, 2), np.nan, np.float32) for name in sources}
@@ -313,7 +317,7 @@ def _truth(prepared: Prepared) -> PixelTruth:
     if sight is not None:
         reached = np.zeros(count, bool)
         for name, light in zip(lit.names, sight.lights, strict=True):
-            power = sources[name].flux(light.s, light.t) * light.concentration
+            power = _white(sources[name]).flux(light.s, light.t) * light.concentration
             shines = (power > 0.0).numpy()
             coordinates[name][shines] = np.stack([light.s.numpy(), light.t.numpy()], 1)[shines]
             statuses[name] = np.array(light.status, np.uint8)
@@ -325,7 +329,12 @@ def _truth(prepared: Prepared) -> PixelTruth:
     return PixelTruth(index, point, depth, coordinates, statuses, lit.report)
 
 
-def _checked(
+def _white(source: Device) -> Device:
+    """A source as it is at its brightest."""
+    return source.with_pattern(Uniform()) if isinstance(source, Projector) else source
+
+
+def checked(
     asker: str,
     scene: Scene | str | Path,
     spp: int | None,
