@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from virtual_sensor.cli import fringe_poses, shared
+from virtual_sensor.cli import fringe_decode, fringe_poses, shared
 from virtual_sensor.errors import InputError
 
 
@@ -116,4 +116,5 @@ def fringes(
     raise InputError("fringes SCENE is not there yet")
 
 
+app.command("decode", epilog=fringe_decode.EPILOG)(fringe_decode.decode)
 app.command("poses", epilog=fringe_poses.EPILOG)(fringe_poses.poses)

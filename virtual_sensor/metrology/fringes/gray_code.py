@@ -7,6 +7,7 @@ followed by its inverse, the columns before the rows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,7 @@ from virtual_sensor.metrology.fringes.codec import (
 )
 
 _SIGMA_PX = 1.0 / np.sqrt(12.0)  # of a place that is anywhere within a pixel
+_SAMPLE_PX = 40_000
 _CLEAR = 3.0  # spreads by which a bit's two images must differ
 
 
@@ -117,6 +119,19 @@ class GrayCode(Codec):
             return grey[::2], grey[1::2]
         half = 0.5 * (grey[0] + grey[1])
         return grey[2:], np.broadcast_to(half, grey[2:].shape)
+
+    def _seen_noise(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> GreyNoise:
+        """From the spread of the sums of bits and their inverses, which should be the same."""
+        if not self.inverted or len(stack) < 4:
+            return light
+        pixels = stack.shape[1] * stack.shape[2]
+        grey = stack.reshape(len(stack), -1)[:, :: max(1, pixels // _SAMPLE_PX)].astype(float)
+        with np.errstate(all="ignore"):
+            variance = np.var(grey[::2] + grey[1::2], axis=0, ddof=1) / 2.0
+        lit = variance[variance > 0.0]
+        usual = float(np.median(lit)) if lit.size else 0.0
+        read = math.sqrt(max(usual - light.step**2 / 12.0, 0.0))
+        return GreyNoise(read, light.gain, light.black, light.step)
 
     def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
         lit, other = self._pairs(block)

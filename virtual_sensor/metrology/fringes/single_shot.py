@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
@@ -33,7 +34,10 @@ from virtual_sensor.metrology.fringes.codec import (
 
 _FEWEST_FRINGES = 4.0  # within the image: fewer are none apart from its brightness
 _FAINT = 1e-9  # of the image's brightness: a carrier of that strength is rounding
+_REACH = 4.0  # of the band's window, in its widths
 _LONGEST_PX = 1e6
+_BEND = np.array([1.0, -2.0, 1.0])
+_MAD = 1.4826  # of a normal distribution: its sigma over its median distance
 _TURN = 2.0 * math.pi
 
 
@@ -90,16 +94,33 @@ class SingleShot(Codec):
             found.put(axis, all_rows, self._decode_image(axis, image, light))
         return found
 
+    def _seen_noise(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> GreyNoise:
+        """From differences of second differences, which fringes hardly have (Immerkaer 1996)."""
+        found = []
+        for image in stack:
+            if min(image.shape) < 3:
+                return light
+            grey = image.astype(np.float32)
+            rough = np.abs(cv2.filter2D(grey, -1, np.outer(_BEND, _BEND))[1:-1, 1:-1])
+            rough = rough[np.isfinite(rough) & (grey[1:-1, 1:-1] < clipped)]
+            lit = rough[rough > 0.0]
+            found.append(float(np.median(lit)) / 6.0 * _MAD if lit.size else 0.0)
+        read = math.sqrt(max(float(np.mean(found)) ** 2 - light.step**2 / 12.0, 0.0))
+        return GreyNoise(read, light.gain, light.black, light.step)
+
     def _decode_image(self, axis: str, image: NDArray[Any], noise: GreyNoise) -> AxisBlock:
         holes = ~np.isfinite(image)
         grey = image.astype(float)
         grey[holes] = 0.0
-        band, share = _band(fft.fft2(grey, workers=-1), axis)
+        spectrum = fft.fft2(grey, workers=-1)
+        carrier, wide = _carrier(spectrum, axis)
+        band, share = _band(spectrum, carrier, wide)
         signal = fft.ifft2(band, workers=-1)
+        background, _ = _band(spectrum, np.zeros(2), wide)
         turns = np.angle(signal).astype(np.float32) * np.float32(1.0 / _TURN)
         turns += turns < 0.0
         modulation = (2.0 * np.abs(signal)).astype(np.float32)
-        mean = (grey - 2.0 * signal.real).astype(np.float32)
+        mean = fft.ifft2(background, workers=-1).real.astype(np.float32)
         modulation[holes] = np.nan
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = np.sqrt(2.0 * share * noise.variance(mean)) / modulation
@@ -122,22 +143,39 @@ class SingleShot(Codec):
         unwrap_in_space(found, status, self.period_px, self.size_px)
 
 
-def _band(spectrum: NDArray[Any], axis: str) -> tuple[NDArray[Any], float]:
-    """The part of a spectrum (H, W) about the carrier, and which share of white noise it has.
+def _carrier(spectrum: NDArray[Any], axis: str) -> tuple[NDArray[np.float64], float]:
+    """The fringes' frequency (u, v) in a spectrum (H, W), per px, and how wide their band is.
 
-    The carrier is the strongest frequency of more than a few fringes in the image that runs rather
-    along the axis than across it; the window is Gaussian, half its frequency wide.
+    It is the strongest of more than a few fringes in the image that runs rather along the axis than
+    across it.  Where there is none, the band is 0 wide.
     """
-    height, width = spectrum.shape
-    across, along = np.meshgrid(fft.fftfreq(height), fft.fftfreq(width), indexing="ij")
+    across, along = _frequencies(spectrum)
     ahead, beside = (along, across) if axis == "u" else (across, along)
-    least = _FEWEST_FRINGES / (width if axis == "u" else height)
+    least = _FEWEST_FRINGES / spectrum.shape[1 if axis == "u" else 0]
     power = np.where((ahead >= least) & (np.abs(beside) <= ahead), np.abs(spectrum), 0.0)
     row, column = np.unravel_index(int(np.argmax(power)), power.shape)
     if not power[row, column] > _FAINT * np.abs(spectrum[0, 0]):
+        return np.zeros(2), 0.0
+    carrier = np.array([along[0, column], across[row, 0]])
+    return carrier, float(np.hypot(*carrier)) / 4.0
+
+
+def _band(
+    spectrum: NDArray[Any], middle: NDArray[np.float64], wide: float
+) -> tuple[NDArray[Any], float]:
+    """The part of a spectrum about a frequency, and which share of white noise it passes.
+
+    The window is Gaussian.
+    """
+    if not wide:
         return np.zeros_like(spectrum), 0.0
-    carrier = np.array([along[row, column], across[row, column]])
-    wide = max(float(np.hypot(*carrier)) / 4.0, 1e-9)
-    far2 = ((along - carrier[0]) ** 2 + (across - carrier[1]) ** 2) / wide**2
-    window = np.exp(-0.5 * far2) * (far2 < 16.0)
+    across, along = _frequencies(spectrum)
+    far2 = ((along - middle[0]) ** 2 + (across - middle[1]) ** 2) / wide**2
+    window = np.exp(-0.5 * far2) * (far2 < _REACH**2)
     return spectrum * window, float(np.mean(window**2))
+
+
+def _frequencies(spectrum: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Along v and along u, each of shape (H, W) by broadcasting."""
+    height, width = spectrum.shape
+    return fft.fftfreq(height)[:, None], fft.fftfreq(width)[None]
