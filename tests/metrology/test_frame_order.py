@@ -24,7 +24,7 @@ def shots(text):
     rng = np.random.default_rng(6)
     v, u = np.mgrid[:60, :80]
     shade = rng.uniform(100.0, 200.0, u.shape)
-    greys = [np.asarray(p.grey(16.0 * u + 3.0, 800 / 60 * v + 2.0)) for p in codec.patterns]
+    greys = [np.asarray(p.grey(15.9 * u + 3.0, 13.1 * v + 2.0)) for p in codec.patterns]
     noisy = (10.0 + shade * grey + rng.normal(0.0, 2.0, u.shape) for grey in greys)
     return codec, [np.clip(np.rint(image), 0, 255) for image in noisy]
 
