@@ -40,6 +40,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.optics.crossing_status",
     "virtual_sensor.optics.ray_families",
     "virtual_sensor.optics.sensor_geometry",
+    "virtual_sensor.optics.sources",
     "virtual_sensor.poses",
     "virtual_sensor.statuses",
 )

@@ -69,6 +69,18 @@ def test_what_needs_a_laser_says_what_to_use_instead() -> None:
     ):
         with pytest.raises(vs.InputError, match="laser line"):
             ask()
+    pixel = [[30.0, 30.0]]
+    for call in (
+        lambda: vs.triangulate(scene, pixel),
+        lambda: vs.triangulated_points(scene, pixel, medium=scene.medium),
+        lambda: vs.bent_points(scene, pixel),
+        lambda: vs.Observation(scene, pixel),
+        lambda: vs.ray_search(scene, [0.0]),
+        lambda: vs.lines_by_source(scene, np.ones((64, 64))),
+    ):
+        with pytest.raises(vs.InputError, match="projector"):
+            call()
+    assert np.isfinite(vs.triangulate(scene, pixel, coordinate=0.01)).all()
     with pytest.raises(vs.InputError, match="virtual-sensor fringes"):
         _ = scene.sensor
     with pytest.raises(vs.InputError, match=r"no projector.*pattern_projector"):

@@ -259,12 +259,12 @@ class Picture(Pattern):
     values : ndarray of shape (H, W)
         Grey values 0 to 1 at pixel centres; between them they are interpolated linearly, and
         beyond the outermost they stay.
-    file : str
-        From which it was read; empty if from none.
+    name : str
+        Of the file from which it was read; empty if from none.
     """
 
     values: NDArray[np.float64]
-    file: str = field(default="", compare=False)
+    name: str = field(default="", compare=False)
     _table: Table = field(init=False, repr=False, compare=False)
 
     axis = None
@@ -280,7 +280,7 @@ class Picture(Pattern):
 
     def _line(self) -> str:
         height, width = self.values.shape
-        return listed(Path(self.file).name, f"{width} x {height} px")
+        return listed(Path(self.name).name, f"{width} x {height} px")
 
     def grey(self, u: Any, v: Any) -> Any:
         """Bilinear between pixel centres."""
@@ -299,7 +299,7 @@ class Picture(Pattern):
     @property
     def text(self) -> str:
         """Its file."""
-        return self.file
+        return self.name
 
 
 def _odd(whole: Any) -> Any:

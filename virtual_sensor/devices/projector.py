@@ -292,7 +292,7 @@ def check_size(pattern: Pattern, size: tuple[int, int]) -> None:
         return
     height, width = pattern.values.shape
     if (width, height) != size:
-        name = f"the image {pattern.file}" if pattern.file else "the pattern"
+        name = f"the image {pattern.name}" if pattern.name else "the pattern"
         raise InputError(
             f"{name} is {width} x {height} px, and the projector has {size[0]} x {size[1]} px;"
             " give an image of the projector's size"

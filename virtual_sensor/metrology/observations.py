@@ -13,6 +13,7 @@ from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.centres import LineCentres
+from virtual_sensor.optics.sources import first_coordinate
 
 Array = NDArray[np.float64]
 SIGMA_PX = 0.02
@@ -56,7 +57,8 @@ class Observation(Displayed):
     sigma_px : ndarray of shape (N,)
         Standard deviation of the pixels' noise; one number for all may be given.
     coordinate : ndarray of shape (N,)
-        First coordinate s of the source's rays; 0 is the middle of a laser's sheet.
+        First coordinate s of the source's rays. By default 0, the middle of a laser's sheet; a
+        projector has no such.
     along_mm : ndarray of shape (N,) or None
         Their second coordinate t, where it is known: of dots.
     name : str
@@ -68,7 +70,7 @@ class Observation(Displayed):
     scene: Any
     pixel: Any
     sigma_px: Any = None
-    coordinate: Any = 0.0
+    coordinate: Any = None
     along_mm: Any = None
     name: str = ""
     normal_deg: Any = "by kind"
@@ -91,7 +93,9 @@ class Observation(Displayed):
             normal = None if self.along_mm is not None else 90.0
             if line is not None and normal is not None:
                 normal = np.ravel(line.normal_deg)
-        given = {"sigma_px": sigma, "coordinate": self.coordinate}
+        sources = [*getattr(self.scene, "sources", {}).values(), None]
+        coordinate = first_coordinate("Observation", sources[0], self.coordinate)
+        given = {"sigma_px": sigma, "coordinate": coordinate}
         given |= {"along_mm": self.along_mm, "normal_deg": normal}
         for name, values in given.items():
             if values is not None:

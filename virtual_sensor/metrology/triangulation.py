@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, numbers_of, one_of, points_of
+from virtual_sensor.arrays import number_within, one_of, points_of
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
@@ -19,6 +19,7 @@ from virtual_sensor.metrology.truth import LineErrors
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.sensor_geometry import Sensor, check_geometry
+from virtual_sensor.optics.sources import first_coordinate
 
 Array = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def triangulate(
     medium: Any = None,
     camera: str | None = None,
     source: str | None = None,
-    coordinate: ArrayLike = 0.0,
+    coordinate: ArrayLike | None = None,
 ) -> Array:
     """Measure the points that pixels see on a source's rays, along straight or bent lines of sight.
 
@@ -80,8 +81,8 @@ def triangulate(
     camera, source : str, optional
         Names, where the scene has several.
     coordinate : array_like of shape (...)
-        First coordinate s of the source's rays, for each pixel or one for all: 0, the middle of
-        the laser's sheet, unless a pattern says otherwise.
+        First coordinate s of the source's rays, for each pixel or one for all. By default 0, the
+        middle of a laser's sheet; a projector has no such.
 
     Returns
     -------
@@ -110,7 +111,7 @@ def triangulated_points(
     medium: Any = None,
     camera: str | None = None,
     source: str | None = None,
-    coordinate: ArrayLike = 0.0,
+    coordinate: ArrayLike | None = None,
     method: str | None = None,
     tolerance_px: float = 1e-3,
 ) -> TriangulatedPoints:
@@ -147,7 +148,7 @@ def triangulated_points(
     pixel = points_of("triangulate: pixel", places, 2)
     if pixel.shape[-1:] != (2,):
         raise InputError(f"triangulate: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
-    shape, s = pixel.shape[:-1], numbers_of("triangulate: coordinate", coordinate)
+    shape, s = pixel.shape[:-1], first_coordinate("triangulate", sensor.laser, coordinate)
     if s.shape not in ((), shape):
         raise InputError(
             f"triangulate: coordinate has shape {s.shape}; give one number, or one for each pixel"

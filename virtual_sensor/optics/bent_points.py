@@ -43,6 +43,7 @@ from virtual_sensor.optics.field_border import uncovered
 from virtual_sensor.optics.ray_families import Pinhole, RayFamily
 from virtual_sensor.optics.rays import Field, March, Variation
 from virtual_sensor.optics.sight import REFERENCE, SearchScene, chosen, scene_of
+from virtual_sensor.optics.sources import first_coordinate
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -102,7 +103,7 @@ def bent_points(
     parameters: Iterable[str] = (),
     *,
     variations: Mapping[str, Variation] | None = None,
-    coordinate: ArrayLike = 0.0,
+    coordinate: ArrayLike | None = None,
     pivot_mm: ArrayLike = (0.0, 0.0, 0.0),
     march: March = REFERENCE,
     start_mm: ArrayLike | None = None,
@@ -127,8 +128,8 @@ def bent_points(
         Further parameters: the field's derivative by each, such as
         `AirModel.derivatives` gives.
     coordinate : array_like of shape (N,)
-        First coordinate s of the source's rays, for each pixel or one for all: 0, the middle of
-        the laser's sheet, unless a pattern says otherwise.
+        First coordinate s of the source's rays, for each pixel or one for all. By default 0, the
+        middle of a laser's sheet; a projector has no such.
     pivot_mm : array_like of shape (3,)
         World point that turns are about, other than ``beta``.
     march : March
@@ -151,7 +152,7 @@ def bent_points(
     pixel = points_of("bent_points: pixel", pixel, 2)
     if pixel.ndim != 2 or pixel.shape[1] != 2:
         raise InputError(f"bent_points: pixel has shape {pixel.shape}; give it (N, 2), (u, v) each")
-    s = numbers_of("bent_points: coordinate", coordinate)
+    s = first_coordinate("bent_points", scene.source, coordinate)
     if s.shape not in ((), pixel.shape[:1]):
         raise InputError(
             f"bent_points: coordinate has shape {s.shape}; give one number, or one for each pixel"

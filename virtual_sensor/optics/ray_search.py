@@ -202,6 +202,11 @@ def ray_search(
     progress = progress or (lambda fraction: None)
     one_of("ray_search: method", method, METHODS)
     if laser_y_mm is not None:
+        if hasattr(scene.source, "pixels_of"):
+            raise InputError(
+                "ray_search: laser_y_mm is of a laser, and the source is a projector; give"
+                " projector_pixel"
+            )
         s, t = _on_line(laser_y_mm)
     elif projector_pixel is not None:
         s, t = _of_pixels(scene, projector_pixel)

@@ -3,8 +3,10 @@
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from virtual_sensor.arrays import numbers_of
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_families import RayFamily
 
 Array = NDArray[np.float64]
@@ -26,3 +28,21 @@ class Source(Protocol):
     def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
         """Mask of the coordinates with light that counts, or near it; NaN has none."""
         ...
+
+
+def first_coordinate(asker: str, source: Any, given: ArrayLike | None) -> Array:
+    """First coordinates s of rays, as given: by default 0, the middle of a laser's sheet.
+
+    Raises
+    ------
+    InputError
+        If they are no numbers; or left out of a projector, whose light is everywhere.
+    """
+    if given is not None:
+        return numbers_of(f"{asker}: coordinate", given)
+    if hasattr(source, "pixels_of"):
+        raise InputError(
+            f"{asker}: the source is a projector; give the coordinate s of the ray that each pixel"
+            " sees, or give decoded fringes to vs.reconstruct"
+        )
+    return np.asarray(0.0)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_within
 from virtual_sensor.calls import public
+from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import lit_pixels
 from virtual_sensor.imaging.scene import Scene
@@ -58,10 +59,15 @@ def lines_by_source(
     Raises
     ------
     InputError
-        If the scene has several cameras and none is named, the image is not of its size, or as
-        `line_centres` does.
+        If the scene has several cameras and none is named, or a projector, the image is not of its
+        size, or as `line_centres` does.
     """
     seen = scene_of("lines_by_source", scene).only(camera=camera)
+    if projectors := [n for n, each in seen.sources.items() if isinstance(each, Projector)]:
+        raise InputError(
+            f"lines_by_source: {', '.join(projectors)} lights a surface, and lines on it are not"
+            " told from it; give a scene with laser lines alone, or decode fringes"
+        )
     number_within("lines_by_source: margin_px", margin_px, 0.0, 1e3, "px, 0 or more")
     (width, height), shape = seen.camera.size, checked_image(image).shape
     if shape != (height, width):
