@@ -47,8 +47,8 @@ def test_blocks_are_as_sure_as_they_say_whatever_orders_are_wrong():
     assert 200 < len(found.pixel) <= 300
     assert not ((found.pixel < [60, 76]).all(axis=1)).any()
     assert 0.85 < (error / found.sigma_px).std() < 1.15
-    assert found.sigma_px.max() < SIGMA_PX / 3
-    np.testing.assert_allclose(found.slopes[:, 0, 0], 0.47, atol=0.02)
+    assert found.sigma_px.max() < SIGMA_PX / 2
+    np.testing.assert_allclose(found.slopes[:, 0, 0], 0.47, atol=0.04)
 
 
 def test_a_depth_edge_makes_no_block():

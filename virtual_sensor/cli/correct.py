@@ -12,6 +12,7 @@ EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor correct measured/\n\n"
     "    virtual-sensor correct pose_0/ pose_30/ --estimate scale,width -o both\n\n"
+    "    virtual-sensor correct fringes/ --estimate scale,width -o surface\n\n"
     "    virtual-sensor correct burst/ --medium steady.nc --estimate lean,width -o still\n\n"
     "    virtual-sensor correct line.csv --scene hot_cylinder -D beta=15 --medium air.nc\n\n"
     "    virtual-sensor correct line_0.csv line_30.csv:beta=30 --scene hot_cylinder"
@@ -26,8 +27,9 @@ def correct(
         list[str],
         typer.Argument(
             metavar="MEASURED...",
-            help="Folders of `measure` or `burst`, tables of line centres (CSV), or images; with"
-            " parameters of the scene for one alone behind a colon: line.csv:beta=30.",
+            help="Folders of `measure`, `fringes`, `fringes decode` or `burst`, tables of line"
+            " centres (CSV), or images; with parameters of the scene for one alone behind a colon:"
+            " line.csv:beta=30.",
         ),
     ],
     scene: Annotated[
@@ -86,7 +88,7 @@ def correct(
         Path | None,
         typer.Option(
             help="Of the sensor, in the scene's world: OpenCV's or ROS's YAML, XML or JSON with a"
-            " laser_plane; by default the scene's own sensor."
+            " laser_plane, or of camera and projector; by default the scene's own sensor."
         ),
     ] = None,
     sigma: Annotated[
@@ -104,6 +106,7 @@ def correct(
     """Correct points that were measured through hot air: give the air, or have it estimated.
 
     Two poses of the sensor make the air visible: measure at both, and give both with --estimate.
+    Fringes along both axes show it by their epipolar residual, whatever the shape.
 
     Exit status 3: there are results, but no line centre is given; the statuses say why.
     """

@@ -19,6 +19,12 @@ from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import unit_of, write_ply
+from virtual_sensor.reporting.corrected_surfaces import (
+    LAYERS,
+    surface_panels,
+    surface_table,
+    write_surface,
+)
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import (
@@ -74,6 +80,11 @@ FILES = (
         " their property measurement counts the measurements from 1.",
     ),
     FileOf("uncorrected.ply", "The same points as if light ran straight."),
+    FileOf(
+        "surface_*.exr",
+        "Of fringes, all pixels of a surface before and after, by the measurement's name.",
+        LAYERS,
+    ),
     FileOf(AIR, "The air that was estimated: correct --medium and measure -D field= read it."),
 )
 
@@ -100,6 +111,9 @@ def save(
         for name, points in (("corrected", "point_mm"), ("uncorrected", "point_uncorrected_mm")):
             joined = np.concatenate([getattr(each, points) for each in result.measurements])
             write_ply(place / f"{name}.ply", joined, moved, measurement=number)
+        for each in result.measurements:
+            if each.surface is not None:
+                write_surface(place / f"surface_{each.name}.exr", each.surface)
         if result.estimate is not None and result.medium is not None:
             result.medium.write(place / AIR)
         contents: dict[str, Any] = {"points.csv": result.table}
@@ -120,6 +134,8 @@ def save(
 def on_console(result: Correction) -> list[TextTable | str]:
     """What the command prints: how far points were off the part before and after, and the air."""
     shown: list[TextTable | str] = [measurement_table(result.summary)]
+    if surface := surface_table(result.summary.measurements):
+        shown.append(surface)
     if result.circle:
         shown.append(radius_table(result.summary))
     if result.estimate is not None:
@@ -318,6 +334,7 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
             "What was removed",
             *([beside(panels, "distance", "removed", "part")] if panels else []),
             measurement_table(figures),
+            *_of_surfaces(figures, panels),
             *([sway_words(result.sway)] if result.sway else []),
             *missing(figures),
             "The scene's part is as its file has it. Where a part of your own differs from it, so"
@@ -337,6 +354,23 @@ def page(result: Correction, panels: Mapping[str, PanelPicture], command: str) -
         figures.made_with,
         tuple(note for note in figures.notes if note not in figures.caveats),
         figures.caveats,
+    )
+
+
+def _of_surfaces(
+    figures: CorrectionSummary, panels: Mapping[str, PanelPicture]
+) -> Iterator[Content]:
+    """Maps and figures of whole surfaces, where fringes were measured."""
+    table = surface_table(figures.measurements)
+    if table is None:
+        return
+    yield table
+    names = [name for name in panels if name.startswith(("before_", "after_", "epipolar_"))]
+    if names:
+        yield beside(panels, *names)
+    yield (
+        "The points of the other tables and pictures are the middles of blocks of these pixels."
+        " The epipolar residual is what no shape can cause."
     )
 
 
@@ -391,6 +425,7 @@ def picture(result: Correction) -> tuple[Picture, dict[str, PanelPicture]]:
     panels = {"removed": removed_panel(shown), "part": part_panel(shown)}
     if any(each.summary.distance.points for each in shown):
         panels = {"distance": distance_panel(shown)} | panels | {"left": left_panel(shown)}
+    panels = surface_panels(shown) | panels
     if any(each.budget is not None and len(shares(each.budget)) > 1 for each in shown):
         panels |= {"budget": budget_panel(shown)}
     if result.estimates:
@@ -431,7 +466,7 @@ def draw_distances(axes: Axes, measurements: Sequence[Corrected]) -> None:
         axes.plot(y, each.distance_uncorrected_um, **style)
         axes.plot(each.along_mm, each.distance_um, color=after, label=labels[1], **_style(each))
     axes.axhline(0.0, color="0.5", lw=0.8)
-    axes.set(xlabel=ALONG, ylabel="outside (+) or inside the part (−), µm")
+    axes.set(xlabel=_along(measurements), ylabel="outside (+) or inside the part (−), µm")
 
 
 def removed_panel(measurements: Sequence[Corrected]) -> Panel:
@@ -443,16 +478,16 @@ def removed_panel(measurements: Sequence[Corrected]) -> Panel:
             error = -each.moved_um
             alone = len(measurements) == 1
             paints = (colour("y"), colour("z")) if alone else (paint, paint)
-            labels = ("along the line", "towards the laser") if alone else (None, label)
+            labels = ("along the line", "towards the light") if alone else (None, label)
             for number, moved in ((1, error @ along), (0, -error @ away)):
                 style = {"color": paints[1 - number], "label": labels[1 - number]}
                 axes.plot(each.along_mm, moved, **style | _style(each, number))
         axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel=ALONG, ylabel="uncorrected minus corrected, µm")
+        axes.set(xlabel=_along(measurements), ylabel="uncorrected minus corrected, µm")
         key_above(axes)
 
     dashed = "" if len(measurements) == 1 else " (dashed: along the line)"
-    alt = "Uncorrected minus corrected points, along the line and towards the laser."
+    alt = "Uncorrected minus corrected points, along the line and towards the light."
     return Panel(f"What was removed{dashed}", draw, alt, layout=None)
 
 
@@ -464,11 +499,11 @@ def left_panel(measurements: Sequence[Corrected]) -> Panel:
             band = WITHIN_95 * each.budget.total_um
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.distance_um, ".", **dots)
-            if label:
+            if label and not each.part.areal:
                 axes.fill_between(each.along_mm, -band, band, color=paint, alpha=0.15, lw=0)
-            axes.plot(each.along_mm, np.stack([band, -band], axis=1), color=paint, lw=0.8)
+            _draw_band(axes, each, band, paint)
         axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel=ALONG, ylabel="corrected minus part, µm")
+        axes.set(xlabel=_along(measurements), ylabel="corrected minus part, µm")
         if len(measurements) > 1:
             key_above(axes)
 
@@ -480,9 +515,9 @@ def budget_panel(measurements: Sequence[Corrected]) -> Panel:
     """What makes the points uncertain: along the line, or of several measurements their medians."""
 
     def draw(axes: Axes) -> None:
-        if len(measurements) == 1:
+        if len(measurements) == 1 and not measurements[0].part.areal:
             draw_budget(axes, measurements[0].budget, measurements[0].along_mm)
-            axes.set_xlabel(ALONG)
+            axes.set_xlabel(_along(measurements))
         else:
             _budget_bars(axes, measurements)
         key_above(axes)
@@ -567,10 +602,9 @@ def residual_panel(measurements: Sequence[Corrected]) -> Panel:
                 continue
             dots = {"ms": 2.0 if each.points > _FEW else 5.0, "color": paint, "label": label}
             axes.plot(each.along_mm, each.residual_px, ".", **dots)
-            band = np.stack([each.sigma_px, -each.sigma_px], axis=1) * WITHIN_95
-            axes.plot(each.along_mm, band, color=paint, lw=0.8)
+            _draw_band(axes, each, WITHIN_95 * each.sigma_px, paint)
         axes.axhline(0.0, color="0.5", lw=0.8)
-        axes.set(xlabel=ALONG, ylabel="px")
+        axes.set(xlabel=_along(measurements), ylabel="px")
         if len(measurements) > 1:
             key_above(axes)
 
@@ -625,8 +659,23 @@ def _rounded_down(value: float) -> float:
     return float(max(step for step in _STEPS if step * power <= value) * power)
 
 
+def _along(measurements: Sequence[Corrected]) -> str:
+    """What measurements are drawn over."""
+    areal = all(each.part.areal for each in measurements)
+    return "y of the projector, from its middle, in mm" if areal else ALONG
+
+
+def _draw_band(axes: Axes, each: Corrected, half: Array, paint: str) -> None:
+    """Both ends (N,) of an interval about zero."""
+    ends = np.stack([half, -half], axis=1)
+    line = {"ls": "none", "marker": ","} if each.part.areal else {"lw": 0.8}
+    axes.plot(each.along_mm, ends, color="0.4" if each.part.areal else paint, **line)
+
+
 def _style(each: Corrected, number: int = 0) -> dict[str, Any]:
     """How the curve of some number is drawn; few points bear marks, as no line goes through one."""
+    if each.part.areal:  # beside each other in two directions
+        return {"ls": "none", "marker": ".,"[number], "ms": 2.0}
     marks = {"marker": ".", "ms": 5.0} if each.points <= _FEW else {}
     return {"ls": LINES[number]} | marks
 

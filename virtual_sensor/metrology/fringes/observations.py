@@ -34,7 +34,8 @@ LEAST_SIGMA_PX = 1e-3
 """Of a block's pixel, in px of the camera: what else errs is not known to be less."""
 
 _POWERS = tuple((i, j) for i in range(4) for j in range(4 - i))  # of u and v; a constant first
-_LEAST_PX, _MOST_PX = 4, 16  # edge of a block: more of a curved part is no cubic
+_LEAST_PX, _MOST_PX = 4, 16  # edge of a block
+_SHARE = 32  # edges of a block in the image: over more of it a curved part is no cubic
 _ENOUGH = 0.5  # of a block's pixels, that keep to its cubic
 _OUTLIER = 6.0  # robust standard deviations
 _ROUNDING_PX = 1e-9
@@ -156,7 +157,7 @@ def decoded_blocks(decoded: DecodedFringes, blocks: int = MOST_BLOCKS) -> Blocks
     _, height, width = values.shape
     step = max(_LEAST_PX, int(np.ceil(np.sqrt(height * width / blocks))))
     step = min(step, height, width)
-    edge = min(step, _MOST_PX)
+    edge = min(step, max(_LEAST_PX, min(_MOST_PX, max(height, width) // _SHARE)))
     good = np.isfinite(values).all(axis=0) & (decoded.status == FringeStatus.OK)
     first = (step - edge) // 2
     values, noise, good = (each[..., first:, first:] for each in (values, noise, good))

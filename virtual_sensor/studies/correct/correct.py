@@ -47,6 +47,7 @@ from virtual_sensor.studies.correct.correction import (
 )
 from virtual_sensor.studies.correct.measured import Measured
 from virtual_sensor.studies.correct.scene_part import ScenePart
+from virtual_sensor.studies.correct.surface import CorrectedSurface
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -505,6 +506,7 @@ def _corrected(
         points.point_mm,
         budget,
         ScenePart.of(scene),
+        surface=CorrectedSurface.of(scene, measured.fringes) if measured.fringes else None,
     )
 
 

@@ -24,6 +24,7 @@ from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.records import Record, Table, counts_of, status_names
 from virtual_sensor.studies.correct.scene_part import ScenePart
+from virtual_sensor.studies.correct.surface import CorrectedSurface, SurfaceErrors
 from virtual_sensor.studies.provenance import MadeWith, made_with
 from virtual_sensor.studies.section import SectionErrors, section_errors
 
@@ -34,7 +35,7 @@ _PAIRS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), 
 
 @dataclass(frozen=True)
 class CorrectedTable(Table):
-    """Corrected points, a row for each line centre or dot that was given.
+    """Corrected points, a row for each line centre, dot or block of fringes that was given.
 
     Attributes
     ----------
@@ -152,6 +153,8 @@ class Corrected(Displayed):
         That its air comes from.
     whole_budget : ErrorBudget or None
         Of all measurements of the estimate, and of its parameters.
+    surface : CorrectedSurface or None
+        Of fringes, a point for each pixel of the camera.
     """
 
     _statuses: ClassVar = {"centre_status": Status, "status": CrossingStatus}
@@ -169,6 +172,7 @@ class Corrected(Displayed):
     residual_px: Array | None = None
     estimate: AirEstimate | None = None
     whole_budget: ErrorBudget | None = None
+    surface: CorrectedSurface | None = None
 
     def _line(self) -> str:
         moved = f"moved by {rms(euclidean(self.moved_um)):.3g} µm rms"
@@ -251,6 +255,7 @@ class Corrected(Displayed):
             distance_uncorrected=section_errors(self.part, self.point_uncorrected_mm),
             centre_status=counts_of(self.centre_status, Status),
             status=counts_of(self.status, CrossingStatus),
+            surface=self.surface.errors if self.surface else None,
         )
 
 
@@ -274,6 +279,8 @@ class CorrectedSummary(Record):
         Of corrected and uncorrected points from the scene's part.
     centre_status, status : dict
         How many centres, and corrected points, have each status.
+    surface : SurfaceErrors or None
+        Of fringes, all pixels of the camera; points are the middles of blocks of them.
     """
 
     scene: str
@@ -286,6 +293,7 @@ class CorrectedSummary(Record):
     distance_uncorrected: SectionErrors
     centre_status: dict[str, int]
     status: dict[str, int]
+    surface: SurfaceErrors | None = None
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ What is given              What is taken of it
 =========================  =======================================================================
 folder of `measure`        hot line centres, or dots; the scene and its parameters, as it says;
                            of several cameras or lasers each pair
+folder of `fringes`        hot decoded fringes, in blocks of pixels; the scene, as it says
+folder of `fringes         the same of a sequence of one's own; the scene is said by --scene
+decode`, or its .exr
 folder of `burst`          the line centres of each frame; the scene at that instant
 CSV of `measure`, `detect`  pixels, their sigma and status; the scene is said by --scene
 other CSV                  columns u, v (or x, y; column, row), sigma where there is one; without a
@@ -27,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
+from virtual_sensor.devices.calibration_files import read_camera_and_projector
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import RESULTS_SIGN, exists, readable
@@ -40,12 +44,19 @@ from virtual_sensor.imaging.scene import (
 )
 from virtual_sensor.metrology.calibration import Calibration, read_calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.fringes.decoded import DecodedFringes
+from virtual_sensor.metrology.fringes.observations import fringe_observation
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.observations import SIGMA_PX
+from virtual_sensor.metrology.range_image import reconstruct
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.poses import Pose
+from virtual_sensor.studies.fringes.decoded_files import holds_decoded, read_decoded
 
 Array = NDArray[np.float64]
+
+DECODED = "decoded.exr"
+"""What `fringes decode` writes."""
 
 LEAST_SIGMA_PX = 1e-3
 """Of a centre in a rendered frame without noise, whose detector knows of no other error."""
@@ -89,7 +100,7 @@ class Measured(Displayed):
     coordinate : ndarray of shape (N,) or float
         First coordinate s of the light: 0 of a laser line.
     fringes : DecodedFringes or None
-        Of which the pixels are the middles of blocks.
+        Of the whole image, where the pixels are the middles of its blocks.
     one_of_many : bool
         Whether it is a frame of a burst, whose air is another in each.
     notes : tuple of str
@@ -103,7 +114,7 @@ class Measured(Displayed):
     centre_status: NDArray[np.uint8]
     along_mm: Array | None = None
     coordinate: Array | float = 0.0
-    fringes: Any = None
+    fringes: DecodedFringes | None = None
     one_of_many: bool = False
     notes: tuple[str, ...] = ()
 
@@ -164,7 +175,8 @@ class Scenes:
         key = path, tuple(sorted(given.items())), camera, source
         if key not in self.loaded:
             self.loaded[key] = load_scene(path, **given).only(camera, source)
-            _ = self.loaded[key].sensor  # of one camera and one source, or it says which to choose
+            # Of one camera and one source, or they say which to choose.
+            _ = self.loaded[key].camera, self.loaded[key].source
         return self.loaded[key]
 
 
@@ -233,8 +245,13 @@ def read_measured(
     if not found:
         raise InputError("nothing is given to correct; name a folder of `measure`, say")
     if calibration is not None:
-        of_sensor = read_calibration(calibration)
-        found = [calibrated(each, of_sensor) for each in found]
+        of_laser = None if all(each.fringes for each in found) else read_calibration(calibration)
+        found = [
+            calibrated(each, of_laser)
+            if of_laser and each.fringes is None
+            else fringes_calibrated(each, calibration)
+            for each in found
+        ]
     if sigma_px is not None:
         number_within("--sigma", sigma_px, SMALLEST, LARGEST, "a positive number of px")
     return [_with_sigma(each, sigma_px) for each in _with_names(found)]
@@ -256,6 +273,8 @@ def _read(path: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Measured]
     """The measurements of one path."""
     if path.is_dir():
         yield from _of_folder(path, own, scenes)
+    elif path.suffix.lower() == ".exr" and holds_decoded(path):
+        yield of_fringes(path.stem, scenes.of(path, own), read_decoded(path))
     elif path.suffix.lower() in ENDINGS:
         yield _of_image(path, scenes.of(path, own))
     elif path.suffix.lower() in _TABLES:
@@ -275,6 +294,11 @@ def _of_folder(folder: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Me
     if "pairs" in facts:
         for name in facts["pairs"]:
             yield from _of_folder(folder / name, own, scenes)
+    elif "codec" in facts:
+        yield _of_fringes(folder, facts, scenes.of_results(folder, facts, own))
+    elif exists(folder / DECODED):
+        scene = scenes.of(folder / DECODED, own)
+        yield of_fringes(folder.name, scene, read_decoded(folder / DECODED))
     elif "states" in facts:
         state = "hot" if "hot" in facts["states"] else "cold"
         dots = folder / f"dots_{state}.csv"
@@ -293,9 +317,43 @@ def _of_folder(folder: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Me
             yield _of_columns(table, read_centres(table), scene)
     else:
         raise InputError(
-            f"{folder}: holds results of another kind; give a folder of `measure`, `burst` or"
-            " `detect`"
+            f"{folder}: holds results of another kind; give a folder of `measure`, `fringes`,"
+            " `burst` or `detect`"
         )
+
+
+def _of_fringes(folder: Path, facts: Mapping[str, Any], scene: Scene) -> Measured:
+    """Decoded fringes: of the hot part, where it was measured hot."""
+    state = "hot" if "hot" in facts["states"] else "cold"
+    cold = f"{folder}: was measured only cold; its fringes are taken as seen through the air"
+    with naming(folder):
+        measured = of_fringes(folder.name, scene, read_decoded(folder / f"{state}.exr"))
+    notes = (cold,) if state == "cold" and scene.medium else ()
+    return replace(measured, notes=notes)
+
+
+def of_fringes(name: str, scene: Scene, decoded: DecodedFringes) -> Measured:
+    """Decoded fringes as what was measured in a scene: a pixel for each block.
+
+    Raises
+    ------
+    InputError
+        If they are of another camera or projector, or nothing is decoded.
+    """
+    seen = fringe_observation(scene, decoded)
+    count = len(seen.pixel)
+    normal = seen.normal_deg if seen.normal_deg is not None else np.full(count, np.nan)
+    return Measured(
+        name,
+        scene,
+        seen.pixel,
+        seen.sigma_px,
+        normal,
+        np.full(count, Status.OK, np.uint8),
+        seen.along_mm,
+        seen.coordinate,
+        decoded,
+    )
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -340,7 +398,7 @@ def _of_image(path: Path, scene: Scene) -> Measured:
 
 
 def _check_size(path: Path, size: tuple[int, ...], scene: Scene) -> None:
-    width, height = scene.sensor.camera.size
+    width, height = scene.camera.size
     if tuple(size) != (width, height):
         raise InputError(
             f"{path}: is of {size[0]} x {size[1]} px, but the camera of {scene.path} has {width} x"
@@ -349,6 +407,7 @@ def _check_size(path: Path, size: tuple[int, ...], scene: Scene) -> None:
 
 
 def _of_line(name: str, line: LineCentres, scene: Scene) -> Measured:
+    _ = scene.laser  # or it says what to do
     return Measured(
         name,
         scene,
@@ -361,10 +420,11 @@ def _of_line(name: str, line: LineCentres, scene: Scene) -> Measured:
 
 def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -> Measured:
     """Centres as a table has them."""
+    _ = scene.laser  # or it says what to do
     pixel = np.stack([columns["u"], columns["v"]], axis=1)
     status = _statuses(path, columns.get("status"), pixel)
     pixel[status != Status.OK] = np.nan
-    width, height = scene.sensor.camera.size
+    width, height = scene.camera.size
     beside = np.abs(pixel - [(width - 1) / 2, (height - 1) / 2]) > [width / 2, height / 2]
     if (far := beside.any(axis=1)).any():
         u, v = pixel[far][0]
@@ -541,6 +601,52 @@ def calibrated(measured: Measured, calibration: Calibration) -> Measured:
     return replace(
         measured, scene=same, notes=measured.notes + (notes if apart_mm > _NOTED_MM else ())
     )
+
+
+def fringes_calibrated(measured: Measured, path: Path) -> Measured:
+    """Decoded fringes, seen by a calibration's camera, in the light of its projector.
+
+    The calibration's camera is put where the scene's stands, and the projector beside it.
+
+    Raises
+    ------
+    InputError
+        If it can't be read, or is of another sensor.
+    """
+    scene, decoded = measured.scene, measured.fringes
+    assert decoded is not None
+    camera, projector, _ = read_camera_and_projector(path, scene.camera.size, scene.projector.size)
+    here, there = camera.pose, scene.camera.pose
+    turn = there.rotation @ here.rotation.T
+    motion = Pose(turn, there.origin_mm - turn @ here.origin_mm)
+    camera, projector = (each.with_pose(each.pose.moved(motion)) for each in (camera, projector))
+    for name, mine, theirs in (
+        ("camera", camera, scene.camera),
+        ("projector", projector, scene.projector),
+    ):
+        if tuple(mine.size) != tuple(theirs.size):
+            raise InputError(
+                f"{measured.name}: the calibration's {name} has {mine.size[0]} x {mine.size[1]} px,"
+                f" and that of {scene.path} {theirs.size[0]} x {theirs.size[1]}; give the scene of"
+                " this sensor (--scene, -D)"
+            )
+    same = replace(
+        scene,
+        cameras={scene.camera_name: camera},
+        sources={scene.source_name: replace(scene.projector, family=projector)},
+    )
+    apart = reconstruct(same, decoded).point_mm - reconstruct(scene, decoded).point_mm
+    apart_mm = float(np.nanmax(np.linalg.norm(apart, axis=-1), initial=0.0))
+    if apart_mm > _SAME_SENSOR_MM:
+        raise InputError(
+            f"{measured.name}: the sensor of {scene.path} is not the calibration's: its points lie"
+            f" up to {apart_mm:.3g} mm beside those of the calibration; give the scene in which"
+            " this sensor stands (-D, --scene)"
+        )
+    note = f"{measured.name}: the calibration's points lie up to {apart_mm:.3g} mm beside those of"
+    notes = (f"{note} the scene's own sensor; the calibration's are taken",)
+    again = of_fringes(measured.name, same, decoded)
+    return replace(again, notes=measured.notes + (notes if apart_mm > _NOTED_MM else ()))
 
 
 def _with_names(found: list[Measured]) -> list[Measured]:

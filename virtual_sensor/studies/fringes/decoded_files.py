@@ -79,6 +79,14 @@ def write_decoded(
 _NO_IMAGES = ("size_px", "absolute", "wrong_orders", "noise", "notes")
 
 
+def holds_decoded(path: Path) -> bool:
+    """Whether a file is one of decoded fringes."""
+    try:
+        return _FACTS in OpenEXR.File(str(readable(path)), header_only=True).header()
+    except (InputError, RuntimeError, KeyError):
+        return False
+
+
 def read_decoded(path: Path) -> DecodedFringes:
     """Read what `write_decoded` wrote.
 
