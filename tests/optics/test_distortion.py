@@ -8,6 +8,7 @@ import pytest
 from artificial import paper_sensor
 
 from virtual_sensor.metrology.triangulation import triangulate
+from virtual_sensor.optics import epipolar
 
 COEFFICIENTS = {
     "four": [-0.3, 0.5, 1e-3, -2e-3],
@@ -96,3 +97,25 @@ def test_points_are_measured_through_a_tilted_sensor():
     points = start + 299.0 * direction
     measured = triangulate(sensor, sensor.camera.project(points))
     np.testing.assert_allclose(measured, points, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", COEFFICIENTS)
+def test_millions_of_pixels_are_undone_as_one_is(name, monkeypatch):
+    """By the formula in Dr.Jit: beside the image, and where there is nothing, as one by one."""
+    monkeypatch.setattr(epipolar, "_MANY", 10)
+    seeing = camera(COEFFICIENTS[name])
+    pixel = np.random.default_rng(2).uniform(-300.0, np.array(seeing.size) + 300.0, (200, 2))
+    pixel[3] = np.nan
+    expected = np.stack(seeing.of_pixels(pixel), axis=1)
+    found = epipolar.coordinates_of(seeing, pixel)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert np.isfinite(found).all(axis=1).sum() == 199
+
+
+def test_a_lens_that_folds_is_undone_one_by_one(monkeypatch):
+    monkeypatch.setattr(epipolar, "_MANY", 10)
+    folded = camera([-80.0, 0.0, 0.0, 0.0])
+    pixel = np.random.default_rng(2).uniform(-0.5, np.array(folded.size) - 0.5, (100, 2))
+    found = epipolar.coordinates_of(folded, pixel)
+    np.testing.assert_array_equal(found, np.stack(folded.of_pixels(pixel), axis=1))
+    assert 0 < np.isnan(found[:, 0]).sum() < 100

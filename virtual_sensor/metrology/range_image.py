@@ -31,7 +31,6 @@ USES = ("column", "row", "both")
 """Which of the projector's coordinates give the points."""
 
 _SHARE = 1 << 16  # points at once: they stay in the processor's cache
-_NODES_PX = 16  # apart: between these, lines of sight through a lens are interpolated
 
 
 @public
@@ -239,7 +238,8 @@ def _image(
     for axis in axes:
         known &= np.isfinite(getattr(decoded, axis))
     index = np.flatnonzero(known)
-    sight = _sights(camera, index)
+    row, column = np.divmod(index, width)
+    sight = coordinates_of(camera, np.stack([column, row], axis=1).astype(float))
     pixel, sigma = (_pairs(decoded, names, index) for names in (_VALUES, _SIGMAS))
     weight = np.stack([np.full(len(index), float(axis in axes)) for axis in _VALUES], axis=1)
     if use == "both":
@@ -285,24 +285,3 @@ def _pairs(decoded: Any, names: tuple[str, str], index: NDArray[np.intp]) -> Arr
         if values is not None:
             pairs[:, column] = values.ravel()[index]
     return pairs
-
-
-def _sights(camera: Pinhole, index: NDArray[np.intp]) -> Array:
-    """Coordinates (N, 2) of the lines of sight of pixels, by their numbers row by row.
-
-    Through a lens that distorts they are interpolated between nodes, to 1e-9 px: to undo its
-    distortion for each pixel takes seconds.
-    """
-    from virtual_sensor.optics.epipolar import coordinates_of
-
-    width, height = camera.size
-    u, v = (np.linspace(0.0, n - 1.0, max(n // _NODES_PX, 6)) for n in (width, height))
-    nodes = camera.of_pixels(np.stack(np.meshgrid(u, v), axis=-1))
-    if not camera.distorts or not np.isfinite(nodes).all():  # a lens shows nothing beyond a fold
-        row, column = np.divmod(index, width)
-        return coordinates_of(camera, np.stack([column, row], axis=1).astype(float))
-    from scipy.interpolate import RectBivariateSpline
-
-    splines = (RectBivariateSpline(v, u, values, kx=5, ky=5) for values in nodes)
-    whole = (spline(np.arange(height), np.arange(width)) for spline in splines)
-    return np.stack([values.ravel()[index] for values in whole], axis=1)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import number_for
+from virtual_sensor.arrays import number_for, solved, where
 
 _COUNT = 14
+_MOST_STEPS, _STEP, _SOLVED = 6, 1e-6, 1e-12  # of Newton's method, and for its derivatives
 
 
 def distorted(x: Any, y: Any, coefficients: NDArray[np.float64]) -> tuple[Any, Any]:
@@ -47,6 +48,29 @@ def distorted(x: Any, y: Any, coefficients: NDArray[np.float64]) -> tuple[Any, A
         for row in rows
     )
     return a / c, b / c
+
+
+def undistorted(x: Any, y: Any, coefficients: NDArray[np.float64]) -> tuple[Any, Any]:
+    """Coordinates x/z and y/z of the light that a lens puts at places: `distorted` undone.
+
+    By Newton's method, to 1e-12; NaN where it does not get there.  Beyond a fold of the image it
+    may find other light than the lens shows: `PixelFamily.undistorted` looks for that, one by one.
+    """
+    if not np.any(coefficients):
+        return x, y
+    step = number_for(x, _STEP)
+    s, t = x, y
+    for _ in range(_MOST_STEPS):
+        at_s, at_t = distorted(s, t, coefficients)
+        beside, below = distorted(s + step, t, coefficients), distorted(s, t + step, coefficients)
+        by_s, by_t = (
+            [(b - a) / step for a, b in zip((at_s, at_t), v, strict=True)] for v in (beside, below)
+        )
+        more_s, more_t = solved((by_s[0], by_t[0], by_s[1], by_t[1]), x - at_s, y - at_t)
+        s, t = s + more_s, t + more_t
+    at_s, at_t = distorted(s, t, coefficients)
+    near = (abs(at_s - x) < _SOLVED) & (abs(at_t - y) < _SOLVED)
+    return where(near, s, math.nan), where(near, t, math.nan)
 
 
 def _tilt(tau_x: float, tau_y: float) -> NDArray[np.float64]:

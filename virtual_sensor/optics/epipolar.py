@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_for, points_of, sqrt
+from virtual_sensor.arrays import in_own_memory, number_for, points_of, sqrt
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.optics.distortion import undistorted
 from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, RayFamily
 
 Array = NDArray[np.float64]
 
 _SHARE = 1 << 16  # pixels: so many at once stay in the processor's cache
+_MANY, _NODES = 20_000, 33  # pixels that are worth a kernel; and where a lens is tried, each way
 
 
 @public
@@ -73,6 +75,8 @@ def epipolar_residual(
 def coordinates_of(family: PixelFamily, pixel: Array) -> Array:
     """Coordinates (N, 2) of the rays of pixels (N, 2): `of_pixels` of millions, quickly."""
     rays = np.empty(pixel.shape)
+    if family.distorts and len(pixel) >= _MANY and _unfolded(family):
+        return _by_formula(family, pixel)
     a, b, c, d, e, f = np.linalg.inv(family.matrix)[:2].ravel()
     for some in shares(len(pixel)):
         if family.distorts:
@@ -80,6 +84,28 @@ def coordinates_of(family: PixelFamily, pixel: Array) -> Array:
         else:  # without a matrix product, which waits for threads
             u, v = pixel[some].T
             rays[some, 0], rays[some, 1] = a * u + b * v + c, d * u + e * v + f
+    return rays
+
+
+def _unfolded(family: PixelFamily) -> bool:
+    """Whether a lens that OpenCV's formula describes shows one thing at each place of its image."""
+    ends = np.array(family.size) - 0.5
+    nodes = np.stack(np.meshgrid(*(np.linspace(-0.5, end, _NODES) for end in ends)), axis=-1)
+    return not family.fisheye and bool(np.isfinite(family.of_pixels(nodes)).all())
+
+
+def _by_formula(family: PixelFamily, pixel: Array) -> Array:
+    """The same in Dr.Jit; one by one beside the image, where it may fold."""
+    from virtual_sensor.engine import mi
+
+    a, b, c, d, e, f = np.linalg.inv(family.matrix)[:2].ravel()
+    u, v = (in_own_memory(column, mi.Float64) for column in pixel.T)
+    rays = np.empty(pixel.shape)
+    a, b, c, d, e, f = (number_for(u, float(k)) for k in (a, b, c, d, e, f))
+    s, t = undistorted(a * u + b * v + c, d * u + e * v + f, family.distortion)
+    rays[:, 0], rays[:, 1] = np.array(s), np.array(t)
+    beside = np.flatnonzero(~family.inside(pixel) & np.isfinite(pixel).all(axis=1))
+    rays[beside] = np.stack(family.of_pixels(pixel[beside]), axis=1)
     return rays
 
 

@@ -36,7 +36,7 @@ from virtual_sensor.statuses import StatusEnum
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_LONG_MM = 2.0  # steps of the marches to a pixel's corners: 2e-3 px off on the shipped fields
+_LONG = replace(REFERENCE, step_mm=2.0)  # where 2e-3 px do, as on the shipped fields
 _CORNERS = np.array([[-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5]])  # opposite ones in pairs
 
 _EDGE = 0.1  # of a pixel's extent in the projector's image: what lies smoothly bends by less
@@ -155,7 +155,7 @@ def projector_pixels(
     point = seen_points(seen, np.where(known[:, None], pixel, np.nan), march)
     met: Mask = np.isfinite(point[:, 0])
     found = marched_pixels(lit, point, march)
-    shadowed = _shadowed(lit, point, found, march)
+    shadowed = _shadowed(lit, point, found)
     reasons = {
         ProjectorPixelStatus.NO_PIXEL: ~known,
         ProjectorPixelStatus.MISSED: ~met,
@@ -170,10 +170,10 @@ def projector_pixels(
     return ProjectorPixels(np.where(used[:, None], found, np.nan), point, status.astype(np.uint8))
 
 
-def _shadowed(lit: SearchScene, point: Array, projector_pixel: Array, march: March) -> Mask:
+def _shadowed(lit: SearchScene, point: Array, projector_pixel: Array) -> Mask:
     """Which points (N, 3) the projector's rays to them don't reach: something stands before."""
     axis = lit.camera.pose.rotation[:, 2]
-    before_mm: Array = (point - seen_points(lit, projector_pixel, march)) @ axis
+    before_mm: Array = (point - seen_points(lit, projector_pixel, _LONG)) @ axis
     return np.asarray(before_mm > CLEARANCE_MM)
 
 
@@ -182,13 +182,12 @@ def _edges(seen: SearchScene, lit: SearchScene, pixel: Array, found: Array) -> M
 
     By the pixels' corners; the projector's light is taken as bent there as in the middle.
     """
-    long = replace(REFERENCE, step_mm=_LONG_MM)
     around = (pixel + _CORNERS[:, None]).reshape(-1, 2)
-    point = seen_points(seen, around, long)
-    centre = lit.camera.project(seen_points(seen, pixel, long))
+    point = seen_points(seen, around, _LONG)
+    centre = lit.camera.project(seen_points(seen, pixel, _LONG))
     bent = np.tile(found - centre, (4, 1))
     corner = lit.camera.project(point) + bent
-    shadowed = _shadowed(lit, point, corner, long) | ~lit.camera.inside(corner)
+    shadowed = _shadowed(lit, point, corner) | ~lit.camera.inside(corner)
     corner[shadowed] = np.nan
     one, two, three, four = corner.reshape(4, -1, 2)
     extent = np.maximum(np.abs(two - one), np.abs(four - three)).max(axis=1)

@@ -49,6 +49,7 @@ _LINEAR = 1e-6  # of the depth: steps for slopes
 _PARALLEL_PX = 1e-3  # by so little the projector's pixel tells no depth, as the depth doubles
 _LANES, _FEW = 1 << 20, 1 << 17  # pixels at once: memory stays bounded
 _ROOM_MM = 3.0  # that bent points may lie deeper or nearer than straight ones
+_ROOM = 1.5  # times how far lines of sight are seen to be moved
 _BESIDE = 0.05  # images that a ray may lie beside the projector's
 _DEPTHS = 1.5  # by this factor the projector's depths may differ from their median
 _SAMPLE = 4096  # points that are asked first whether the air covers their light
@@ -342,22 +343,27 @@ def _bent(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _
     if not rows.size:
         return found
     some = rows[:: max(1, rows.size // _SAMPLE)]
-    nearer = camera.pose.to_world(
-        np.column_stack([task.sight[some], np.ones(some.size)])
-        * (straight.depth[some, None] - _ROOM_MM)
-    )
-    rooms = np.array([0.0, 0.0, _ROOM_MM]), np.abs(projector.coordinates(nearer) - lit[some]).max(0)
-    boxes = [
-        np.stack([each[rows].min(axis=0) - room, each[rows].max(axis=0) + room])
-        for each, room in zip((seen, lit), rooms, strict=True)
-    ]
+    room = np.array([0.0, 0.0, _ROOM_MM])
     try:
-        sight = covering_map(field, camera, boxes[0], tolerance_mm)
-        light = covering_inverse_map(field, projector, boxes[1], tolerance_mm)
+        sight = covering_map(field, camera, _box(seen[rows], room), tolerance_mm)
+        # Bent points lie beside straight ones by what bends their lines of sight, and deeper.
+        beside_mm = _ROOM * np.abs(sight.table.at(seen[some], 2)).max()
+        nearer = np.column_stack([task.sight[some], np.ones(some.size)])
+        nearer *= straight.depth[some, None] - _ROOM_MM
+        around = [camera.pose.to_world(nearer)]
+        around += [straight.point[some] + beside_mm * axis for axis in camera.pose.rotation.T[:2]]
+        rooms = (np.abs(projector.coordinates(each) - lit[some]).max(axis=0) for each in around)
+        room = np.sum([*rooms], axis=0)
+        light = covering_inverse_map(field, projector, _box(lit[rows], room), tolerance_mm)
         found.put(rows, task.of(rows).solved(straight.depth[rows], sight, light))
     except NoMapError:
         found.put(rows, _one_by_one(field, task.of(rows), straight.of(rows), tolerance_px))
     return found
+
+
+def _box(places: Array, room: Array) -> Array:
+    """Lowest and highest places (2, 3), with room."""
+    return np.stack([places.min(axis=0) - room, places.max(axis=0) + room])
 
 
 def _one_by_one(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _Found:
