@@ -258,3 +258,14 @@ def test_a_projector_is_drawn_with_all_its_light_and_patterns_as_they_are_thrown
     assert drawn.get_array().shape == (800, 1280)
     assert drawn.get_extent() == [-0.5, 1279.5, 799.5, -0.5]
     assert drawn.get_array()[49].max() < 0.01  # half a period from the upper border
+
+
+def test_a_camera_with_its_projector_is_drawn_where_both_look_and_written_as_its_file(tmp_path):
+    scene = vs.load_scene("fringe_cylinder", width=64, height=64)
+    both = vs.FringeCalibration(scene.camera, scene.projector.family, np.zeros((0, 0)))
+    axes = both.plot(Figure().add_subplot())
+    assert {"camera", "projector"} <= {text.get_text() for text in axes.texts}
+    far = [p.get_xy() for p in axes.patches]
+    assert min(xy[:, 1].min() for xy in far) == pytest.approx(-15.0, abs=5.0)  # at the part
+    again = vs.FringeCalibration.read(both.save(tmp_path / "system.yaml"))
+    np.testing.assert_allclose(again.projector.matrix, scene.projector.family.matrix)

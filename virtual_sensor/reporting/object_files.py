@@ -317,6 +317,10 @@ def _write_calibration(path: Path, calibration: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def _write_fringe_calibration(path: Path, calibration: Any) -> None:
+    calibration.write(path)
+
+
 def _write_scene(path: Path, scene: Any) -> None:
     write_json(path, {"notes": scene.notes, **_tree(scene)})
 
@@ -338,6 +342,9 @@ _OWN: dict[str, dict[str, Writer]] = {
     "medium.index_field.IndexField": {".nc": _write_field},
     "metrology.calibration.Calibration": dict.fromkeys(
         (".yaml", ".yml", ".xml", ".json"), _write_calibration
+    ),
+    "metrology.fringes.calibration.FringeCalibration": dict.fromkeys(
+        (".yaml", ".yml", ".xml", ".json"), _write_fringe_calibration
     ),
     "imaging.scene.Scene": {".json": _write_scene},
     "metrology.range_image.RangeImage": {".ply": _write_range_image},
