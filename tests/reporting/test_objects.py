@@ -269,3 +269,20 @@ def test_a_camera_with_its_projector_is_drawn_where_both_look_and_written_as_its
     assert min(xy[:, 1].min() for xy in far) == pytest.approx(-15.0, abs=5.0)  # at the part
     again = vs.FringeCalibration.read(both.save(tmp_path / "system.yaml"))
     np.testing.assert_allclose(again.projector.matrix, scene.projector.family.matrix)
+
+
+def test_a_sequence_is_drawn_frame_by_frame_and_points_as_a_map():
+    scene = vs.load_scene("fringe_cylinder", width=64, height=64, spp=1, pixels=False)
+    codec = vs.PhaseShift(periods_px=(64, 1280))
+    frames = vs.render_sequence(scene, codec.patterns)
+    axes = frames.plot(Figure().add_subplot())
+    names = [text.get_text() for text in axes.texts]
+    assert len(names) == 16
+    assert names[1] == "sine u 64 1.57"
+    found = vs.reconstruct(scene, codec.decode(frames.radiance))
+    for thing in (codec.decode(frames.radiance), found):
+        axes = thing.plot(Figure().add_subplot())
+        assert len(axes.figure.axes) == 2  # with a bar
+        left, _, bottom, top = axes.images[0].get_extent()
+        assert (left + 0.5) % 1.0 == (top + 0.5) % 1.0 == 0.0
+        assert bottom > top

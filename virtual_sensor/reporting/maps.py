@@ -35,6 +35,7 @@ _MOST_PX = 600  # of a map along a side
 _MOST_VALUES = 1 << 18  # of which a scale is found
 _MARGIN = 0.03  # about what is known, of its size
 _LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
+_BESIDE_BAR = 0.87  # of the width of axes, where the bar's words need the rest
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THUMB_PX = 150
 _LABEL_PX = 0.16  # strip above a thumbnail, of its height
@@ -177,7 +178,13 @@ def draw_map(
     scale = scale if isinstance(scale, Scale) else scale_of(scale, values[window])
     colours = colormaps[_COLOURS[scale.kind]].with_extremes(bad=NO_VALUE)
     drawn = _draw(axes, values, window, cmap=colours, norm=Normalize(scale.low, scale.high))
-    place: dict[str, Any] = {"cax": bar} if bar else {"ax": axes, "shrink": 0.92, "aspect": 24}
+    place: dict[str, Any] = {"cax": bar}
+    if bar is None:
+        place = {"ax": axes, "shrink": 0.92, "aspect": 24}
+        if axes.get_figure(root=True).get_layout_engine() is None:  # which makes room for words
+            left, low, wide, high = axes.get_position(original=True).bounds
+            axes.set_position((left, low, _BESIDE_BAR * wide, high))
+            place |= {"use_gridspec": False}
     key = axes.figure.colorbar(drawn, extend=scale.beyond, **place)
     key.outline.set_linewidth(0.5)
     power = _power(scale)

@@ -5,6 +5,7 @@ A drawing is found by its class's name, so that nobody imports what they don't u
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -24,7 +25,7 @@ from virtual_sensor.display import names_of
 from virtual_sensor.errors import InputError, a
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import unit_of
-from virtual_sensor.reporting.maps import draw_map
+from virtual_sensor.reporting.maps import draw_frames, draw_map, window_of
 from virtual_sensor.reporting.pictures import coarser, from_side, side_of
 from virtual_sensor.reporting.style import (
     ALONG,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:  # what they are, not what is imported
     from virtual_sensor.devices.projector import Projector
     from virtual_sensor.imaging.camera_noise import CameraNoise
     from virtual_sensor.imaging.render import Frame
+    from virtual_sensor.imaging.sequence import PatternFrames
     from virtual_sensor.medium.index_field import IndexField
     from virtual_sensor.metrology.centres import LineCentres
     from virtual_sensor.metrology.cylinder_fit import CylinderFit
@@ -62,6 +64,7 @@ Draw = Callable[[Axes, Any], object]
 _U, _V = "u in px", "v in px"
 _DRAWINGS: dict[str, Draw] = {}
 _USUAL_PX = 1280, 800  # of a projector
+_DECIMALS = re.compile(r"(\.\d\d)\d+")
 _BESIDE_IN = 2.0  # of axes: their numbers, and a colour bar
 _MOST_PX = 600  # of an image along a side
 _MOST_DOTS = 20_000  # points that are drawn
@@ -273,6 +276,13 @@ def _pattern(axes: Axes, pattern: Pattern) -> None:
     _whole(axes, pattern.image(_USUAL_PX) if values is None else values)
 
 
+@draws("imaging.sequence.PatternFrames")
+def _pattern_frames(axes: Axes, frames: PatternFrames) -> None:
+    """All frames, small."""
+    names = [_DECIMALS.sub(r"\1", drawable(each.text)) for each in frames.patterns]
+    draw_frames(axes, frames.radiance, names, window_of(frames.projector_pixel[..., 0]))
+
+
 @draws("metrology.fringes.decoded.DecodedFringes")
 def _decoded(axes: Axes, decoded: DecodedFringes) -> None:
     """The column of the projector, or its row where there is none."""
@@ -283,7 +293,7 @@ def _decoded(axes: Axes, decoded: DecodedFringes) -> None:
 
 @draws("metrology.range_image.RangeImage")
 def _range_image(axes: Axes, image: RangeImage) -> None:
-    draw_map(axes, image.depth_mm, "depth along the camera's axis in mm")
+    draw_map(axes, image.depth_mm, "camera's depth in mm")
 
 
 @draws("studies.fringes.result.Surface")
