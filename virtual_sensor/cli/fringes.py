@@ -10,7 +10,14 @@ import typer
 from typer.core import TyperGroup
 
 from virtual_sensor.cli import fringe_decode, fringe_poses, shared
-from virtual_sensor.errors import InputError
+
+EPILOG = (
+    "Examples:\n\n"
+    "    virtual-sensor fringes fringe_cylinder\n\n"
+    "    virtual-sensor fringes fringe_cylinder -D beta=15 -D temperature=900 -o turned\n\n"
+    "    virtual-sensor fringes fringe_cylinder --cold --codec 'phase 8 16,128,1280 u' --frames\n\n"
+    "    virtual-sensor fringes fringe_cylinder --electrons 8000 --bits 10 --seed 1 -o noisy"
+)
 
 
 class SceneOrWord(TyperGroup):
@@ -64,19 +71,19 @@ Projector = Annotated[
 Codec = Annotated[
     str,
     typer.Option(
-        help="Of the patterns: `phase STEPS PERIODS AXES`, periods in projector px, axes u, v or"
-        " uv; `gray AXES`."
+        help="Patterns: `phase STEPS [PERIOD,PERIOD,...] [uv|u|v]`, periods in projector px, by"
+        " default 16 px and each next one 8 times as long; or `gray [uv|u|v]`."
     ),
 ]
 
 
-@app.callback()
+@app.callback(epilog=EPILOG)
 def fringes(
     scene: FringeScene,
     define: shared.Definitions = None,
     camera: shared.Camera = None,
     source: Projector = None,
-    codec: Codec = "phase 4 16,128,1280 uv",
+    codec: Codec = "phase 4",
     cold: Annotated[
         bool, typer.Option("--cold", help="Measure the cold part alone.", show_default=False)
     ] = False,
@@ -113,7 +120,26 @@ def fringes(
 
     Exit status 3: there are results, but no pixel has a phase; the statuses say why.
     """
-    raise InputError("fringes SCENE is not there yet")
+    from virtual_sensor.imaging.scene import load_scene
+    from virtual_sensor.reporting.fringes import on_console, save
+    from virtual_sensor.studies.fringes.measure import Recording, Settings, measure_fringes
+
+    shared.check_folder(output, overwrite)
+    settings = Settings(codec, spp, Recording(electrons, bits, seed), medium, cold)
+    with shared.reporting("loading the scene") as report:
+        loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
+        result = measure_fringes(
+            loaded, settings, lambda stage, fraction: report(stage, 0.9 * fraction)
+        )
+        report("writing the results", 0.92)
+        save(result, output, shared.command_line(), overwrite, frames=frames)
+    summary = result.summary
+    shared.print_notes(summary.caveats)
+    others = [note for note in summary.notes if note not in summary.caveats]
+    shared.print_results(on_console(summary), others)
+    shared.print_end(output)
+    if not any(state.decoded.pixels for state in summary.states.values()):
+        raise typer.Exit(shared.NOTHING_FOUND)
 
 
 app.command("decode", epilog=fringe_decode.EPILOG)(fringe_decode.decode)

@@ -1,0 +1,121 @@
+"""A measurement by fringes: its figures beside the search, and what it says when it goes wrong."""
+
+import numpy as np
+import pytest
+
+import virtual_sensor as vs
+from virtual_sensor.errors import InputError
+from virtual_sensor.metrology.fringes.decoded import FringeStatus
+from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
+from virtual_sensor.studies.fringes import measure
+from virtual_sensor.studies.fringes.measure import Recording, Settings, measure_fringes
+from virtual_sensor.studies.fringes.result import search_table
+
+FINE = {"width": 160, "height": 160, "pixel": 5.5, "spp": 1, "pixels": "false"}
+"""The middle of the default frame, pixel for pixel."""
+
+
+@pytest.fixture(autouse=True)
+def few_rays(monkeypatch):
+    """Searched pixels, fewer than by default."""
+    monkeypatch.setattr(measure, "SEARCHED", 200)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Cold and hot, without noise, of patterns that are shown between the pixels' centres too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "SEARCHED", 400)
+        return measure_fringes(vs.load_scene("fringe_cylinder", **FINE))
+
+
+def test_decoded_projector_pixels_are_those_of_the_search(measured):
+    """Of both axes, cold and hot: renderer and decoder on one side, marched rays on the other."""
+    for state in measured.states.values():
+        found = state.summary.decoded_minus_search
+        for axis in (found.column, found.row):
+            assert axis.compared > 300
+            assert axis.rms_px < 0.002
+            assert axis.largest_px < 0.01
+        table = search_table(state)
+        compared = table.columns()["difference_column_px"]
+        assert np.isfinite(compared).sum() == found.column.compared
+        decoded, searched = (table.columns()[f"{name}_row_px"] for name in ("decoded", "searched"))
+        assert np.nanmax(np.abs(decoded - searched)) < 0.01
+
+
+def test_the_epipolar_residual_is_the_airs(measured):
+    """Rationale: no shape makes it; in cold air there is none."""
+    cold, hot = (state.summary.epipolar for state in measured.states.values())
+    assert cold.rms_px < 0.003
+    assert cold.searched_rms_px < 1e-9
+    assert hot.searched_rms_px > 0.05
+    assert hot.difference_rms_px < 0.003
+    assert hot.rms_px == pytest.approx(hot.searched_rms_px, rel=0.05)  # grid and whole image
+
+
+def test_straight_points_are_as_wrong_as_the_search_says_and_bent_ones_right(measured):
+    cold, hot = (state.summary for state in measured.states.values())
+    assert cold.straight.rms_um < 0.1
+    assert cold.bent is None
+    assert hot.straight.rms_um > 10.0
+    assert hot.straight_minus_search_um < 0.5
+    assert hot.bent.rms_um < 0.2
+    assert hot.bent.fit.kind == "cylinder"
+    assert hot.bent.fit.std_um < 0.2
+    assert abs(hot.straight.fit.radius_error_um) > 10.0 * abs(hot.bent.fit.radius_error_um)
+    assert measured.hot.bent.deviation_um.shape == (160, 160)
+
+
+def test_noise_is_predicted(measured):
+    """Points of noisy frames scatter about those without noise by the sigma that they state."""
+    scene = vs.load_scene("fringe_cylinder", **FINE)
+    settings = Settings("phase 4 u", recording=Recording(8000.0, 12, 3), cold=True)
+    state = measure_fringes(scene, settings).cold
+    assert state.images.dtype == np.uint16
+    error = state.decoded.column - measured.cold.decoded.column
+    pull = error / state.decoded.sigma_column
+    assert np.nanstd(pull) == pytest.approx(1.0, abs=0.05)
+    assert state.summary.decoded_minus_search.row is None
+    assert state.summary.epipolar is None
+    assert state.summary.frames.electrons == 8000.0
+    assert np.nanstd(
+        state.straight.deviation_um - measured.cold.straight.deviation_um
+    ) == pytest.approx(state.summary.straight.sigma_um, rel=0.5)
+
+
+def test_rounding_without_noise():
+    scene = vs.load_scene("fringe_cylinder", **FINE)
+    settings = Settings("phase 4 u", recording=Recording(bits=8), cold=True)
+    state = measure_fringes(scene, settings).cold
+    assert state.images.max() in (229, 230)  # nine tenths of 255
+    assert 0.001 < state.summary.decoded_minus_search.column.rms_px < 0.1
+
+
+def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
+    """Rationale: a frame half of background, and a projector that lights a corner of it."""
+    far = {**FINE, "width": 64, "height": 64, "pixel": 176, "projector_fov": 2.0}
+    result = measure_fringes(vs.load_scene("fringe_cylinder", **far), Settings(cold=True))
+    grid, decoded = result.cold.grid, result.cold.decoded
+    assert (decoded.status[grid.row_column] == FringeStatus.BLACK).any()
+    assert (grid.found.status == ProjectorPixelStatus.OUTSIDE).any()
+    assert (grid.found.status == ProjectorPixelStatus.MISSED).any()
+    assert np.isnan(grid.difference_px[~grid.compared]).all()
+    ok = result.cold.straight.range_image.ok
+    assert np.array_equal(np.isfinite(result.cold.straight.deviation_um), ok)
+    assert ok.sum() == result.cold.summary.straight.points <= decoded.ok.sum()
+
+
+def test_wrong_requests_are_refused():
+    scene = vs.load_scene("fringe_cylinder", **FINE)
+    for settings, words in (
+        (Settings("phase 4 16,100"), "longest, 100 px, is shorter"),
+        (Settings("face 4"), "codec 'face 4' is none"),
+        (Settings("single 16 u"), "whole periods"),
+    ):
+        with pytest.raises(InputError, match=words):
+            measure_fringes(scene, settings)
+    with pytest.raises(InputError, match="--electrons"):
+        Recording(electrons=-1.0)
+    with pytest.raises(InputError, match="pattern_projector"):
+        measure_fringes(vs.load_scene("cold_cylinder"))

@@ -1,0 +1,433 @@
+"""Measure a part's whole surface by fringes: cold and hot, beside a search of rays."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from virtual_sensor.arrays import number_within, whole_number
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.camera_noise import CameraNoise, record
+from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.imaging.sequence import render_sequence
+from virtual_sensor.medium.index_field import IndexField
+from virtual_sensor.metrology.deviation import UM_PER_MM
+from virtual_sensor.metrology.fringes.codec import Codec
+from virtual_sensor.metrology.fringes.codecs import codec_of
+from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
+from virtual_sensor.metrology.range_image import reconstruct
+from virtual_sensor.metrology.shape_fits import fit_shape
+from virtual_sensor.metrology.shapes import PartShape
+from virtual_sensor.metrology.truth import largest, rms
+from virtual_sensor.optics.crossing_status import CrossingStatus
+from virtual_sensor.optics.epipolar import epipolar_residual
+from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
+from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.records import counts_of
+from virtual_sensor.studies.fringes.result import (
+    AXES,
+    AxisAgreement,
+    DecodedFacts,
+    EpipolarFacts,
+    FramesFacts,
+    FringeMeasurement,
+    FringeState,
+    FringeStateSummary,
+    FringeSummary,
+    SearchAgreement,
+    SearchedGrid,
+    ShapeFit,
+    Surface,
+    SurfaceFacts,
+)
+from virtual_sensor.studies.notes import frame_notes
+from virtual_sensor.studies.provenance import scene_facts
+
+Array = NDArray[np.float64]
+Report = Callable[[str, float], None]
+"""Called with what is being done, and the fraction of the whole that is done."""
+
+SEARCHED = 2500
+"""Pixels of the camera, at most, that are searched for, on a grid over the whole frame."""
+
+_AT_EDGES = FringeStatus.EDGE.name.lower()
+_MANY = 0.1  # of the pixels: that so many are missing is a caveat
+_FITTED = 40_000  # points that a shape is fitted to, about
+_KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
+_EXPOSED = 0.9  # of the grey values is where the brightest pixel lies
+_SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the points": 0.3}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How a camera records the frames.
+
+    Attributes
+    ----------
+    electrons : float or None
+        Of the brightest pixel of all frames; None: without noise.
+    bits : int or None
+        To which grey values are rounded; None: 12 with noise, else not at all.
+    seed : int
+        Of the noise.
+    """
+
+    electrons: float | None = None
+    bits: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.electrons is not None:
+            number_within("--electrons", self.electrons, 1.0, 1e9, "1 to 1e9")
+        if self.bits is not None:
+            whole_number("--bits", self.bits, 1, 16)
+
+    @property
+    def resolved_bits(self) -> int | None:
+        """Of the grey values; None where they are not rounded."""
+        return self.bits or (None if self.electrons is None else CameraNoise().bit_depth)
+
+    @property
+    def camera(self) -> CameraNoise | None:
+        """Of so many bits, whose largest grey values are those of a full well."""
+        bits, usual = self.resolved_bits, CameraNoise()
+        if self.electrons is None or bits is None:
+            return None
+        finer = (2**bits - 1) / usual.white
+        gain, black = usual.gain * finer, usual.black_level * finer
+        return CameraNoise(gain=gain, black_level=black, bit_depth=bits)
+
+    def decoded_by(self, codec: Codec, radiance: NDArray[np.float32]) -> tuple[Any, DecodedFringes]:
+        """The frames (K, H, W) as recorded, and decoded with what is known of the camera."""
+        if self.electrons is not None:
+            grey = record(radiance, self.camera, self.seed, peak_e=self.electrons)
+            return grey, codec.decode(grey, camera=self.camera)
+        if self.bits is None:
+            return radiance, codec.decode(radiance, noise=0.0)
+        grey = _rounded(radiance, self.bits)
+        return grey, codec.decode(grey, noise=0.0)
+
+
+def _rounded(radiance: NDArray[np.float32], bits: int) -> NDArray[np.uint16]:
+    """Grey values of so many bits, of which the brightest pixel has nine tenths."""
+    brightest = float(radiance.max(initial=0.0)) or 1.0
+    scale = np.float32(_EXPOSED * (2**bits - 1) / brightest)
+    grey = np.empty(radiance.shape, np.uint16)
+    for frame, rounded in zip(radiance, grey, strict=True):
+        np.rint(frame * scale, out=rounded, casting="unsafe")
+    return grey
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a scene is measured by fringes.
+
+    Attributes
+    ----------
+    codec : str or Codec
+        As `codec_of` takes it, for the size of the scene's projector.
+    spp : int, optional
+        Samples per pixel; the scene's own if not given.
+    recording : Recording
+    medium : IndexField, str or Path, optional
+        Through which points of the hot part are found; by default the scene's own.
+    cold : bool
+        Whether the cold part alone is measured.
+    """
+
+    codec: str | Codec = "phase 4"
+    spp: int | None = None
+    recording: Recording = field(default_factory=Recording)
+    medium: IndexField | str | Path | None = None
+    cold: bool = False
+
+
+def measure_fringes(
+    scene: Scene, settings: Settings | None = None, report: Report = lambda stage, fraction: None
+) -> FringeMeasurement:
+    """Render the codec's patterns, decode, find the points, search: first cold, then hot.
+
+    Parameters
+    ----------
+    scene : Scene
+        With one camera and one projector; its other sources shine too.
+    settings : Settings, optional
+    report : callable
+        Called with what is being done, and the fraction of the whole that is done.
+
+    Raises
+    ------
+    InputError
+        If the scene can't be measured, or its projector can't show the patterns.
+    """
+    started = time.perf_counter()
+    settings = settings or Settings()
+    report("checking the scene", 0.0)
+    codec = codec_of(settings.codec, scene.projector.size)
+    if not codec._absolute:
+        raise InputError(
+            f"--codec '{codec.text}': knows the projector's pixels but for whole periods, which"
+            " give no points; project a second period, or Gray code: 'phase 4 16,128,1280'"
+        )
+    alone = scene.only(None, scene.projector_name)
+    notes: list[str] = [*scene.loading_notes, *check_scene(alone)]
+    medium = None
+    if scene.medium is not None and not settings.cold:
+        medium = scene.medium
+        if settings.medium is not None:
+            medium = scene.with_medium(settings.medium).medium
+    share = 0.4 if medium else 1.0
+
+    def state(name: str, scene: Scene, low: float, high: float) -> FringeState:
+        def inner(stage: str, part: float) -> None:
+            report(f"{name} part: {stage}", low + (high - low) * part)
+
+        return _measure_state(scene, codec, settings, medium if name == "hot" else None, inner)
+
+    states = {"cold": state("cold", scene.cold(), 0.02, share)}
+    if medium:
+        states["hot"] = state("hot", scene, share, 1.0)
+    caveats: list[str] = []
+    for name, each in states.items():
+        judged = state_notes(each, codec)
+        notes += [f"{name}: {note}" for note in judged]
+        caveats += [f"{name}: {note}" for note, poor in judged.items() if poor]
+    summary = FringeSummary(
+        **vars(scene_facts(alone, tuple(dict.fromkeys(notes)))),
+        codec=codec.text,
+        medium=medium.source if medium else None,
+        states={name: each.summary for name, each in states.items()},
+        caveats=tuple(caveats),
+        time_s=round(time.perf_counter() - started, 2),
+    )
+    return FringeMeasurement(states["cold"], states.get("hot"), codec, summary)
+
+
+def _measure_state(
+    scene: Scene, codec: Codec, settings: Settings, medium: IndexField | None, report: Report
+) -> FringeState:
+    times: dict[str, float] = {}
+
+    @contextmanager
+    def doing(stage: str) -> Iterator[Callable[[float], None]]:
+        done = sum(_SHARES[name] for name in times)
+        report(stage, done)
+        began = time.perf_counter()
+        yield lambda part: report(stage, done + _SHARES[stage] * part)
+        times[stage] = round(time.perf_counter() - began, 3)
+
+    name, alone = scene.projector_name, scene.only(None, scene.projector_name)
+    with doing("rendering") as part:
+        frames = render_sequence(
+            scene, codec.patterns, spp=settings.spp, progress=part, source=name
+        )
+    with doing("decoding"):
+        images, decoded = settings.recording.decoded_by(codec, frames.radiance)
+    with doing("searching"):
+        grid = searched_grid(alone, decoded)
+    with doing("finding the points"):
+        straight = _surface(alone, decoded, None)
+        bent = _surface(alone, decoded, medium) if medium else None
+    facts = FringeStateSummary(
+        frames=FramesFacts(
+            frames=len(images),
+            size_px=scene.camera.size,
+            samples_per_pixel=settings.spp or int(scene.mitsuba_camera.sampler().sample_count()),
+            report=frames.report,
+            electrons=settings.recording.electrons,
+            bits=settings.recording.resolved_bits,
+            seed=settings.recording.seed,
+        ),
+        decoded=_decoded_facts(decoded),
+        decoded_minus_search=_agreement(grid, decoded),
+        epipolar=_epipolar_facts(straight, grid),
+        straight=straight.facts,
+        bent=bent.facts if bent else None,
+        searched_rms_um=rms(grid.straight_um),
+        straight_minus_search_um=rms(
+            np.where(
+                grid.compared, straight.deviation_um[grid.row_column] - grid.straight_um, np.nan
+            )
+        ),
+        times_s=times,
+    )
+    return FringeState(scene, images, decoded, straight, bent, grid, facts)
+
+
+# From light to projector pixels.
+
+
+def searched_grid(scene: Scene, decoded: DecodedFringes) -> SearchedGrid:
+    """Pixels on a grid, searched for beside what was decoded."""
+    width, height = scene.camera.size
+    step = int(np.ceil(np.sqrt(width * height / SEARCHED)))
+    v, u = (each.ravel() for each in np.mgrid[step // 2 : height : step, step // 2 : width : step])
+    pixel = np.column_stack([u, v]).astype(float)
+    found = projector_pixels(scene, pixel)
+    at, status = decoded.pixel[v, u], decoded.status[v, u]
+    compared = (status == FringeStatus.OK) & (found.status == ProjectorPixelStatus.OK)
+    family = scene.projector.family
+    epipolar, decoded_epipolar = (
+        epipolar_residual(scene.camera, family, pixel, lit) for lit in (found.projector_pixel, at)
+    )
+    straight_um = _straight_um(scene, decoded, found.projector_pixel, (v, u))
+    return SearchedGrid(pixel, found, at, compared, straight_um, epipolar, decoded_epipolar)
+
+
+def _straight_um(
+    scene: Scene,
+    decoded: DecodedFringes,
+    projector_pixel: Array,
+    place: tuple[NDArray[np.int64], NDArray[np.int64]],
+) -> Array:
+    """Distances (N,) from the true surface of the straight points of searched pixels."""
+    given: dict[str, Any] = {"absolute": True}
+    for axis, name in enumerate(AXES.values()):
+        if getattr(decoded, name) is not None:
+            given[name] = np.full(decoded.status.shape, np.nan)
+            given[name][place] = projector_pixel[:, axis]
+    searched = reconstruct(scene, replace(decoded, **given))
+    return searched.deviation_um(PartShape.of(scene))[place].astype(float)
+
+
+# From projector pixels to the surface.
+
+
+def _surface(scene: Scene, decoded: DecodedFringes, medium: IndexField | None) -> Surface:
+    """The surface of what was decoded, straight or through a medium."""
+    found = reconstruct(scene, decoded, medium=medium)
+    deviation_um = found.deviation_um(PartShape.of(scene))
+    known = deviation_um[np.isfinite(deviation_um)].astype(float)
+    sigma = found.sigma_um[np.isfinite(found.sigma_um)]
+    facts = SurfaceFacts(
+        points=int(found.ok.sum()),
+        compared=known.size,
+        mean_um=float(known.mean()) if known.size else np.nan,
+        rms_um=rms(known),
+        largest_um=float(known[np.abs(known).argmax()]) if known.size else np.nan,
+        sigma_um=float(np.median(sigma)) if sigma.size else np.nan,
+        fit=_fit(scene, found.point_mm[found.ok]),
+    )
+    return Surface(found, deviation_um, facts)
+
+
+def _fit(scene: Scene, points_mm: Array) -> ShapeFit | None:
+    """The part's own shape through the points, if it is a cylinder, a plane or a sphere."""
+    part = scene.surface
+    shapes = [shape.class_name() for shape in scene.mitsuba.shapes()]
+    kind = "cylinder" if isinstance(part, Cylinder) else _KINDS.get(shapes[0])
+    if kind is None or (len(shapes) > 1 and kind != "cylinder"):
+        return None
+    fit = fit_shape(points_mm[:: max(1, len(points_mm) // _FITTED)], kind)
+    radius_mm = getattr(fit.shape, "radius_mm", None)
+    error_um = None
+    if isinstance(part, Cylinder) and radius_mm is not None:
+        error_um = UM_PER_MM * (radius_mm - part.radius_mm)
+    return ShapeFit(kind, radius_mm, error_um, fit.residual_std_um, fit.count)
+
+
+# Figures.
+
+
+def _decoded_facts(decoded: DecodedFringes) -> DecodedFacts:
+    ok = decoded.ok
+
+    def median(image: NDArray[Any]) -> float:
+        return float(np.median(image[ok])) if ok.any() else np.nan
+
+    return DecodedFacts(
+        pixels=int(ok.sum()),
+        status=counts_of(decoded.status, FringeStatus),
+        modulation_median=median(decoded.modulation),
+        sigma_column_px=None if decoded.sigma_column is None else median(decoded.sigma_column),
+        sigma_row_px=None if decoded.sigma_row is None else median(decoded.sigma_row),
+    )
+
+
+def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
+    status = decoded.status[grid.row_column]
+    found = grid.found.status == ProjectorPixelStatus.OK
+    ok = status == FringeStatus.OK
+    axes = {
+        name: None
+        if getattr(decoded, name) is None
+        else AxisAgreement(rms(error), largest(error), int(np.isfinite(error).sum()))
+        for name, error in zip(AXES.values(), grid.difference_px.T, strict=True)
+    }
+    return SearchAgreement(
+        **axes,
+        searched=int(found.sum()),
+        only_searched=_occurring(counts_of(status[found & ~ok], FringeStatus)),
+        only_decoded=_occurring(counts_of(grid.found.status[ok & ~found], ProjectorPixelStatus)),
+    )
+
+
+def _counted(numbers: dict[str, int]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in numbers.items() if number)
+
+
+def _occurring(counts: dict[str, int]) -> dict[str, int]:
+    return {name: count for name, count in counts.items() if count}
+
+
+def _epipolar_facts(straight: Surface, grid: SearchedGrid) -> EpipolarFacts | None:
+    residual = straight.range_image.epipolar_px
+    if residual is None:
+        return None
+    both = np.where(grid.compared, grid.decoded_epipolar_px - grid.epipolar_px, np.nan)
+    searched = np.where(grid.found.status == ProjectorPixelStatus.OK, grid.epipolar_px, np.nan)
+    return EpipolarFacts(
+        rms_px=rms(residual),
+        largest_px=largest(residual),
+        pixels=int(np.isfinite(residual).sum()),
+        searched_rms_px=rms(searched),
+        searched_largest_px=largest(searched),
+        difference_rms_px=rms(both),
+    )
+
+
+def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
+    """What the user should know of a state; of each whether the figures are worth little for it."""
+    facts, decoded, agreement = state.summary, state.decoded, state.summary.decoded_minus_search
+    notes = dict.fromkeys([*frame_notes(facts.frames.report), *decoded.notes], False)
+    if not facts.decoded.pixels:
+        return {**notes, f"no pixel has a phase: {_counted(facts.decoded.status)}": True}
+    seen = {name: n for name, n in agreement.only_searched.items() if name != _AT_EDGES}
+    if (lost := sum(seen.values())) > _MANY * agreement.searched:
+        notes[
+            f"{lost} of {agreement.searched} searched pixels are not decoded: {_counted(seen)}"
+        ] = True
+    edges = facts.decoded.status[_AT_EDGES]
+    if edges > _MANY * (edges + facts.decoded.pixels):
+        notes[
+            f"{edges} of {edges + facts.decoded.pixels} pixels with a phase are left out as edges:"
+            " steps of the part, or of the projector's own pixels, where the camera's are not much"
+            " smaller; a finer film (width, height) has fewer, and so have continuous patterns"
+            " (pixels=false)"
+        ] = False
+    for light, surface in state.surfaces.items():
+        status = surface.range_image.status[decoded.ok]
+        counts = counts_of(status[status != CrossingStatus.OK], CrossingStatus)
+        if missing := sum(counts.values()):
+            poor = missing > _MANY * facts.decoded.pixels
+            notes[
+                f"{missing} of {facts.decoded.pixels} decoded pixels have no {light} point:"
+                f" {_counted(counts)}"
+            ] = poor
+    period = min((getattr(each, "period_px", np.inf) for each in codec.patterns), default=np.inf)
+    wrong = np.abs(state.grid.difference_px) > 0.5 * period
+    if count := int(np.any(wrong, axis=1).sum()):
+        notes[
+            f"{count} of {int(state.grid.compared.sum())} compared pixels are off the search by"
+            f" more than half a period of {period:g} px: wrong fringe orders; take more steps, or"
+            " periods nearer to each other"
+        ] = True
+    return notes
