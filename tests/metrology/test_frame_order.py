@@ -66,6 +66,17 @@ def test_what_is_missing_or_spare_is_named():
     assert missing_patterns(codec, images[:5] + images[6:]) == codec.names[4:6]
 
 
+def test_another_first_phase_is_found():
+    """Rationale: of sines instead of cosines all columns would be wrong, and none would say so."""
+    for text in ("phase 4 16,128,1280 u", "phase 3 80 v gray"):
+        for start in ("180deg", "-90deg", "90deg"):
+            codec, images = shots(f"{text} {start}")
+            assert check_order(codec, images).disorder < RIGHT
+            found = check_order(vs.codec_of(text), images)
+            assert found.codec == codec
+            assert f"they fit '{codec.text}'" in found.words
+
+
 def test_where_images_cannot_tell_nothing_is_said():
     codec, images = shots("phase 3 16 u none")
     assert check_order(codec, images[::-1]).order is None

@@ -31,7 +31,8 @@ def seen(codec, column, row, mean=100.0, amplitude=80.0):
         x = column if name[0] == "u" else row
         if "step" in name:
             period, k, n = (float(name.split()[i]) for i in (1, 4, 6))
-            images.append(np.cos(2 * np.pi * ((x + 0.5) / period - (k - 1) / n)))
+            turns = (x + 0.5) / period + codec.first_phase_deg / 360.0 - (k - 1) / n
+            images.append(np.cos(2 * np.pi * turns))
         elif "bit" in name:
             number = np.floor(x + 0.5).astype(int)
             lit = (number ^ (number >> 1)) >> int(name.split()[3]) & 1
@@ -57,7 +58,7 @@ def error_of(decoded, column, row):
 def test_patterns_are_what_the_formulas_draw():
     """Rationale: the convention of phases, bits and borders is one for projector and decoder."""
     v, u = np.mgrid[:11, :21].astype(float)
-    for text in ("phase 5 16,21 uv", "phase 3 12 uv gray", "gray uv", "gray u single"):
+    for text in ("phase 5 16,21 uv 30deg", "phase 3 12 uv gray", "gray uv", "gray u single"):
         codec = vs.codec_of(text, (21, 11))
         drawn = seen(codec, u, v, 0.5, 0.5)
         np.testing.assert_allclose([p.image((21, 11)) for p in codec.patterns], drawn, atol=1e-12)
@@ -73,6 +74,7 @@ def test_columns_and_rows_are_found_without_noise():
         "phase 5 37 uv gray",
         "phase 4 16,18.51,21.62 uv heterodyne",
         "phase 4 1280,16,128 vu",
+        "phase 3 uv -90deg",
     ):
         codec = vs.codec_of(text)
         decoded = codec.decode(seen(codec, column, row))

@@ -31,10 +31,12 @@ def decode(
     codec: Annotated[
         str,
         typer.Option(
-            help="Of the patterns: `phase STEPS [PERIODS] [AXES] [UNWRAPPING]`, periods in"
-            " projector px with commas, axes u (columns), v (rows) or uv, unwrapping hierarchical,"
-            " heterodyne, gray, spatial or none; `gray [AXES] [single]`; `single [PERIOD] [AXES]`."
-            " Axis by axis, period by period, step by step; Gray bits follow, the coarsest first.",
+            help="Of the patterns: `phase STEPS [PERIODS] [AXES] [UNWRAPPING] [FIRSTdeg]`, periods"
+            " in projector px with commas, axes u (columns), v (rows) or uv, unwrapping"
+            " hierarchical, heterodyne, gray, spatial or none, and the phase at the image's border"
+            " in the first step (-90deg of sines); `gray [AXES] [single]`; `single [PERIOD]"
+            " [AXES]`. Axis by axis, period by period, step by step; Gray bits follow, the coarsest"
+            " first.",
         ),
     ] = "phase 4 16,128,1280 uv",
     size: Annotated[

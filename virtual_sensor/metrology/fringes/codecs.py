@@ -12,7 +12,8 @@ from virtual_sensor.metrology.fringes.phase_shift import UNWRAP, PhaseShift
 from virtual_sensor.metrology.fringes.single_shot import SingleShot
 
 FORMS = (
-    "phase STEPS [PERIOD,PERIOD,...] [uv|u|v] [hierarchical|heterodyne|gray|spatial|none]",
+    "phase STEPS [PERIOD,PERIOD,...] [uv|u|v] [hierarchical|heterodyne|gray|spatial|none]"
+    " [FIRSTdeg]",
     "gray [uv|u|v] [single]",
     "single [PERIOD] [u|v|uv]",
 )
@@ -27,8 +28,9 @@ def codec_of(text: str | Codec, size_px: tuple[int, int] = (1280, 800)) -> Codec
     ----------
     text : str
         ``phase 4 16,128,1280 uv``: steps, periods in projector px, axes; then how fringe orders are
-        found, if not by the periods (hierarchical): heterodyne, gray, spatial or none.  Without
-        periods there are the default ones.  ``gray uv``: Gray code with inverses, ``gray uv
+        found, if not by the periods (hierarchical): heterodyne, gray, spatial or none; and the
+        phase at the image's border in the first step, if it is not 0: ``180deg``.  Without periods
+        there are the default ones.  ``gray uv``: Gray code with inverses, ``gray uv
         single`` without.  ``single 16 u``: one image.  A codec is given back as it is.
     size_px : tuple of int
         (W, H) of the projector.
@@ -52,7 +54,10 @@ def codec_of(text: str | Codec, size_px: tuple[int, int] = (1280, 800)) -> Codec
 
 
 def _phase(words: list[str], size_px: tuple[int, int]) -> PhaseShift:
-    numbers, named = _sorted_words(words, UNWRAP, FORMS[0])
+    starts = [word for word in words if word.endswith("deg")]
+    numbers, named = _sorted_words([w for w in words if w not in starts], UNWRAP, FORMS[0])
+    if starts:
+        named["first_phase_deg"] = _number(starts[0].removesuffix("deg"), "degrees")
     if numbers and not _is_whole(numbers[0]):
         numbers.insert(0, "4")
     if len(numbers) > 2:
@@ -102,8 +107,8 @@ def _is_whole(word: str) -> bool:
     return word.isdecimal()
 
 
-def _number(word: str) -> float:
+def _number(word: str, unit: str = "px") -> float:
     try:
         return float(word)
     except ValueError:
-        raise InputError(f"'{word}' is no number of px") from None
+        raise InputError(f"'{word}' is no number of {unit}") from None

@@ -9,8 +9,8 @@ other way round, or columns and rows exchanged.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,8 @@ _LIT = 0.3  # of the strongest change from image to image: pixels that change le
 _FEWEST_PIXELS = 30
 _APART = 0.6  # half periods by which orders disagree
 _BY_CHANCE = 1.0 - _APART
+_FIRST_DEG = (180.0, -90.0, 90.0)  # phases that sequences start with, other than 0
+_TOGETHER = 0.7  # mean of unit vectors of the differences from which on they are much the same
 _EVEN = 0.02  # disorders that differ by no more are equal
 _ROOM = 1.1  # of codes, or of the periods' range, over the image: then places may lie beyond it
 
@@ -49,12 +51,15 @@ class OrderCheck(Displayed):
     order : tuple of int or None
         Of each pattern, the number of its image, of a better order; None if there is none.
     words : str
-        What is wrong, and the better order; empty if all is right.
+        What is wrong, and the better order or codec; empty if all is right.
+    codec : PhaseShift or None
+        Whose fringes start with another phase, and which they fit; None if there is none.
     """
 
     disorder: float
     order: Order | None
     words: str
+    codec: PhaseShift | None = None
 
 
 def check_order(codec: Codec, images: Sequence[NDArray[Any]]) -> OrderCheck:
@@ -71,6 +76,12 @@ def check_order(codec: Codec, images: Sequence[NDArray[Any]]) -> OrderCheck:
     disorder = disorder_of(codec, grey, usual)
     if not disorder > RIGHT:
         return OrderCheck(disorder, None, "")
+    if isinstance(codec, PhaseShift):
+        for first in _FIRST_DEG:
+            other = replace(codec, first_phase_deg=first)
+            if disorder_of(other, grey, usual) <= RIGHT:
+                words = f"their fringes start with another phase: they fit '{other.text}'"
+                return OrderCheck(disorder, None, words, other)
     scored = [(disorder_of(codec, grey, order), name, order) for name, order in orders_of(codec)]
     if all(each[0] > RIGHT for each in scored):
         scored += [(disorder_of(codec, grey, order), name, order) for name, order in _swaps(codec)]
@@ -198,12 +209,27 @@ def _of_phases(codec: PhaseShift, grey: Grey, order: Order) -> Iterator[float]:
                 continue
             place, _ = position(grey[bits] > fitted[0], codec._bits(axis))
             off = place / np.float32(mine[0][0]) - here[0]
-            yield float(np.mean(2.0 * np.abs(off - np.rint(off)) > _APART) / _BY_CHANCE)
+            off -= np.rint(off)
+            yield float(np.mean(2.0 * np.abs(off) > _APART) / _BY_CHANCE)
+            yield _offset(off)
             yield _beyond(place, size, 2.0 ** (codec._bits(axis)[0] + 1))
         elif len(here) > 1:
             length, disagreement = codec._chains[axis].orders(here, size)
             yield float(np.mean(disagreement > _APART) / _BY_CHANCE)
+            periods = [period for period, _ in mine]
+            pairs = pairwise(zip(periods, here, strict=True))
+            for (fine, phase), (coarse, place) in pairs:
+                yield _offset(place * np.float32(coarse / fine) - phase)
             yield _beyond(mine[0][0] * length, size, codec._chains[axis].range_px)
+
+
+def _offset(off: NDArray[Any]) -> float:
+    """How far orders are off by the same, as where fringes start with another phase; in turns x 4.
+
+    Where they are off by this and that, it is 0.
+    """
+    mean = complex(np.mean(np.exp(2j * np.pi * off)))
+    return 4.0 * abs(np.angle(mean)) / (2.0 * np.pi) if abs(mean) > _TOGETHER else 0.0
 
 
 def _of_bits(codec: GrayCode, grey: Grey, order: Order) -> Iterator[float]:

@@ -51,6 +51,7 @@ _TURN = 2.0 * math.pi
 class PhaseShift(Codec):
     """Sinusoidal fringes in N steps, of one or several periods along one axis or both.
 
+    Step k, from 0 on, shows 0.5 + 0.5 cos(2 pi (x + 0.5)/period + first phase - 2 pi k/N).
     The images are those of the columns first (axes "uv"), period by period as given, step by step;
     with "gray" the bits follow an axis's steps, the coarsest first.
 
@@ -68,6 +69,8 @@ class PhaseShift(Codec):
         How the fringe order is found.  "hierarchical": by the periods, the longest of which spans
         the image; "heterodyne": by their beats; "gray": by Gray code, with the shortest period
         alone; "spatial": from pixel to pixel, but for whole periods; "none": not at all.
+    first_phase_deg : float
+        Of all fringes at the image's left or top border, in the first step: -90 of sines.
     """
 
     size_px: tuple[int, int] = (1280, 800)
@@ -75,12 +78,14 @@ class PhaseShift(Codec):
     periods_px: tuple[float, ...] | None = None
     axes: str = "uv"
     unwrap: str = "hierarchical"
+    first_phase_deg: float = 0.0
 
     def __post_init__(self) -> None:
         size = checked_size(self.size_px)
         axes = checked_axes(self.axes)
         steps = whole_number("steps", self.steps, _FEWEST_STEPS, _MOST_STEPS)
         one_of("unwrap", self.unwrap, UNWRAP)
+        number_within("first_phase_deg", self.first_phase_deg, -360.0, 360.0, "-360 to 360 degrees")
         periods = self._checked_periods(max(size[AXES.index(axis)] for axis in axes))
         given = {"size_px": size, "axes": axes, "steps": steps, "periods_px": periods}
         for name, value in given.items():
@@ -157,13 +162,14 @@ class PhaseShift(Codec):
         """The codec as `codec_of` takes it."""
         how = "" if self.unwrap == "hierarchical" else f" {self.unwrap}"
         periods = ",".join(f"{each:.12g}" for each in self._periods)
-        return f"phase {self.steps} {periods} {self.axes}{how}"
+        start = f" {self.first_phase_deg:.12g}deg" if self.first_phase_deg else ""
+        return f"phase {self.steps} {periods} {self.axes}{how}{start}"
 
     def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
         for period in self._periods:
             for k in range(self.steps):
                 name = f"{axis} {period:g} px, step {k + 1} of {self.steps}"
-                yield name, Sine(axis, period, _TURN * k / self.steps)
+                yield name, Sine(axis, period, _TURN * k / self.steps - self._first_rad)
         for bit in self._bits(axis):
             yield f"{axis} Gray bit {bit}", GrayBit(axis, bit)
 
@@ -176,13 +182,17 @@ class PhaseShift(Codec):
         return range(max((size - 1).bit_length(), finest + 1) - 1, finest - 1, -1)
 
     @property
+    def _first_rad(self) -> float:
+        return math.radians(self.first_phase_deg)
+
+    @property
     def _finest_first(self) -> list[int]:
         return sorted(range(len(self._periods)), key=lambda i: self._periods[i])
 
     @cached_property
     def _sums(self) -> NDArray[np.float32]:
         """Sums (3 F, F N) over an axis's images: mean, B cos phi and B sin phi of each period."""
-        angle = _TURN * np.arange(self.steps) / self.steps
+        angle = _TURN * np.arange(self.steps) / self.steps - self._first_rad
         each = np.stack([np.ones(self.steps), 2.0 * np.cos(angle), 2.0 * np.sin(angle)])
         order = np.eye(len(self._periods))[self._finest_first]
         found: NDArray[np.float32] = np.kron(order, each / self.steps).astype(np.float32)
@@ -262,8 +272,8 @@ class PhaseShift(Codec):
         square = modulation**2
         found = (2.0 / self.steps) * grey / square
         if noise.gain and self.steps == 3:
-            triple = cosine * (cosine**2 - 3.0 * sine**2) / modulation**3
-            found = found - (noise.gain / 3.0) * triple / modulation
+            turned = np.arctan2(sine, cosine) + np.float32(self._first_rad)
+            found = found - (noise.gain / 3.0) * np.cos(3.0 * turned) / modulation
         return np.maximum(found, 0.0)
 
     def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:

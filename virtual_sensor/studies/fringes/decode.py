@@ -234,6 +234,11 @@ def decode_sequence(
             raise InputError(f"the images are not in the order of '{codec.text}': {words[0]}")
         order = tuple(order[n] for n in check.order)
         notes.append(f"The images are in another order than the codec's: {words[1]}.")
+    elif check.codec is not None:
+        if settings.order != AUTO:
+            raise InputError(f"the images are not those of '{codec.text}': {check.words}")
+        notes.append(f"The images are of another codec: {check.words}.")
+        codec = check.codec
     elif check.words:
         notes.append(
             f"The images contradict '{codec.text}' (disorder {check.disorder:.2f}): {check.words}"
