@@ -1,6 +1,7 @@
 """Where methods fail: each trouble is made worse until a method fails; writes the chart's table.
 
 python benchmarks/failures.py                     all of it: five minutes on two cores
+python benchmarks/failures.py --panel fringes     the rows of a panel alone, among the others
 python benchmarks/failures.py --only "grid too"   the rows whose trouble or method holds this, shown
 """
 
@@ -16,13 +17,14 @@ from worsening import worsen
 
 from virtual_sensor.files import written_whole
 from virtual_sensor.records import write_csv
-from virtual_sensor.studies.chart.failures import FILE, table
+from virtual_sensor.studies.chart.failures import FILE, failures, table
 
 PANELS = {
     "rays": "failing_rays",
     "frames": "failing_frames",
     "search": "failing_searches",
     "correction": "failing_corrections",
+    "fringes": "failing_fringes",
     "lines": "failing_lines",
 }
 
@@ -44,13 +46,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", default="", help="a part of 'panel: trouble: method'")
-    only = parser.parse_args().only
-    found = rows(only)
+    parser.add_argument("--panel", choices=PANELS, help="of the chart, alone")
+    asked = parser.parse_args()
+    only, panels = asked.only, (asked.panel,) if asked.panel else tuple(PANELS)
+    found = rows(only, panels)
     if only:
         writer = csv.DictWriter(sys.stdout, list(found[0]) if found else [])
         writer.writeheader()
         writer.writerows(found)
         return
+    by_panel = {each: list(failures((each,)).rows()) for each in PANELS if each not in panels}
+    by_panel |= {each: [row for row in found if row["panel"] == each] for each in panels}
+    found = [row for each in PANELS for row in by_panel[each]]
     made = f"# virtual_sensor {metadata.version('virtual-sensor')}: python benchmarks/failures.py\n"
     with written_whole(FILE) as temporary:
         write_csv(temporary, table(found))

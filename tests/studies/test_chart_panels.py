@@ -1,4 +1,6 @@
-"""The chart's panels of searches, corrections and detectors: their tasks know the truth."""
+"""The chart's panels of searches, corrections, fringes and detectors: tasks know the truth."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,11 +8,12 @@ from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.drawn_lines import line_shares
-from virtual_sensor.studies.chart import corrections, detectors, searches
+from virtual_sensor.studies.chart import corrections, detectors, fringes, searches
 from virtual_sensor.studies.chart.benchmark import measure_all
 
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood")
 UM_PER_PX = 22.0
+FRINGES = ("phase 3 16,128,1280 u", "phase 6 16,128,1280 u", "phase 4 8,64,1280 u")
 
 
 def quick(panel, module):
@@ -43,6 +46,29 @@ def test_corrections_are_ordered_by_what_is_known_of_the_air():
     assert um["own_air_marched"] < 0.02
     assert um["own_air_marched"] < um["found_on_a_known_shape"] < um["found_from_one_pose"]
     assert um["found_from_two_poses"] < um["found_from_one_pose"] < um["other_air"] < 20.0
+
+
+def test_fringes_are_ordered_by_their_steps_and_periods():
+    """More steps and finer fringes err less in noise, by sqrt(2/N) lambda; gamma goes by steps."""
+    rms_px = {}
+    noisy, gamma = [task for task, _ in zip(fringes.tasks(), range(2), strict=False)]
+    for task in (noisy, gamma):
+        some = [c for c in task.configurations if c.defaults["codec"] in FRINGES]
+        for each in measure_all("fringes", [replace(task, configurations=some)], print, 1):
+            rms_px[task.name, each.defaults["codec"]] = each.rms_px
+            assert each.failed <= 0.01 * each.items
+    three, six, fine = (rms_px[noisy.name, text] for text in FRINGES)
+    assert three / six == pytest.approx(np.sqrt(2.0), rel=0.05)
+    assert six / fine == pytest.approx(2.0 * np.sqrt(4.0 / 6.0), rel=0.05)
+    assert rms_px[gamma.name, FRINGES[0]] > 10 * rms_px[gamma.name, FRINGES[1]]
+
+
+def test_a_rendered_sequence_is_as_good_as_the_search():
+    """Of a coarse film a thousandth of a projector's pixel, by maps and by marches."""
+    *_, rendered = fringes.tasks(quick=True)
+    for each in measure_all("fringes", [rendered], lambda *now: None, 1):
+        assert each.rms_px < 0.01
+        assert each.failed < 0.2 * each.items
 
 
 def test_detectors_know_their_truth_and_their_bound():

@@ -19,6 +19,8 @@ SILENT = {  # of these no status can know: the remedy stands beside each
     ("rays", "jump of n at a flat border"),
     ("frames", "steps too long"),
     ("correction", "air known wrong"),
+    ("fringes", "gamma of the projector"),
+    ("fringes", "air or part moves between the images"),
 }
 WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "turned back by total reflection",  # within a micrometre of the field's border
@@ -41,6 +43,8 @@ def table():
         ("rays", "grid too coarse", "linear interpolation"),
         ("rays", "steps too short for the field", "every method"),
         ("search", "at the limb", "tabulated search"),
+        ("fringes", "gamma of the projector", "3 steps"),
+        ("fringes", "a step in depth", "Gray code"),
         ("lines", "line saturated", "gaussian"),
         ("lines", "line cut by an edge", "centre_of_gravity"),
     ],

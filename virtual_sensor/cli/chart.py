@@ -22,7 +22,8 @@ def chart(
         typer.Option(
             "--panel",
             metavar="NAME",
-            help="rays, frames, search, correction or lines; repeatable. All of them without it.",
+            help="rays, frames, search, correction, fringes or lines; repeatable. All of them"
+            " without it.",
         ),
     ] = None,
     quick: Annotated[

@@ -3,6 +3,7 @@
 Further words (`fringes decode`, `fringes calibrate`, `fringes poses`) are commands of `app`.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,13 +11,15 @@ import typer
 from typer.core import TyperGroup
 
 from virtual_sensor.cli import fringe_decode, fringe_poses, shared
+from virtual_sensor.errors import InputError
 
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor fringes fringe_cylinder\n\n"
     "    virtual-sensor fringes fringe_cylinder -D beta=15 -D temperature=900 -o turned\n\n"
     "    virtual-sensor fringes fringe_cylinder --cold --codec 'phase 8 16,128,1280 u' --frames\n\n"
-    "    virtual-sensor fringes fringe_cylinder --electrons 8000 --bits 10 --seed 1 -o noisy"
+    "    virtual-sensor fringes fringe_cylinder --electrons 8000 --bits 10 --seed 1 -o noisy\n\n"
+    "    virtual-sensor fringes fringe_cylinder -D pixels=false --electrons 8000 --tolerance 0.05"
 )
 
 
@@ -68,6 +71,7 @@ Projector = Annotated[
         help="Of the scene's projectors, where it has several: its id in the file.",
     ),
 ]
+CODEC = "phase 4"
 Codec = Annotated[
     str,
     typer.Option(
@@ -83,7 +87,7 @@ def fringes(
     define: shared.Definitions = None,
     camera: shared.Camera = None,
     source: Projector = None,
-    codec: Codec = "phase 4",
+    codec: Codec = CODEC,
     cold: Annotated[
         bool, typer.Option("--cold", help="Measure the cold part alone.", show_default=False)
     ] = False,
@@ -95,6 +99,15 @@ def fringes(
     ] = None,
     spp: Annotated[
         int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's own.")
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="PX",
+            help="Error of decoded columns and rows, px of the projector, rms, that is allowed:"
+            " steps, periods and samples that keep it in the fewest images are chosen, and printed,"
+            " in place of --codec and --spp.",
+        ),
     ] = None,
     electrons: Annotated[
         float | None,
@@ -125,9 +138,21 @@ def fringes(
     from virtual_sensor.studies.fringes.measure import Recording, Settings, measure_fringes
 
     shared.check_folder(output, overwrite)
+    if tolerance is not None and (codec != CODEC or spp is not None):
+        raise InputError("--tolerance chooses codec and samples; leave out --codec and --spp")
     settings = Settings(codec, spp, Recording(electrons, bits, seed), medium, cold)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
+        if tolerance is not None:
+            from virtual_sensor.studies.fringes.tolerance import choose_fringes
+
+            report("choosing the settings", 0.0)
+            chosen = choose_fringes(
+                loaded.only(None, loaded.projector_name), tolerance, electrons=electrons
+            )
+            settings = replace(settings, codec=chosen.codec, spp=chosen.spp)
+            shared.console.print(f"{tolerance:g} px: {chosen}")
+            shared.console.print(f"  because {'; '.join(chosen.why)}")
         result = measure_fringes(
             loaded, settings, lambda stage, fraction: report(stage, 0.9 * fraction)
         )

@@ -43,6 +43,7 @@ TITLES = {
     "frames": "Rendered frames",
     "search": "Search for laser points",
     "correction": "Correction",
+    "fringes": "Fringes",
     "lines": "Line detectors",
 }
 _JOBS = {
@@ -50,6 +51,7 @@ _JOBS = {
     "frames": "Frames",
     "search": "Laser points",
     "correction": "Corrected points",
+    "fringes": "Decoded pixels",
     "lines": "Line centres",
 }
 ITEMS = {
@@ -57,6 +59,7 @@ ITEMS = {
     "frames": "frame",
     "search": "laser point",
     "correction": "point",
+    "fringes": "pixel",
     "lines": "column",
 }
 _METHODS = {
@@ -80,11 +83,19 @@ _METHODS = {
     "found_on_a_known_shape": "air found on a known shape",
     "found_from_one_pose": "air found from one pose",
     "found_from_two_poses": "air found from two poses",
+    "phase": "phase shifting",
+    "phase_heterodyne": "phase shifting with beats",
+    "phase_gray": "phase shifting with Gray code",
+    "gray": "Gray code",
+    "single": "one image",
     "fir4": "FIR 4",
     "fir8": "FIR 8",
 }
 _SETTINGS: dict[str, Callable[[Any], str]] = {
     "samples_per_pixel": lambda number: f"{counted(number, 'sample')} per pixel",
+    "images": lambda number: counted(number, "image"),
+    "steps": "{} steps".format,
+    "periods_px": "periods of {} px".format,
     "step_mm": "{:g} mm steps".format,
     "tolerance_px": "tolerance {:g} px".format,
     "tolerance_mm": "tolerance {:g} mm".format,

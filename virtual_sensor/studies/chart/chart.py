@@ -62,6 +62,7 @@ PANELS = {
     "frames": Panel("frames", 0.5, on_gpu=True),
     "search": Panel("searches", 0.12),
     "correction": Panel("corrections", 0.1),
+    "fringes": Panel("fringes", 0.1),
     "lines": Panel("detectors", 0.03),
 }
 
