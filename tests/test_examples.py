@@ -242,6 +242,20 @@ def test_two_poses(run):
 
 
 @slow
+def test_fringes(run):
+    """Bent points lie on the part; decoded pixels and their residual are those of a search."""
+    names = run("fringes")
+    assert np.sqrt(np.nanmean(names["deviation_um"](names["bent"]) ** 2)) < 0.1
+    row, column = (each.ravel() for each in np.mgrid[20:500:40, 180:340:20])
+    found = vs.projector_pixels(names["scene"], np.stack([column, row], axis=1))
+    decoded = names["decoded"].pixel[row, column]
+    np.testing.assert_allclose(decoded, found.projector_pixel, atol=0.005)
+    _, y, z = found.point_mm.T
+    np.testing.assert_allclose(np.hypot(y, z + 13.5), 13.5, atol=1e-5)
+    np.testing.assert_allclose(names["bent"].point_mm[row, column], found.point_mm, atol=1e-3)
+
+
+@slow
 def test_own_field(run):
     """The closed form is the integral of the gradient; the shift that of searched rays."""
     names = run("own_field")

@@ -253,20 +253,22 @@ def fit_tables(figures: FringeSummary) -> list[TextTable]:
         Column("state", " "),
         Column("light", "points found"),
         *(radius if kind != "plane" else ()),
-        Column("fit.std_um", "standard deviation, µm"),
+        Column("fit.std_um", "std, µm"),
         Column("fit.points", "points", "{}"),
     )
-    return [text_table(rows, columns, f"A {kind} through the points")]
+    return [
+        text_table(rows, columns, f"A {kind} through the points, and how they scatter about it")
+    ]
 
 
 def check_table(figures: FringeSummary) -> TextTable:
     """Decoded beside searched projector pixels, and the epipolar residual."""
     rows = [{"state": name, **vars(each)} for name, each in figures.states.items()]
     axes = [
-        Column(f"decoded_minus_search.{axis}.{what}_px", f"{axis}, {words}", "{:.4f}", "none")
+        Column(f"decoded_minus_search.{axis}.{what}_px", words, "{:.4f}", "none")
         for axis in AXES.values()
         if any(getattr(each.decoded_minus_search, axis) for each in figures.states.values())
-        for what, words in (("rms", "rms"), ("largest", "most"))
+        for what, words in (("rms", f"{axis}, rms"), ("largest", "most"))
     ]
     epipolar = (
         Column("epipolar.rms_px", "epipolar, rms", "{:.4f}", "none"),
