@@ -1,5 +1,6 @@
 """Scenes that `new` writes: what they measure is the part, wherever and however large it is."""
 
+import itertools
 import re
 from pathlib import Path
 
@@ -291,3 +292,26 @@ def test_a_part_that_is_installed_is_found_by_its_name_and_ones_own_comes_first(
     (tmp_path / "bracket.stl").write_bytes(find_part("gear_blank.stl").read_bytes())
     assert find_part("bracket.stl") == Path("bracket.stl")
     assert find_part("no such.stl") == Path("no such.stl")
+
+
+def test_a_projector_in_the_lasers_place_lights_what_the_camera_sees(tmp_path):
+    """Of a part from a file and of a cylinder, with several cameras or projectors."""
+    film = {"film": "128x107", "pixel_um": 66.0, "projector": True}
+    cases: dict[str, dict] = {
+        "bracket": {"part": "bracket.stl", "tilt": (-15.0,)},
+        "cylinder": {"diameter_mm": 40, "alpha": (30.0, -30.0), "beta": 10},
+        "two": {"part": "bracket.stl", "tilt": (-15.0, 15.0), "alpha": (40.0,)},
+    }
+    for name, options in cases.items():
+        written = write_scene(tmp_path / name, NewScene(**options, **film))
+        assert written.projects
+        whole = vs.load_scene(written.path, spp=1).cold()
+        assert len(whole.sources) == len(options.get("tilt", (0.0,)))
+        for camera, source in itertools.product(whole.cameras, whole.sources):
+            scene = whole.only(camera, source)
+            assert vs.render_frame(scene).lit.mean() > 0.3
+            # The middle of its image lies in the middle of the camera's.
+            middle = vs.projector_pixels(scene, [[63.5, 53.0]]).projector_pixel
+            assert np.abs(middle - [639.5, 399.5]).max() < 5.0
+    with pytest.raises(InputError, match="--fan: of a laser line"):
+        write_scene(tmp_path / "x", NewScene(projector=True, fan=3.0))

@@ -33,8 +33,8 @@ def on_console(written: WrittenScene, said: NewScene) -> list[str]:
     lines.append(_view(written))
     if written.aside:
         lines.append(
-            "There is no surface under the middle of the part: the line is beside it, at the"
-            " nearest place where it lights a good part (another: --at X,Y)."
+            f"There is no surface under the middle of the part: the {_light(written)} is beside it,"
+            " at the nearest place where it lights a good part (another: --at X,Y)."
         )
     return lines
 
@@ -50,11 +50,15 @@ def _view(written: WrittenScene) -> str:
     pixel_um = 1e3 * width / values["width"]
     return (
         f"The camera sees {width:.3g} x {height:.3g} mm at that distance, {pixel_um:.3g} µm per"
-        f" pixel; the line is in the middle, at ({', '.join(_place(written))}) mm."
+        f" pixel; the {_light(written)} is in the middle, at ({', '.join(_place(written))}) mm."
     )
 
 
 _VIEW = ("distance", "focal_length", "film_width", "width", "height")
+
+
+def _light(written: WrittenScene) -> str:
+    return "light" if written.projects else "line"
 
 
 def _place(written: WrittenScene) -> list[str]:
@@ -85,15 +89,16 @@ def _unseen(line: SeenLine) -> list[str]:
 def next_steps(written: WrittenScene, said: NewScene) -> list[str]:
     """Commands to go on with."""
     scene = _quoted(written.path.with_suffix(""))
+    command = "virtual-sensor fringes" if written.projects else "virtual-sensor measure"
     if said.temperature_c is None or written.parameters.get("field"):
-        return [f"virtual-sensor measure {scene}"]
+        return [f"{command} {scene}"]
     stem = written.path.stem
     air = _quoted(written.path.with_name(f"{stem}_air.nc"))
     cold, hot = (_quoted(Path(f"{stem}_{state}")) for state in ("cold", "hot"))
     return [
-        f"virtual-sensor measure {scene} -o {cold}    # as long as there is no air",
+        f"{command} {scene} -o {cold}    # as long as there is no air",
         f"virtual-sensor field simulate --scene {scene} --quick",
-        f"virtual-sensor measure {scene} -D field={air} -o {hot}",
+        f"{command} {scene} -D field={air} -o {hot}",
     ]
 
 

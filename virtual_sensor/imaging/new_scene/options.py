@@ -52,7 +52,8 @@ class NewScene:
         Triangulation angle between the laser and the camera, degrees, by default 30; one for each
         camera, repeated for several.
     tilt : tuple of float
-        Laser from the vertical, degrees, by default 0; one for each laser, repeated for several.
+        Laser or projector from the vertical, degrees, by default 0; one for each, repeated for
+        several.
     laser_offset_mm : tuple of float
         Laser beside the middle, across its line, mm, by default 0; one for each laser.
     beta : float, optional
@@ -63,6 +64,9 @@ class NewScene:
         X,Y,Z of the line's middle in the scene's world, mm, that is after unit and up; X,Y alone:
         on the part's surface there. By default on the surface under the middle of the part's box;
         where there is none, as over a bore, beside it, where the line lights a good part.
+    projector : bool
+        A projector stands in the laser's place, for `fringes`: its image covers what the camera
+        sees.
     line_length_mm : float, optional
         Of the laser's line, mm; by default four fifths of the part.
     line_radius_mm : float, optional
@@ -98,6 +102,7 @@ class NewScene:
     beta: float | None = None
     turn: float | None = None
     at_mm: tuple[float, ...] | None = dataclasses.field(default=None, metadata={"counts": (2, 3)})
+    projector: bool = False
     line_length_mm: float | None = None
     line_radius_mm: float | None = None
     fan: float | None = None

@@ -14,6 +14,9 @@ from virtual_sensor.imaging.new_scene.options import NewScene
 from virtual_sensor.imaging.new_scene.part import NewPart
 from virtual_sensor.imaging.new_scene.placement import Placement
 
+PROJECTOR_PX = 1280, 800
+"""Of a projector's image: a usual DMD's."""
+
 Rows = list[tuple[str, object, str]]
 """Parameters: name, value, and what it is."""
 
@@ -52,7 +55,8 @@ def scene_text(
         part_place=part_place,
         parameters=lines,
         cameras=_numbered("camera", sensor.alphas, "alpha"),
-        lasers=_numbered("laser", sensor.tilts, "tilt", "laser_offset"),
+        projector=said.projector,
+        sources=_sources(sensor, said),
         offset=any(sensor.offsets_mm),
         metal=said.roughness is not None,
         n=n,
@@ -68,6 +72,13 @@ def _numbered(stem: str, each: tuple[float, ...], *parameters: str) -> list[dict
     return [{name: f"{name}{end}" for name in (stem, *parameters)} for end in ends]
 
 
+def _sources(sensor: Placement, said: NewScene) -> list[dict[str, str]]:
+    """The names of the lasers or projectors, as `name`, and of their parameters."""
+    stem = "projector" if said.projector else "laser"
+    numbered = _numbered(stem, sensor.tilts, "tilt", "laser_offset")
+    return [{"name": names.pop(stem), **names} for names in numbered]
+
+
 def _air(said: NewScene, field: str) -> Rows:
     hot: Rows = [
         ("temperature", said.temperature_c, "of the part, degC"),
@@ -79,36 +90,71 @@ def _air(said: NewScene, field: str) -> Rows:
         ("field", field, "of the hot air: a file, or one that is installed; empty: none"),
         ("time", "", "flow time of the air, s; empty: the field's last"),
         ("pressure", "", "of the air, Pa; empty: as the field has it"),
-        ("wavelength", said.wavelength_nm or WAVELENGTH_NM, "of the laser, nm"),
+        ("wavelength", said.wavelength_nm or WAVELENGTH_NM, "of the light, nm"),
     ]
 
 
 def _poses(sensor: Placement, said: NewScene) -> Rows:
     cameras = _numbered("camera", sensor.alphas, "alpha")
-    lasers = _numbered("laser", sensor.tilts, "tilt", "laser_offset")
-    from_laser = f"{lasers[0]['laser']} to {{}}, degrees: the triangulation angle"
+    sources = _sources(sensor, said)
+    from_source = f"{sources[0]['name']} to {{}}, degrees: the triangulation angle"
+    line = "columns lie" if said.projector else "line lies"
     rows: Rows = [
-        (names["alpha"], value, from_laser.format(names["camera"]))
+        (names["alpha"], value, from_source.format(names["camera"]))
         for names, value in zip(cameras, sensor.alphas, strict=True)
     ]
     rows += [
-        (names["tilt"], value, f"{names['laser']} from the vertical, degrees")
-        for names, value in zip(lasers, sensor.tilts, strict=True)
+        (names["tilt"], value, f"{names['name']} from the vertical, degrees")
+        for names, value in zip(sources, sensor.tilts, strict=True)
     ]
     rows += [
-        (names["laser_offset"], value, f"{names['laser']} beside the middle, across its line, mm")
-        for names, value in zip(lasers, sensor.offsets_mm, strict=True)
+        (names["laser_offset"], value, f"{names['name']} beside the middle, across its line, mm")
+        for names, value in zip(sources, sensor.offsets_mm, strict=True)
         if any(sensor.offsets_mm)
     ]
     return [
         *rows,
         ("beta", said.beta or 0, "sensor round its x-axis, degrees"),
-        ("turn", said.turn or 0, "sensor round the vertical, degrees; 0: its line lies along y"),
+        ("turn", said.turn or 0, f"sensor round the vertical, degrees; 0: its {line} along y"),
         ("along", 0, "sensor along its x-axis, mm: to scan"),
         *(
-            (f"at_{axis}", value, f"{axis} of the line's middle, mm")
+            (f"at_{axis}", value, f"{axis} of the middle of the light, mm")
             for axis, value in zip("xyz", sensor.at_mm, strict=True)
         ),
+    ]
+
+
+def _line(sensor: Placement, said: NewScene) -> Rows:
+    return [
+        ("line_length", sensor.line_length_mm, "mm"),
+        ("line_radius", sensor.line_radius_mm, "to 1/e^2, across the sheet, mm"),
+        ("fan", said.fan or 0, "full fan angle, degrees; 0: a sheet of parallel light"),
+        ("dots", "", "positions along the line, mm; empty: a line"),
+        ("laser_distance", sensor.laser_distance_mm, "from the laser's exit to the line, mm"),
+    ]
+
+
+def _projected(sensor: Placement) -> Rows:
+    """A projector's parameters: its image covers what the cameras see."""
+    width, height = PROJECTOR_PX
+    along_mm, across_mm = (
+        n * sensor.pixel_um / 1000.0 * sensor.distance_mm / sensor.focal_mm for n in sensor.size_px
+    )
+    slant = min(abs(np.cos(np.radians(alpha))) for alpha in sensor.alphas)
+    image_mm = max(along_mm * width / height, across_mm / max(slant, 0.5))
+    fov = 2.0 * np.degrees(np.arctan(image_mm / 2.0 / sensor.distance_mm))
+    return [
+        ("pattern", "white", "that is thrown: white, sine u 16 0, checker 40, an image file ..."),
+        ("pixels", "true", "the projector's are square; false: the pattern is shown as it is"),
+        ("contrast", 0, "of its light, white over black; 0: black is dark"),
+        ("gamma", 1, "its light goes with the grey value to this power"),
+        ("bits", 0, "to which it rounds grey values; 0: not at all"),
+        ("defocus", 0, "standard deviation of its image's blur, px of its own"),
+        ("power", 0.1, "of an all-white image, W"),
+        ("projector_width", width, "of its image, px"),
+        ("projector_height", height, "of its image, px"),
+        ("projector_fov", float(f"{fov:.4g}"), "along its width, degrees"),
+        ("projector_distance", sensor.distance_mm, "from its lens to the light's middle, mm"),
     ]
 
 
@@ -118,12 +164,8 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
     if said.roughness is not None:
         surface = ("roughness", said.roughness, "of the metal, from 0.05, shiny, to 0.5, dull")
     return [
-        ("line_length", sensor.line_length_mm, "mm"),
-        ("line_radius", sensor.line_radius_mm, "to 1/e^2, across the sheet, mm"),
-        ("fan", said.fan or 0, "full fan angle, degrees; 0: a sheet of parallel light"),
-        ("dots", "", "positions along the line, mm; empty: a line"),
-        ("laser_distance", sensor.laser_distance_mm, "from the laser's exit to the line, mm"),
-        ("distance", sensor.distance_mm, "from the camera to the line, mm"),
+        *(_projected(sensor) if said.projector else _line(sensor, said)),
+        ("distance", sensor.distance_mm, "from the camera to the light's middle, mm"),
         ("focal_length", sensor.focal_mm, "mm"),
         ("film_width", width * sensor.pixel_um / 1000.0, "mm"),
         ("pixel", sensor.pixel_um, "um; where given, film_width is width times it"),

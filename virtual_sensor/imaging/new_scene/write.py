@@ -14,7 +14,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from virtual_sensor.arrays import numbers_of
+from virtual_sensor.arrays import numbers_of, truth_of
+from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError, nearest, short
 from virtual_sensor.files import (
     check_output,
@@ -91,6 +92,8 @@ class WrittenScene:
     notes : tuple of str
     aside : bool
         Whether the line was put beside the middle of the part, where there is no surface.
+    projects : bool
+        Whether it has a projector, and is measured by `fringes`.
     unit_note : str
         Of a part that seems to be in another unit than mm, if none was said.
     """
@@ -104,6 +107,7 @@ class WrittenScene:
     notes: tuple[str, ...]
     aside: bool = False
     unit_note: str = ""
+    projects: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,9 +136,10 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     **options
         Fields of `NewScene`, which says what each is: `part`, `unit`, `up`; `diameter_mm`,
         `length_mm` of a cylinder; `focal_length_mm`, `pixel_um`, `film`, `distance_mm`; `alpha`,
-        `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `line_length_mm`, `line_radius_mm`,
-        `fan`, `wavelength_nm`; `roughness`, `temperature_c`, `field`, `from_scene`.  Several
-        `alpha` make several cameras, several `tilt` several lasers.
+        `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `projector`; `line_length_mm`,
+        `line_radius_mm`, `fan`, `wavelength_nm`; `roughness`, `temperature_c`, `field`,
+        `from_scene`.  Several `alpha` make several cameras, several `tilt` several lasers or
+        projectors.
 
     Returns
     -------
@@ -196,14 +201,14 @@ def write_scene(path: Path, said: NewScene, overwrite: bool = False) -> WrittenS
                 f"{target}: exists, and {file} would be copied there; rename one of them, or say"
                 " --overwrite"
             )
-    parameters, lines, notes = _tried(path, draft)
+    parameters, lines, notes, projects = _tried(path, draft)
     for target, file in copies.items():
         with written_whole(target) as new:
             shutil.copyfile(file, new)
     with written_whole(path) as new:
         new.write_text(draft.text, encoding="utf-8")
     written = path, tuple(copies), parameters, draft.survey, draft.chosen, lines, notes
-    return WrittenScene(*written, draft.aside, draft.unit_note)
+    return WrittenScene(*written, draft.aside, draft.unit_note, projects)
 
 
 def _check(said: NewScene) -> None:
@@ -232,6 +237,10 @@ def _check(said: NewScene) -> None:
     ):
         if not isinstance(value, str) or value not in known:
             raise InputError(f"--{name} {value}: give one of {', '.join(known)}")
+    truth_of("--projector", said.projector)
+    of_lines = "line_length_mm", "line_radius_mm", "fan", "laser_offset_mm"
+    if said.projector and (lines := [option_of(each) for each in of_lines if each in said.given]):
+        raise InputError(f"{', '.join(lines)}: of a laser line; leave it out, or --projector")
     if said.part and (said.diameter_mm or said.length_mm):
         raise InputError("--diameter, --length: they are a cylinder's; leave them out, or --part")
     if not said.part and (said.unit or said.up != "z"):
@@ -260,7 +269,10 @@ def _drawn(path: Path, said: NewScene) -> _Draft:
         field = _place(path.parent, readable(air))
         files[field] = air
     text = scene_text(path.stem, part, part_place, sensor, said, field)
-    return _Draft(text, files, part.survey, sensor.chosen, sensor.aside, part.unit_note)
+    chosen = sensor.chosen
+    if said.projector:
+        chosen = tuple(name for name in chosen if not name.startswith("line_"))
+    return _Draft(text, files, part.survey, chosen, sensor.aside, part.unit_note)
 
 
 def _place(folder: Path, file: Path) -> str:
@@ -273,8 +285,15 @@ def _place(folder: Path, file: Path) -> str:
 
 def _tried(
     path: Path, draft: _Draft
-) -> tuple[Mapping[str, str], dict[tuple[str, str], SeenLine], tuple[str, ...]]:
-    """Load a draft and look what its cameras see: its parameters, what becomes of lines, notes."""
+) -> tuple[Mapping[str, str], dict[tuple[str, str], SeenLine], tuple[str, ...], bool]:
+    """Load a draft and look what its cameras see.
+
+    Returns
+    -------
+    parameters, lines, notes : Mapping, dict, tuple of str
+    projects : bool
+        Whether it has projectors, whose light `check_scene` looks for.
+    """
     with scratch_folder() as folder:
         trial = folder / path.name
         trial.write_text(draft.text, encoding="utf-8")
@@ -283,15 +302,18 @@ def _tried(
             (folder / name).symlink_to(file.absolute())
         try:
             scene = load_scene(trial)
-            pairs = [(camera, source) for camera in scene.cameras for source in scene.sources]
+            lasers = [n for n, each in scene.sources.items() if not isinstance(each, Projector)]
+            projects = len(lasers) < len(scene.sources)
+            pairs = [(camera, laser) for camera in scene.cameras for laser in lasers]
             lines = {pair: SeenLine.of(scene.only(*pair)) for pair in pairs}
-            if not any(line.seen for line in lines.values()):
+            if pairs and not any(line.seen for line in lines.values()):
                 raise InputError(f"{path}: {_remedy(next(iter(lines.values())))}")
-            notes = [*scene.loading_notes, *check_scene(scene, facets=False), *close_lines(scene)]
+            notes = [*scene.loading_notes, *check_scene(scene, facets=False)]
+            notes += [] if projects else close_lines(scene)
         except InputError as error:
             raise InputError(f"{error}".replace(f"{folder}", f"{path.parent}")) from None
     told = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
-    return scene.parameters, lines, told
+    return scene.parameters, lines, told, projects
 
 
 def _remedy(line: SeenLine) -> str:
