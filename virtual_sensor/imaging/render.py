@@ -319,13 +319,15 @@ def truth_of(prepared: Prepared) -> PixelTruth:
         for name, light in zip(lit.names, sight.lights, strict=True):
             power = _white(sources[name]).flux(light.s, light.t) * light.concentration
             shines = (power > 0.0).numpy()
-            coordinates[name][shines] = np.stack([light.s.numpy(), light.t.numpy()], 1)[shines]
+            coordinates[name] = np.stack([light.s.numpy(), light.t.numpy()], 1)
+            coordinates[name][~shines] = np.nan
             statuses[name] = np.array(light.status, np.uint8)
             reached |= shines
         points = to_numpy(sight.point)
-        point[reached] = points[reached]
+        point = points.astype(np.float32)
         if camera := prepared.arrangement.camera:
-            depth[reached] = camera.pose.to_local(points)[reached, 2]
+            depth = camera.pose.to_local(points)[:, 2].astype(np.float32)
+        point[~reached], depth[~reached] = np.nan, np.nan
     return PixelTruth(index, point, depth, coordinates, statuses, lit.report)
 
 
