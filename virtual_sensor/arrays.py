@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import operator
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -26,6 +26,7 @@ SMALLEST = sys.float_info.min
 """With `LARGEST` the bounds of what is positive and finite: what is less counts as 0 in threads of
 Mitsuba, which flush it."""
 
+_SHARE = 1 << 13
 _PACKET = 64  # numbers: more than any processor's vectors hold
 _ALIGNMENT = 64  # bytes: the most that Dr.Jit asks for
 
@@ -156,6 +157,15 @@ def unmasked(values: ArrayLike) -> NDArray:
     masked: Any = np.ma.asarray(values)
     kind = np.float32 if masked.dtype in (np.uint8, np.uint16, np.float32) else np.float64
     return masked.astype(kind).filled(np.nan)
+
+
+def shares(count: int) -> Iterator[slice]:
+    """So many rows, a few thousand at once; one share of none.
+
+    They stay in the processor's cache; and products of their points with matrices are too small
+    for the threads of linear algebra, whose waiting for each other takes longer than the product.
+    """
+    return (slice(first, first + _SHARE) for first in range(0, max(count, 1), _SHARE))
 
 
 # --------------------------------------------------------------------- into Dr.Jit and back

@@ -1,5 +1,6 @@
 """Range images from projector pixels that are known: searched for, or by OpenCV."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import virtual_sensor as vs
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.metrology.range_image import reconstruct
 from virtual_sensor.optics import sight_points
 from virtual_sensor.optics.ray_families import Telecentric
@@ -237,3 +239,31 @@ def test_a_telecentric_projector_gives_points_too(hot):
     bent = reconstruct(calibration, decoded, medium=hot.medium)
     assert bent.ok.all()
     assert 20.0 < 1e3 * np.abs(bent.point_mm.reshape(-1, 3) - points).max() < 1000.0
+
+
+SPHERE = (
+    '<shape type="sphere"><point name="center" x="0" y="0" z="-13.5"/>'
+    '<float name="radius" value="13.5"/>'
+)
+PLANE = '<shape type="rectangle"><transform name="to_world"><scale value="60"/></transform>'
+
+
+@pytest.mark.parametrize(
+    ("part", "shape"),
+    [(PLANE, vs.PlaneShape()), (SPHERE, vs.SphereShape(13.5, z_mm=-13.5))],
+    ids=["plane", "sphere"],
+)
+def test_cold_surfaces_are_measured_within_a_micrometre(part, shape, tmp_path):
+    """From rendered fringes to points: 64 x 64 of the camera's own pixels, without noise."""
+    text = (shipped_scenes() / "fringe_cylinder.xml").read_text()
+    bare = re.sub(r"<shape .*</shape>", f'{part}<ref id="steel"/></shape>', text, flags=re.DOTALL)
+    (tmp_path / "part.xml").write_text(bare)
+    scene = vs.load_scene(
+        tmp_path / "part.xml", field="", width=64, height=64, pixel=5.5, pixels=False, spp=4
+    )
+    codec = vs.PhaseShift(size_px=scene.projector.size)
+    decoded = codec.decode(vs.render_sequence(scene, codec.patterns).radiance)
+    image = reconstruct(scene, decoded, use="both")
+    assert image.ok.mean() > 0.99
+    assert rms(image.deviation_um(shape)) < 0.1
+    assert np.abs(image.epipolar_px[image.ok]).max() < 0.003

@@ -66,13 +66,14 @@ def test_the_true_shape_comes_back_with_its_spread(kind):
 
 def test_large_clouds_are_fitted_as_small_ones_are(monkeypatch):
     """Rationale: the start comes from a sample, and the sums from shares."""
+    from virtual_sensor import arrays
     from virtual_sensor.metrology import shape_fits
 
     rng = np.random.default_rng(5)
     points, local = patch("cylinder", rng, 1500)
     points += 0.005 * rng.normal(size=(1500, 1)) * normals("cylinder", local)
     whole = vs.fit_cylinder(points)
-    monkeypatch.setattr(shape_fits, "_SHARE", 400)
+    monkeypatch.setattr(arrays, "_SHARE", 400)
     monkeypatch.setattr(shape_fits, "_SAMPLE", 300)
     fit = fit_shape(points)
     np.testing.assert_allclose(fit.shape.radius_mm, whole.radius_mm, atol=1e-8)

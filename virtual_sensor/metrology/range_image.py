@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import number_within, one_of
+from virtual_sensor.arrays import number_within, one_of, shares
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.errors import InputError, short
@@ -29,8 +29,6 @@ Image = NDArray[np.float64]
 
 USES = ("column", "row", "both")
 """Which of the projector's coordinates give the points."""
-
-_SHARE = 1 << 16  # points at once: they stay in the processor's cache
 
 
 @public
@@ -54,7 +52,8 @@ class RangeImage(Displayed):
         `CrossingStatus`.
     projector_pixel : ndarray of shape (H, W, 2)
         (u, v) of the projector's ray that lights the point: of the axis used, the decoded one; of
-        the other, what it should have been.
+        the other, what it should have been.  Where that differs from what was decoded, light took
+        another way than was reckoned with: the air is another.
     """
 
     _field_units: ClassVar = {"projector_pixel": "px"}
@@ -96,9 +95,9 @@ class RangeImage(Displayed):
         deviation = np.full(self.status.shape, np.nan, np.float32)
         index = np.flatnonzero(self.ok)
         points = self.point_mm.reshape(-1, 3)
-        for first in range(0, len(index), _SHARE):
-            some = index[first : first + _SHARE]
-            deviation.ravel()[some] = UM_PER_MM * shape.distance(points[some]).distance_mm
+        for some in shares(len(index)):
+            at = index[some]
+            deviation.ravel()[at] = UM_PER_MM * shape.distance(points[at]).distance_mm
         return deviation
 
     def mesh(self, steepest_deg: float = STEEPEST_DEG) -> RangeMesh:

@@ -7,14 +7,14 @@ derivatives that every `Shape` has.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import points_of
+from virtual_sensor.arrays import points_of, shares
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, nearest, short
@@ -31,7 +31,6 @@ KINDS: Mapping[str, Shape] = {
     "sphere": SphereShape(1.0),
 }
 
-_SHARE = 1 << 16  # points at once: they stay in the processor's cache
 _SAMPLE = 2000  # points that a start is found from
 _MOST_STEPS = 50
 _SETTLED, _EXACT_MM = 1e-10, 1e-10  # of what was left: a step that changes so little is the last
@@ -139,7 +138,9 @@ def fit_shape(
     if status != FitStatus.FITTED:
         return _none(points, len(used), status)
     residual = np.full(len(rows), np.nan)
-    residual[known] = np.concatenate([found.distance(s).distance_mm for s in _shares(used)])
+    residual[known] = np.concatenate(
+        [found.distance(used[some]).distance_mm for some in shares(len(used))]
+    )
     near = np.isfinite(residual)  # a known part may be nowhere near a point
     found = _at_rest(found) if isinstance(shape, str) else found
     freedom = int(near.sum()) - len(names)
@@ -237,8 +238,8 @@ def _normal_equations(
     """J^T J, J^T r, r^T r and the number of residuals r, over all points near the shape."""
     normal, right = np.zeros((len(names), len(names))), np.zeros(len(names))
     squares, count = 0.0, 0
-    for some in _shares(points):
-        found = shape.distance(some)
+    for some in shares(len(points)):
+        found = shape.distance(points[some])
         near = np.isfinite(found.distance_mm)
         r = found.distance_mm[near]
         J = np.empty((len(r), len(names)))
@@ -249,10 +250,6 @@ def _normal_equations(
         squares += float(r @ r)
         count += len(r)
     return normal, right, squares, count
-
-
-def _shares(points: Array) -> Iterator[Array]:
-    return (points[i : i + _SHARE] for i in range(0, max(len(points), 1), _SHARE))
 
 
 def _none(points: Array, count: int, status: FitStatus) -> FittedShape:

@@ -8,13 +8,12 @@ look alike.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import in_own_memory, number_for, points_of, sqrt
+from virtual_sensor.arrays import in_own_memory, number_for, points_of, shares, sqrt
 from virtual_sensor.calls import public
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.distortion import undistorted
@@ -22,7 +21,6 @@ from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, RayFamily
 
 Array = NDArray[np.float64]
 
-_SHARE = 1 << 16  # pixels: so many at once stay in the processor's cache
 _MANY, _NODES = 20_000, 33  # pixels that are worth a kernel; and where a lens is tried, each way
 
 
@@ -118,11 +116,6 @@ def across_lines(
         for some in shares(len(sight)):
             residual[some] = across_line(camera, projector, *sight[some].T, *light[some].T)
     return np.where(np.isfinite(residual), residual, np.nan)
-
-
-def shares(count: int) -> Iterator[slice]:
-    """So many rows in shares that stay in the processor's cache."""
-    return (slice(first, first + _SHARE) for first in range(0, count, _SHARE))
 
 
 def across_line(camera: Pinhole, projector: RayFamily, p: Any, q: Any, s: Any, t: Any) -> Any:

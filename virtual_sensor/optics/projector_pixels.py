@@ -39,6 +39,7 @@ Mask = NDArray[np.bool_]
 _LONG = replace(REFERENCE, step_mm=2.0)  # where 2e-3 px do, as on the shipped fields
 _CORNERS = np.array([[-0.5, -0.5], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5]])  # opposite ones in pairs
 
+_FEW = 1 << 16  # pixels at once: memory stays bounded
 _EDGE = 0.1  # of a pixel's extent in the projector's image: what lies smoothly bends by less
 
 
@@ -150,24 +151,37 @@ def projector_pixels(
     family = pixel_family("projector_pixels", scene)
     seen = _Setting(scene.camera, scene.source, scene.medium, scene.surface)
     lit = replace(seen, camera=family)
+    parts = [
+        _found(seen, lit, pixel[first : first + _FEW], march)
+        for first in range(0, max(len(pixel), 1), _FEW)
+    ]
+    projector_pixel, point, status = map(np.concatenate, zip(*parts, strict=True))
+    return ProjectorPixels(projector_pixel, point, status)
+
+
+def _found(
+    seen: SearchScene, lit: SearchScene, pixel: Array, march: March
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Projector pixels, points and statuses of pixels (N, 2).
+
+    `lit` is the scene as its projector would see it: as camera it has the projector's rays.
+    """
     pixel = np.where(np.isfinite(pixel).all(axis=1, keepdims=True), pixel, np.nan)
-    known = np.asarray(np.isfinite(scene.camera.of_pixels(pixel)).all(axis=0))
+    known = np.asarray(np.isfinite(seen.camera.of_pixels(pixel)).all(axis=0))
     point = seen_points(seen, np.where(known[:, None], pixel, np.nan), march)
-    met: Mask = np.isfinite(point[:, 0])
     found = marched_pixels(lit, point, march)
-    shadowed = _shadowed(lit, point, found)
     reasons = {
         ProjectorPixelStatus.NO_PIXEL: ~known,
-        ProjectorPixelStatus.MISSED: ~met,
+        ProjectorPixelStatus.MISSED: np.isnan(point[:, 0]),
         ProjectorPixelStatus.FOLDED: np.isnan(found[:, 0]),
-        ProjectorPixelStatus.OUTSIDE: ~family.inside(found),
-        ProjectorPixelStatus.SHADOWED: shadowed,
+        ProjectorPixelStatus.OUTSIDE: ~lit.camera.inside(found),
+        ProjectorPixelStatus.SHADOWED: _shadowed(lit, point, found),
     }
     status = np.select([*reasons.values()], [*reasons], ProjectorPixelStatus.OK)
     ok = np.flatnonzero(status == ProjectorPixelStatus.OK)
     status[ok[_edges(seen, lit, pixel[ok], found[ok])]] = ProjectorPixelStatus.EDGE
     used = (status == ProjectorPixelStatus.OK) | (status == ProjectorPixelStatus.EDGE)
-    return ProjectorPixels(np.where(used[:, None], found, np.nan), point, status.astype(np.uint8))
+    return np.where(used[:, None], found, np.nan), point, status.astype(np.uint8)
 
 
 def _shadowed(lit: SearchScene, point: Array, projector_pixel: Array) -> Mask:

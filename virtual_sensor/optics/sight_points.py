@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import by_rows, in_own_memory, to_numpy
+from virtual_sensor.arrays import by_rows, in_own_memory, shares, to_numpy
 from virtual_sensor.display import Displayed, tally
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.bent_points import marched_crossings
@@ -332,7 +332,8 @@ def _bent(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _
     camera, projector = task.camera, task.projector
     tolerance_mm = in_mm(tolerance_px, camera, straight.depth)
     seen = np.column_stack([task.sight, straight.depth])
-    lit = projector.coordinates(straight.point)
+    points = straight.point
+    lit = np.concatenate([projector.coordinates(points[some]) for some in shares(len(points))])
     # Of what was decoded wrongly the maps know nothing.
     inside = np.abs(straight.pixel / projector.size - 0.5).max(axis=1) < 0.5 + _BESIDE
     middle = np.median(lit[inside, 2]) if inside.any() else np.nan
