@@ -92,6 +92,17 @@ def test_rounding_without_noise():
     assert 0.001 < state.summary.decoded_minus_search.column.rms_px < 0.1
 
 
+def test_what_noise_does_not_explain_is_named():
+    """Rationale: the sigma is the noise's; steps of square pixels, say, are far more."""
+    noted = {}
+    for name, changed in {"none": {}, "pixels": {"pixels": "true"}}.items():
+        scene = vs.load_scene("fringe_cylinder", **{**FINE, "width": 64, "height": 64, **changed})
+        noted[name] = measure_fringes(scene, Settings("phase 4 u", cold=True)).summary.notes
+    assert noted["none"] == ()
+    (note,) = noted["pixels"]
+    assert "where noise makes 0 px: the projector's square pixels are steps" in note
+
+
 def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
     """Rationale: a frame half of background, and a projector that lights a corner of it."""
     far = {**FINE, "width": 64, "height": 64, "pixel": 176, "projector_fov": 2.0}
@@ -112,6 +123,7 @@ def test_wrong_requests_are_refused():
         (Settings("phase 4 16,100"), "longest, 100 px, is shorter"),
         (Settings("face 4"), "codec 'face 4' is none"),
         (Settings("single 16 u"), "whole periods"),
+        (Settings(medium="hot_cylinder_900C_quarter", cold=True), "no light is bent"),
     ):
         with pytest.raises(InputError, match=words):
             measure_fringes(scene, settings)

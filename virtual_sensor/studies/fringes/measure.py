@@ -62,6 +62,7 @@ _AT_EDGES = FringeStatus.EDGE.name.lower()
 _MANY = 0.1  # of the pixels: that so many are missing is a caveat
 _FITTED = 40_000  # points that a shape is fitted to, about
 _KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
+_OFF_PX, _OFF = 0.01, 1.5  # px, and predicted sigmas, off the search: noise alone makes less
 _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies
 _SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the points": 0.3}
 
@@ -180,6 +181,11 @@ def measure_fringes(
     alone = scene.only(None, scene.projector_name)
     notes: list[str] = [*scene.loading_notes, *check_scene(alone)]
     medium = None
+    if settings.medium is not None and (settings.cold or scene.medium is None):
+        why = "the cold part alone is asked for" if settings.cold else f"{scene.path} has no air"
+        raise InputError(
+            f"--medium {settings.medium}: {why}, so that no light is bent; leave it out"
+        )
     if scene.medium is not None and not settings.cold:
         medium = scene.medium
         if settings.medium is not None:
@@ -370,6 +376,36 @@ def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
     )
 
 
+def _beyond_noise(state: FringeState) -> list[str]:
+    """Note of decoded pixels that are off the search by more than noise makes, with the causes."""
+    facts, projector = state.summary, state.scene.projector
+    agreement = facts.decoded_minus_search
+    found = {
+        name: (of_search.rms_px, sigma or 0.0)
+        for name, of_search, sigma in (
+            ("column", agreement.column, facts.decoded.sigma_column_px),
+            ("row", agreement.row, facts.decoded.sigma_row_px),
+        )
+        if of_search and of_search.rms_px > max(_OFF_PX, _OFF * (sigma or 0.0))
+    }
+    causes = {
+        "the projector's square pixels are steps (pixels=false shows what lies between them,"
+        " defocus smooths them)": projector.pixels and not projector.defocus_px,
+        f"its gamma is {projector.gamma:g} (more steps make it matter less)": projector.gamma
+        != 1.0,
+        f"its grey values have {projector.bits} bits": projector.bits,
+        f"the camera's have {facts.frames.bits}": facts.frames.bits,
+    }
+    why = "; ".join(words for words, holds in causes.items() if holds)
+    if not found:
+        return []
+    off = " and ".join(
+        f"{name} by {rms_px:.2g} px rms, where noise makes {sigma:.2g} px"
+        for name, (rms_px, sigma) in found.items()
+    )
+    return [f"decoded pixels are off the search, {off}" + f": {why}" * bool(why)]
+
+
 def _counted(numbers: dict[str, int]) -> str:
     return ", ".join(f"{name} {number}" for name, number in numbers.items() if number)
 
@@ -422,6 +458,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
                 f"{missing} of {facts.decoded.pixels} decoded pixels have no {light} point:"
                 f" {_counted(counts)}"
             ] = poor
+    notes |= dict.fromkeys(_beyond_noise(state), False)
     period = min((getattr(each, "period_px", np.inf) for each in codec.patterns), default=np.inf)
     wrong = np.abs(state.grid.difference_px) > 0.5 * period
     if count := int(np.any(wrong, axis=1).sum()):
