@@ -321,3 +321,17 @@ def test_what_cannot_be_decoded_is_refused():
         codec.decode(np.zeros((11, 4, 5)))
     with pytest.raises(InputError, match="of different sizes"):
         codec.decode([np.zeros((4, 5))] * 11 + [np.zeros((5, 4))])
+
+
+def test_a_projectors_square_pixels_are_no_edges():
+    """Rationale: their steps are everywhere; without noise each would look like a part's edge."""
+    v, u = np.mgrid[:80, :120]
+    smooth = 300.0 + 0.37 * u + 0.05 * v + 20.0 * (u >= 70)
+    codec = vs.PhaseShift(axes="u")
+    for samples in (1, 2, 4):
+        of_each = [np.rint(smooth + 0.37 * (k + 0.5) / samples) for k in range(samples)]
+        images = np.mean([seen(codec, each, each) for each in of_each], axis=0)
+        decoded = codec.decode(images)
+        assert decoded.ok[:, :69].all()
+        assert decoded.ok[:, 71:].all()
+        assert (decoded.status[:, 69:71] == vs.FringeStatus.EDGE).all()

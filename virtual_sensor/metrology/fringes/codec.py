@@ -34,6 +34,9 @@ _BLOCK_PX = 65_536  # pixels that are decoded at a time: they stay in the proces
 _REGION_PX = 9  # so many pixels side by side are no noise
 _SQUARE = np.ones((3, 3), np.uint8)
 _DISPLACED_PX = 0.008  # of a pixel's mean from its centre, from which on there is an edge
+_STEP_PX = 1.3  # second difference that square pixels make, and a few samples of them
+_GATHERED = 0.1  # mean of unit vectors that stand for places within a projector pixel
+_SAMPLE_PX = 40_000
 _BEND, _SLOPE = np.array([1.0, -2.0, 1.0]), np.array([-0.5, 0.0, 0.5])
 _FAR = 6.0  # spreads of the second differences
 _MAD = 1.4826  # of a normal distribution: its sigma over its median distance
@@ -479,9 +482,10 @@ def _mixed(
     """Pixels whose coordinate is not that of their centre, as their neighbours show.
 
     They jump; or the surface's bend, and the light's change over the pixel, displace its mean by
-    slope change/12 + bend/24.
+    slope change/12 + bend/24.  Where a projector's square pixels show as steps, these are none.
     """
     place = coordinate.astype(np.float32)
+    stairs = _STEP_PX if _stepped(coordinate) else 0.0
     found = np.zeros(place.shape, bool)
     for along in (0, 1):
         if place.shape[along] < 3:
@@ -493,6 +497,7 @@ def _mixed(
         )
         some = np.abs(bend[:: max(1, bend.shape[0] // 256), :: max(1, bend.shape[1] // 256)])
         usual = _FAR * _MAD * float(np.nanmedian(some)) if np.isfinite(some).any() else 0.0
+        usual = max(usual, stairs)
         spread = sigma[inner]
         found[inner] |= np.abs(bend) > np.float32(np.sqrt(6.0) * _FAR) * spread + (
             24.0 * _DISPLACED_PX + usual
@@ -503,6 +508,17 @@ def _mixed(
         most = np.maximum(spread, max(_DISPLACED_PX, usual / 24.0))
         found[inner] |= np.abs(slope) > 12.0 * most
     return found
+
+
+def _stepped(coordinate: NDArray[np.float64]) -> bool:
+    """Whether coordinates gather at whole projector pixels, or at halves, thirds or quarters.
+
+    So they do where a camera's pixel is the mean of a few samples of them.
+    """
+    known = coordinate[np.isfinite(coordinate)]
+    known = known[:: max(1, known.size // _SAMPLE_PX)]
+    turn = np.exp(2j * np.pi * known)
+    return known.size > 0 and any(abs(np.mean(turn**part)) > _GATHERED for part in (1, 2, 3, 4))
 
 
 def _filtered(image: NDArray[Any], kernel: NDArray[Any], along: int) -> NDArray[Any]:
