@@ -113,10 +113,18 @@ def test_what_is_no_pattern_is_refused_with_what_there_is(tmp_path) -> None:
     colour = np.zeros((4, 4, 3), np.uint8)
     colour[..., 1] = 9
     cv2.imwrite(str(tmp_path / "colour.png"), colour)
+    cv2.imwrite(str(tmp_path / "bright.tif"), np.full((4, 4), 2.0, np.float32))
     for text, said in (
         ("sine w 3", "axis is 'w'"),
         ("sine u", "sine u|v PERIOD"),
-        ("sine u 0", "above 0"),
+        ("sine u 0", "from 0.001"),
+        ("sine u 1e-300", "from 0.001"),
+        ("sine u 16 1e300", "rad"),
+        ("checker inf", "square_px"),
+        ("stripe v nan 3", "middle_px"),
+        ("long" * 2000, "image file"),
+        ("zero\0byte", "image file"),
+        ("bright.tif", "bright.tif: Picture: its values go up to 2"),
         ("sine u nan", "period_px"),
         ("sine u 16 0 .5 .6", "at most 0.5"),
         ("gray u 3.5", "whole number"),

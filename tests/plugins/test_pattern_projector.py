@@ -1,5 +1,7 @@
 """The projector as an emitter: against Mitsuba's own, its power, and its light through hot air."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from virtual_sensor.devices.photometry import watts_of
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import lit_pixels
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.optics.ray_families import Pinhole, Telecentric
 
 SIZE = W, H = 24, 16
@@ -245,6 +248,28 @@ def test_maps_and_marches_throw_the_same_fringes():
     assert np.sqrt(np.mean((pixels[0] - pixels[1]) ** 2)) < 5e-3
     cold = vs.render(scene.cold())
     assert np.abs(cold - by_maps.radiance).max() > 0.1 * brightest  # the air moves fringes
+
+
+def test_distorted_and_parallel_light_through_hot_air(tmp_path):
+    """The projector's pixels in a frame against those that a search of marched rays finds."""
+    folder = shipped_scenes()
+    text = (folder / "fringe_cylinder.xml").read_text(encoding="utf-8")
+    text = text.replace('"fields/', f'"{folder}/fields/')
+    fov = re.search(r'<string name="fov_axis" value="x"/>\n *<float name="fov" .*_fov"/>', text)[0]
+    parallel = '<boolean name="telecentric" value="true"/><float name="image_width" value="60"/>'
+    distorts = f'{fov}<string name="distortion" value="-2, 1, 0.01, -0.02"/>'
+    for lens in (parallel, distorts):
+        path = tmp_path / "own.xml"
+        path.write_text(text.replace(fov, lens), encoding="utf-8")
+        scene = vs.load_scene(path, **SMALL)
+        frame = vs.render_frame(scene)
+        row, column = np.argwhere(frame.lit)[:: frame.lit.sum() // 60].T
+        s, t = frame.coordinates()[row, column].T.astype(float)
+        found = vs.projector_pixels(scene, np.stack([column, row], axis=1)).projector_pixel
+        apart = np.abs(np.stack(scene.projector.pixels_of(s, t), axis=1) - found)
+        assert np.isfinite(apart).all(axis=1).sum() > 55
+        assert np.nanmedian(apart) < 2e-3
+        assert np.nanmax(apart) < 0.05  # a coarse camera's pixels are 0.5 mm
 
 
 def test_maps_of_wide_light_do_not_see_the_marches_own_error():

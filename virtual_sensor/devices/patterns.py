@@ -20,8 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import (
-    LARGEST,
-    SMALLEST,
     Table,
     cos,
     floor,
@@ -35,7 +33,8 @@ from virtual_sensor.arrays import (
 )
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
-from virtual_sensor.errors import InputError, nearest, short
+from virtual_sensor.errors import InputError, naming, nearest, short
+from virtual_sensor.files import exists
 
 Axis = Literal["u", "v"]
 """Along which a pattern varies: columns or rows."""
@@ -43,6 +42,8 @@ Axis = Literal["u", "v"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 
 _MOST_BITS = 16
+_FAR = 1e6  # px and rad: beyond, float32 has no fractions
+_LENGTH = 1e-3, 1e9, "a length in px, from 0.001 on"
 _LIGHT = "a grey value from 0 (black) to 1 (white)"
 
 
@@ -129,8 +130,8 @@ class Sine(Pattern):
 
     def __post_init__(self) -> None:
         one_of("Sine: axis", self.axis, AXES)
-        number_within("Sine: period_px", self.period_px, SMALLEST, LARGEST, "a length above 0 px")
-        number_within("Sine: phase_rad", self.phase_rad, -LARGEST, LARGEST, "an angle in rad")
+        number_within("Sine: period_px", self.period_px, *_LENGTH)
+        number_within("Sine: phase_rad", self.phase_rad, -_FAR, _FAR, "an angle in rad")
         number_within("Sine: mean", self.mean, 0.0, 1.0, _LIGHT)
         most = min(self.mean, 1.0 - self.mean)
         within = f"at most {most:g}, so that grey values stay within 0 to 1"
@@ -202,8 +203,7 @@ class Checker(Pattern):
     axis = None
 
     def __post_init__(self) -> None:
-        size = "a size above 0 px"
-        number_within("Checker: square_px", self.square_px, SMALLEST, LARGEST, size)
+        number_within("Checker: square_px", self.square_px, *_LENGTH)
 
     def grey(self, u: Any, v: Any) -> Any:
         """White where the fields' column and row are both even, or both odd."""
@@ -235,8 +235,8 @@ class Stripe(Pattern):
 
     def __post_init__(self) -> None:
         one_of("Stripe: axis", self.axis, AXES)
-        number_within("Stripe: middle_px", self.middle_px, -LARGEST, LARGEST, "a place in px")
-        number_within("Stripe: width_px", self.width_px, SMALLEST, LARGEST, "a width above 0 px")
+        number_within("Stripe: middle_px", self.middle_px, -_FAR, _FAR, "a place in px")
+        number_within("Stripe: width_px", self.width_px, *_LENGTH)
 
     def grey(self, u: Any, v: Any) -> Any:
         """White up to half its width from its middle."""
@@ -386,8 +386,9 @@ def pattern_of(text: str | Path | Pattern, folders: tuple[Path, ...] = ()) -> Pa
         except InputError as why:
             raise InputError(f"pattern '{text}': {why}; write {form}") from None
     for folder in folders or (Path(),):
-        if words and (file := folder / str(text)).is_file():
-            return Picture(_read_picture(file), str(text))
+        if words and exists(file := folder / str(text)) and file.is_file():
+            with naming(file):
+                return Picture(_read_picture(file), str(text))
     forms = ", ".join(form for *_, form in _KINDS.values())
     guess = nearest(words[0], _KINDS) if words else ""
     raise InputError(
@@ -400,14 +401,14 @@ def _read_picture(file: Path) -> NDArray[np.float64]:
     try:
         data = np.frombuffer(file.read_bytes(), np.uint8)
     except OSError as why:
-        raise InputError(f"{file}: can't be read: {why.strerror}") from None
+        raise InputError(f"can't be read: {why.strerror}") from None
     image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
-        raise InputError(f"{file}: is no image that can be read; give a PNG, TIFF, BMP or JPEG")
+        raise InputError("is no image that can be read; give a PNG, TIFF, BMP or JPEG")
     if image.ndim == 3:
         colours = image[:, :, : 1 if image.shape[2] == 2 else 3]
         if (colours != colours[:, :, :1]).any():
-            raise InputError(f"{file}: is in colour; a pattern is grey: convert it")
+            raise InputError("is in colour; a pattern is grey: convert it")
         image = colours[:, :, 0]
     scale = float(np.iinfo(image.dtype).max) if image.dtype.kind in "ui" else 1.0
     return image.astype(float) / scale
