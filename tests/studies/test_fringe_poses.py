@@ -147,3 +147,27 @@ def test_the_command_writes_maps_and_figures_once(tmp_path):
     assert isinstance(again.exception, InputError)
     wrong = CliRunner().invoke(app, [*words, "--overwrite", "--weights", "coverage"])
     assert "NAME=WEIGHT" in str(wrong.exception)
+
+
+def test_a_step_of_the_part_has_the_distance_of_the_face_that_is_seen():
+    """Rationale: beside a wall the nearest face is another one, millimetres off."""
+    size = {"width": ["128"], "height": ["128"]}
+    there = compare_poses(
+        "fringe_stepped_shaft", size | {"beta": ["0"], "temperature": ["1250"]}, grid=16
+    )
+    (pose,) = there.poses
+    assert pose.figures.bent.rms_um < 2.0
+    assert abs(pose.figures.bent.largest_um) < 20.0
+    assert pose.figures.straight.radius_error_um is None
+    assert np.isnan(there.table.bent_fit_std_um).all()
+
+
+def test_rendered_fringes_agree_with_a_line_along_it():
+    """The issue's line is 0.5 um, of 2048 px; here pixels are four times as wide."""
+    scene = vs.load_scene("fringe_cylinder", width=512, height=512, pixels="false")
+    codec = vs.codec_of("phase 3 64,1280 u", scene.projector.size)
+    frames = vs.render_sequence(scene, codec.patterns, spp=1)
+    found = sections(scene, decoded=codec.decode(frames.radiance, noise=0.0)).figures
+    assert found.bent.points > 60
+    assert found.bent.difference_rms_um < 0.5
+    assert 5.0 < found.straight.difference_rms_um < 20.0

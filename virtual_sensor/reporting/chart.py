@@ -95,7 +95,7 @@ _SETTINGS: dict[str, Callable[[Any], str]] = {
     "samples_per_pixel": lambda number: f"{counted(number, 'sample')} per pixel",
     "images": lambda number: counted(number, "image"),
     "steps": "{} steps".format,
-    "periods_px": "periods of {} px".format,
+    "periods_px": lambda text: f"periods of {text.replace(',', ', ')} px",
     "step_mm": "{:g} mm steps".format,
     "tolerance_px": "tolerance {:g} px".format,
     "tolerance_mm": "tolerance {:g} mm".format,

@@ -101,13 +101,18 @@ def deviation_table(result: PosesCompared) -> TextTable:
     lights = {"straight": "straight"}
     if np.isfinite(result.table.bent_rms_um).any():
         lights["bent"] = "through air"
+    fitted = bool(np.isfinite(result.table.straight_fit_std_um).any())
     for light, words in lights.items():
-        columns += [
-            Column(f"{light}_rms_um", words, micrometres),
-            Column(f"{light}_radius_error_um", f"{'R' if light == 'straight' else 'R in air'}"),
-            Column(f"{light}_fit_std_um", "std" if light == "straight" else "std in air"),
-        ]
-    caption = "Distance from the part, rms; error of the fitted cylinder's radius R; in µm"
+        where = "" if light == "straight" else " in air"
+        columns.append(Column(f"{light}_rms_um", words, micrometres))
+        if fitted:
+            columns += [
+                Column(f"{light}_radius_error_um", f"R{where}"),
+                Column(f"{light}_fit_std_um", f"std{where}"),
+            ]
+    caption = "Distance from the part, rms, in µm"
+    if fitted:
+        caption = "Distance from the part, rms; error of the fitted cylinder's radius R; in µm"
     return text_table(result.table, columns, caption)
 
 

@@ -36,7 +36,7 @@ from virtual_sensor.optics.epipolar import epipolar_residual
 from virtual_sensor.optics.projector_pixels import projector_pixels
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import Record, Table
-from virtual_sensor.studies.fringes.sections import SectionPair, Sections, sections
+from virtual_sensor.studies.fringes.sections import SectionPair, Sections, off_part_um, sections
 from virtual_sensor.studies.provenance import MadeWith, made_with
 
 Array = NDArray[np.float64]
@@ -440,7 +440,7 @@ def pose_maps(scene: Scene, name: str, parameters: Mapping[str, str], grid: int 
         key: triangulated_points(scene, at, medium=medium, coordinate=s).point_mm
         for key, medium in media.items()
     }
-    deviation = {key: UM_PER_MM * part.distance(each).distance_mm for key, each in off.items()}
+    deviation = {key: off_part_um(scene, each, points) for key, each in off.items()}
     sight = camera.pose.origin_mm - points
     light = family.origins(points) - points
     cosines, lit = (np.abs(np.sum(normal * to, axis=1)) / euclidean(to) for to in (sight, light))

@@ -26,6 +26,7 @@ from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.projector_pixels import projector_pixels
 from virtual_sensor.optics.ray_families import Pinhole, Sheet
 from virtual_sensor.optics.ray_search import ray_search
+from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
@@ -33,6 +34,7 @@ Array = NDArray[np.float64]
 RAYS = 101
 """Of the line, that are searched."""
 
+_SAME_FACE_UM = 50.0  # by which a curved face and its tangent plane may differ
 _LINE_RADIUS_MM = 0.15
 _POWER_W = 0.1
 
@@ -162,13 +164,11 @@ def sections(
         row = column * 0.0 + (scene.projector.size[1] - 1) / 2.0
         row = row if decoded.row is None else _between(decoded.row, pixel)
     s, _ = scene.projector.family.of_pixels(np.column_stack([column, row]))
-    part = PartShape.of(scene)
     media = {"straight": None} | ({"bent": scene.medium} if scene.medium is not None else {})
 
     def distance(sensor: Scene, s: Any, medium: Any) -> Array:
         points = triangulated_points(sensor, pixel, medium=medium, coordinate=s).point_mm
-        found: Array = UM_PER_MM * part.distance(points).distance_mm
-        return found
+        return off_part_um(scene, points, found.laser_point_mm)
 
     return Sections(
         along,
@@ -176,6 +176,29 @@ def sections(
         {name: distance(other, 0.0, medium) for name, medium in media.items()},
         {name: distance(scene, s, medium) for name, medium in media.items()},
     )
+
+
+def off_part_um(scene: Scene, points: Array, true_mm: Array) -> Array:
+    """Distances (N,) of measured points (N, 3) from the part, on whose faces the true ones lie.
+
+    Beside a step another face may be nearer than the one that was seen: of that the tangent plane
+    counts.
+    """
+    distance: Array = UM_PER_MM * PartShape.of(scene).distance(points).distance_mm
+    surface: Any = scene.surface
+    if isinstance(surface, Cylinder):
+        return distance
+    known: Any = np.isfinite(true_mm).all(axis=1)
+    found = np.full(len(points), np.nan)
+    if known.any():
+        sight = true_mm[known] - scene.camera.pose.origin_mm
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        normal = surface.normals(true_mm[known], sight)
+        normal = np.where(np.sum(normal * sight, axis=1, keepdims=True) > 0.0, -normal, normal)
+        seen = UM_PER_MM * np.sum((points[known] - true_mm[known]) * normal, axis=1)
+        same = np.abs(distance[known] - seen) < _SAME_FACE_UM
+        found[known] = np.where(same, distance[known], seen)
+    return found
 
 
 def _between(image: Array, pixel: Array) -> Array:
