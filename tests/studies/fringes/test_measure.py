@@ -44,6 +44,14 @@ def test_decoded_projector_pixels_are_those_of_the_search(measured):
         assert np.nanmax(np.abs(decoded - searched)) < 0.01
 
 
+def test_a_measurement_is_a_table_of_searched_pixels(measured):
+    table = measured.to_dataframe()
+    assert set(table["state"]) == {"cold", "hot"}
+    assert len(table) == sum(len(state.grid.pixel) for state in measured.states.values())
+    assert table["difference_column_px"].abs().max() < 0.01
+    assert repr(measured).startswith("FringeMeasurement: fringe_cylinder.xml, cold 25600 pixels")
+
+
 def test_the_epipolar_residual_is_the_airs(measured):
     """Rationale: no shape makes it; in cold air there is none."""
     cold, hot = (state.summary.epipolar for state in measured.states.values())

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import number_within, whole_number
+from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.camera_noise import CameraNoise, record
 from virtual_sensor.imaging.checks import check_scene
@@ -25,7 +26,7 @@ from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
 from virtual_sensor.metrology.range_image import reconstruct
 from virtual_sensor.metrology.shape_fits import fit_shape
-from virtual_sensor.metrology.shapes import PartShape
+from virtual_sensor.metrology.shapes import CylinderShape, PartShape, Shape
 from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.epipolar import epipolar_residual
@@ -68,7 +69,7 @@ _SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the p
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Displayed):
     """How a camera records the frames.
 
     Attributes
@@ -128,7 +129,7 @@ def _rounded(radiance: NDArray[np.float32], bits: int) -> NDArray[np.uint16]:
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Displayed):
     """How a scene is measured by fringes.
 
     Attributes
@@ -301,16 +302,24 @@ def _straight_um(
             given[name] = np.full(decoded.status.shape, np.nan)
             given[name][place] = projector_pixel[:, axis]
     searched = reconstruct(scene, replace(decoded, **given))
-    return searched.deviation_um(PartShape.of(scene))[place].astype(float)
+    return searched.deviation_um(_true_surface(scene))[place].astype(float)
 
 
 # From projector pixels to the surface.
 
 
+def _true_surface(scene: Scene) -> Shape:
+    """The scene's part; a cylinder as such, whose distances take a quarter of the time."""
+    part = scene.surface
+    if isinstance(part, Cylinder):
+        return CylinderShape(part.radius_mm, part.axis_y_mm, part.axis_z_mm)
+    return PartShape.of(scene)
+
+
 def _surface(scene: Scene, decoded: DecodedFringes, medium: IndexField | None) -> Surface:
     """The surface of what was decoded, straight or through a medium."""
     found = reconstruct(scene, decoded, medium=medium)
-    deviation_um = found.deviation_um(PartShape.of(scene))
+    deviation_um = found.deviation_um(_true_surface(scene))
     known = deviation_um[np.isfinite(deviation_um)].astype(float)
     sigma = found.sigma_um[np.isfinite(found.sigma_um)]
     facts = SurfaceFacts(

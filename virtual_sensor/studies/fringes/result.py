@@ -120,6 +120,9 @@ class FringeState(Displayed):
         """By "straight" and "bent"."""
         return {"straight": self.straight} | ({"bent": self.bent} if self.bent else {})
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return search_table(self).columns()
+
     def _line(self) -> str:
         return listed(f"{len(self.images)} frames", f"{self.summary.decoded.pixels} pixels decoded")
 
@@ -151,6 +154,12 @@ class FringeMeasurement(Displayed):
     def states(self) -> dict[str, FringeState]:
         """The states by name."""
         return {"cold": self.cold} | ({"hot": self.hot} if self.hot else {})
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        columns = [state._columns() for state in self.states.values()]
+        lengths = [len(each["pixel_u"]) for each in columns]
+        named = {name: np.concatenate([each[name] for each in columns]) for name in columns[0]}
+        return {"state": np.repeat([*self.states], lengths), **named}
 
     def _line(self) -> str:
         found = (
