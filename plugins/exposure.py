@@ -22,6 +22,7 @@ The radiances are those of each frame; one alone is that of all.
 """
 
 _UNDER_WAY = 4  # chunks at most: each takes memory
+_VALUES = 1 << 26  # of all frames' samples in them, about
 _STREAM = 1 << 20  # chunks of a stream at most
 _GOLDEN = 0x9E3779B9  # seeds of chunks lie so far apart
 
@@ -129,6 +130,7 @@ class Exposure:
         spp = self.sampler.sample_count()
         numbers = None if pixels is None else in_own_memory(pixels, mi.UInt32)
         chunk = max(1, lanes // spp)
+        most = min(max(_VALUES // (chunk * spp * self._frames), 1), _UNDER_WAY)
         for number, first in enumerate(range(0, total, chunk), stream * _STREAM):
             # What changes from chunk to chunk is opaque, so that one kernel serves them all.
             count = min(chunk, total - first)
@@ -148,7 +150,7 @@ class Exposure:
             else:
                 self._average(values, pixel)
             self._under_way += 1
-            if self._under_way == _UNDER_WAY:  # the next ones are prepared meanwhile
+            if self._under_way >= most:  # the next ones are prepared meanwhile
                 dr.sync_thread()
                 self._under_way = 0
             self._done += count

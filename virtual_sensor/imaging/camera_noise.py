@@ -12,6 +12,8 @@ from linearity, defect pixels, correlations between pixels, colour.
 
 from __future__ import annotations
 
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,6 +36,7 @@ from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
 
+_AT_ONCE = 4  # frames of a sequence
 _SURELY_FULL = 10.0  # full wells: more light than that makes no difference
 _LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
 _DARKEST = 0.01  # photons, of a frame's brightest pixel
@@ -215,14 +218,18 @@ def record(
 def _sequence(
     images: NDArray, camera: CameraNoise, rng: np.random.Generator, peak_e: float | None
 ) -> NDArray:
-    """Grey values (K, H, W) of frames of one exposure; one by one, as all may be large."""
+    """Grey values (K, H, W) of frames of one exposure; a few at once, as all may be large."""
     brightest = float(np.nanmax(images, initial=0.0))
     scale = 1.0 if peak_e is None else _exposure(brightest, peak_e, camera)
     _check_exposure(scale * brightest)
     grey: NDArray = np.empty(images.shape, camera.kind)
-    for number, (frame, own) in enumerate(zip(images, rng.spawn(len(images)), strict=True)):
-        light = image_of(f"record: photons of frame {number}", frame, 0.0)
+
+    def take(number: int, own: np.random.Generator) -> None:
+        light = image_of(f"record: photons of frame {number}", images[number], 0.0)
         grey[number] = _grey(light * scale, camera, own)
+
+    with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy draws numbers beside itself
+        deque(threads.map(take, range(len(images)), rng.spawn(len(images))), maxlen=0)
     return grey
 
 

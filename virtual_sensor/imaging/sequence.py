@@ -99,7 +99,7 @@ class PatternFrames(Displayed):
 
     def frame(self, number: int) -> Frame:
         """One of the frames, with the truth."""
-        return Frame(self.radiance[number], self.truth, {self.source: np.nan}, self.report)
+        return Frame(self.radiance[number], self.truth, {}, self.report)
 
     @cached_property
     def projector_pixel(self) -> NDArray[np.float64]:
