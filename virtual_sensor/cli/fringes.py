@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from virtual_sensor.cli import fringe_decode, fringe_poses, shared
+from virtual_sensor.cli import fringe_calibrate, fringe_decode, fringe_poses, shared
 from virtual_sensor.errors import InputError
 
 EPILOG = (
@@ -168,4 +168,5 @@ def fringes(
 
 
 app.command("decode", epilog=fringe_decode.EPILOG)(fringe_decode.decode)
+app.command("calibrate", epilog=fringe_calibrate.EPILOG)(fringe_calibrate.calibrate)
 app.command("poses", epilog=fringe_poses.EPILOG)(fringe_poses.poses)

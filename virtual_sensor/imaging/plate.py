@@ -6,15 +6,17 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.scene_file import read_scene_file
 from virtual_sensor.poses import Pose
+
+_WHITE = 65535
 
 PLATE = """
 <scene>
@@ -119,8 +121,10 @@ def plate_scenes(
             " the scene file"
         )
     with scratch_folder() as folder:
-        picture = folder / "plate.exr"
-        mi.Bitmap(np.ascontiguousarray(reflectance, np.float32)[:, :, None]).write(str(picture))
+        picture = folder / "plate.png"
+        levels = np.rint(np.clip(reflectance, 0.0, 1.0) * _WHITE).astype(np.uint16)
+        # By OpenCV: Mitsuba's own writer now and then waits for ever.
+        picture.write_bytes(cv2.imencode(".png", levels)[1].tobytes())
         width, height = size_mm
         plate = PLATE.format(width=width / 2.0, height=height / 2.0, picture=picture)
         root.insert(0, ElementTree.Element("path", value=str(scene.path.parent.absolute())))

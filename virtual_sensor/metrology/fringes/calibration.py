@@ -45,6 +45,7 @@ _LEAST_VIEWS, _LEAST_MARKS = 3, 6
 _UNDETERMINED = 1e9  # condition of the scaled Jacobian from which on the poses leave a choice
 _MOST_DOUBT = 0.02  # standard deviation of a focal length, relative
 _OUTLIER = 6.0  # robust standard deviations
+_NEAR_PX = 0.05  # nothing nearer is an outlier, however exact the others are
 _LEAST_PX = 1e-6  # residuals below are rounding: they give no weight
 _ROUNDS = 6  # of weights and outliers
 _STEADY = 0.02  # change of the weights that ends them
@@ -497,7 +498,8 @@ def _fitted(problem: _Problem, x: Array) -> _Fit:
         residuals = problem.by_mark(problem.residuals(x))
         size = np.linalg.norm(residuals, axis=3)
         spread = [max(1.4826 * _median_component(each), _LEAST_PX) for each in residuals]
-        far = (size > _OUTLIER * np.reshape(spread, (2, 1, 1))).any(axis=0)
+        limit = np.maximum(_OUTLIER * np.reshape(spread, (2, 1, 1)), _NEAR_PX)
+        far = (size > limit).any(axis=0)
         sigma = _spreads(problem, np.where(far[..., None], np.nan, residuals))
         steady = np.allclose(sigma, problem.sigma, rtol=_STEADY)
         status = np.where(far, MarkStatus.OUTLIER, problem.status).astype(np.uint8)

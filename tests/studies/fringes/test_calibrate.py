@@ -1,0 +1,111 @@
+"""A calibration by rendered frames beside the scene's own camera and projector."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import command
+from data_dictionary import undocumented
+
+import virtual_sensor as vs
+from virtual_sensor.errors import InputError
+from virtual_sensor.reporting.fringe_calibration import FILES
+from virtual_sensor.studies.fringes.calibrate import (
+    CalibrationSettings,
+    calibrate_scene,
+    target_for,
+    target_poses,
+)
+
+CODEC = "phase 3 128,1280 uv"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene("fringe_cylinder", width=192, height=192, spp=16, pixels="false")
+
+
+def settings(**named):
+    given = {"codec": vs.codec_of(CODEC), "codec_text": CODEC, "poses": 4, "distortion": 0}
+    return CalibrationSettings(**{**given, **named})
+
+
+def test_poses_of_the_target_are_seen_by_both_devices(scene):
+    """Expected: nine tenths of the marks on camera and projector, their faces to both."""
+    truth = scene.camera, scene.projector.family
+    target = target_for(truth, settings())
+    poses = target_poses(truth, 20)
+    inside = []
+    for pose in poses:
+        points = pose.to_world(target.points_mm)
+        inside.append(np.all([each.inside(each.project(points)) for each in truth], axis=0))
+        for each in truth:
+            towards = pose.origin_mm - each.pose.origin_mm
+            assert towards @ pose.rotation[:, 2] > 0.4 * np.linalg.norm(towards)
+        assert np.linalg.det(pose.rotation) == pytest.approx(1.0)
+    assert np.mean(inside) > 0.9
+    lifted = target_poses(truth, 3, 10.0)
+    up = lifted[0].origin_mm - poses[0].origin_mm
+    assert up @ scene.towards_sensors == pytest.approx(10.0, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_calibration_finds_the_scenes_own_devices(scene):
+    """Expected: what the marks' own scatter allows, four standard deviations."""
+    shots = []
+    found = calibrate_scene(scene, settings(target="dots"), keep=lambda n, each: shots.append(each))
+    summary = found.summary
+    assert summary.camera_error_px < 0.03
+    assert summary.projector_error_px < 0.15  # 3.5 projector pixels are one of this camera's
+    assert summary.largest_sigmas < 4.0
+    assert summary.shape_rms_um < 10.0
+    assert summary.seen_by_truth_rms_um < 20.0
+    assert len(shots) == 4
+    assert shots[0].patterns.shape == (12, 192, 192)
+    assert sum(summary.marks.values()) == len(found.marks) == 4 * 99
+    assert found.calibration.camera.pose == scene.camera.pose
+    assert summary.frames == 4 * 13
+
+
+@pytest.mark.slow
+def test_hot_air_moves_what_is_calibrated_beyond_what_its_sigmas_know(scene):
+    """Rationale: the fit bends its lenses after the air, and its residuals don't tell all of it."""
+    cold = calibrate_scene(scene, settings(distortion=4, poses=8)).summary
+    hot = calibrate_scene(scene, settings(distortion=4, poses=8, hot=True)).summary
+    assert hot.camera_error_px > 10.0 * cold.camera_error_px
+    assert hot.shape_rms_um > 10.0 * cold.shape_rms_um
+    assert "--lift" in hot.notes[-1]
+
+
+def test_the_command_writes_what_is_documented(tmp_path):
+    options = ["-D", "width=128", "-D", "height=128", "-D", "pixels=false", "--target", "dots"]
+    options += ["--codec", "phase 3 80,1280 uv", "--poses", "4", "--distortion", "0"]
+    options += ["--electrons", "9000", "--spp", "4"]
+    folder = tmp_path / "found"
+    status, said, _ = command(
+        "fringes", "calibrate", "fringe_cylinder", *options, "--frames", "-o", folder
+    )
+    assert status == 0
+    assert "µrad" in said
+    assert undocumented(folder, FILES) == []
+    assert len(list((folder / "frames").iterdir())) == 4 * 13
+    read = vs.FringeCalibration.read(folder / "calibration.yaml")
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert read.projector_rms_px == pytest.approx(summary["projector_rms_px"])
+    assert summary["electrons"] == 9000
+    assert read.camera.size == (128, 128)
+    assert read.projector.size == (1280, 800)
+
+
+def test_what_can_not_be_calibrated_is_told(scene):
+    for wrong, said in (
+        ({"hot": True}, "no hot air"),
+        ({"poses": 2}, "--poses"),
+        ({"target": "stripes"}, "stripes"),
+        ({"pitch_mm": -1.0}, "--pitch"),
+    ):
+        with pytest.raises(InputError, match=said):
+            calibrate_scene(scene.cold(), settings(**wrong))
+    laser = vs.load_scene("hot_cylinder", width=64, height=64)
+    with pytest.raises(InputError, match="projector"):
+        calibrate_scene(laser, settings())
