@@ -31,6 +31,7 @@ ORDER = (
     "training_images",
     "correct_profile",
     "two_poses",
+    "fringes",
     "own_field",
     "dask_sweep",
 )
@@ -110,7 +111,7 @@ def index() -> str:
     return "\n".join(
         [
             "# Examples\n",
-            "Eleven short scripts. They run as they are, in an empty folder; `jupytext --to ipynb`"
+            "Twelve short scripts. They run as they are, in an empty folder; `jupytext --to ipynb`"
             " makes notebooks of them.\n",
             "| Picture | Example |",
             "|---|---|",
