@@ -18,6 +18,7 @@ from virtual_sensor.optics.rays import March
 
 SIZE = 48
 QUICK = March(0.5, "leapfrog", "double")
+MATRIX = np.array([[6400.0, 0.0, 3200.0], [0.0, 6400.0, 2000.0], [0.0, 0.0, 1.0]])
 MIDDLE = [[0.0, 0.0, -13.5]]
 LENS = np.array([-0.2, 0.8, 1e-3, -2e-3, 0.0])
 
@@ -267,3 +268,29 @@ def test_cold_surfaces_are_measured_within_a_micrometre(part, shape, tmp_path):
     assert image.ok.mean() > 0.99
     assert rms(image.deviation_um(shape)) < 0.1
     assert np.abs(image.epipolar_px[image.ok]).max() < 0.003
+
+
+def test_far_backgrounds_and_few_wrong_pixels_have_points_as_marched_rays_have(hot):
+    """The part's plane, a wall twice as far, and pixels of a wrong fringe order in between."""
+    near, far = (
+        seen(hot.camera, lambda o, d, z=z: (z - o[2]) / d[:, 2]).reshape(SIZE, SIZE, 3)
+        for z in (0.0, -350.0)
+    )
+    points = np.where(np.arange(SIZE)[:, None, None] < 24, near, far)  # rows: along the cylinder
+    wide = replace(hot.projector.family, matrix=np.diag([0.1, 0.1, 1.0]) @ MATRIX)
+    pixel = by_opencv(wide, points.reshape(-1, 3))
+    pixel[7 * SIZE : 7 * SIZE + 9, 0] += 60.0
+    decoded = decoded_of(pixel)
+    calibration = SimpleNamespace(camera=hot.camera, projector=wide)
+    found = reconstruct(calibration, decoded, medium=hot.medium)
+    scene = replace(hot, sources={"projector": replace(hot.projector, family=wide)})
+    some = np.r_[7 * SIZE : 7 * SIZE + 9, 10 * SIZE + 3, 30 * SIZE + 20, 40 * SIZE + 9]
+    u, v = some % SIZE, some // SIZE
+    s, _ = wide.of_pixels(pixel[some])
+    marched = vs.triangulated_points(
+        scene, np.stack([u, v], axis=1), medium=hot.medium, coordinate=s, method="newton"
+    )
+    np.testing.assert_array_equal(found.status[v, u], marched.status)
+    assert np.sum(marched.status == vs.CrossingStatus.OK) > 5
+    np.testing.assert_allclose(found.point_mm[v, u], marched.point_mm, atol=2e-3)
+    assert not np.any(found.status == vs.CrossingStatus.OFF)

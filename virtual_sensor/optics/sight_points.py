@@ -14,6 +14,7 @@ are computed at once in Dr.Jit, in double precision beside the maps' displacemen
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
@@ -48,10 +49,10 @@ _SETTLED = 1e-9  # of the depth: a step so small is the last
 _LINEAR = 1e-6  # of the depth: steps for slopes
 _PARALLEL_PX = 1e-3  # by so little the projector's pixel tells no depth, as the depth doubles
 _LANES, _FEW = 1 << 20, 1 << 17  # pixels at once: memory stays bounded
-_ROOM_MM = 3.0  # that bent points may lie deeper or nearer than straight ones
+_ROOMS_MM = 3.0, 12.0, 48.0  # that bent points may lie deeper or nearer than straight ones
 _ROOM = 1.5  # times how far lines of sight are seen to be moved
 _BESIDE = 0.05  # images that a ray may lie beside the projector's
-_DEPTHS = 1.5  # by this factor the projector's depths may differ from their median
+_FEW_RAYS, _FEW_SHARE = 300, 0.01  # pixels whose rays are marched rather than tabulated
 _SAMPLE = 4096  # points that are asked first whether the air covers their light
 
 
@@ -123,9 +124,7 @@ def sight_points(
     if (rows := found.ok).size:
         found.put(rows, task.of(rows).solved())
     if field is not None and (rows := found.ok).size:
-        for some in by_octaves(found.depth[rows]):
-            here = rows[some]
-            found.put(here, _bent(field, task.of(here), found.of(here), tolerance_px))
+        found.put(rows, _bent(field, task.of(rows), found.of(rows), tolerance_px))
         found.status[_uncovered(field, task, found)] = CrossingStatus.UNCOVERED
     return found.points(sight)
 
@@ -328,37 +327,58 @@ class _Kernel:
 
 
 def _bent(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _Found:
-    """Points through air, from those of straight light, whose depths are of one octave."""
+    """Points through air, from those of straight light.
+
+    A map serves depths within an octave.  Those of a few pixels, such as were decoded wrongly,
+    are worth none.
+    """
+    projector, points = task.projector, straight.point
+    lit = np.concatenate([projector.coordinates(points[some]) for some in shares(len(points))])
+    inside = np.abs(straight.pixel / projector.size - 0.5).max(axis=1) < 0.5 + _BESIDE
+    found = replace(straight, status=np.full_like(straight.status, CrossingStatus.OFF))
+    rows = np.flatnonzero(inside & (lit[:, 2] > 0.0))
+    for near in by_octaves(straight.depth[rows]):
+        for some in by_octaves(lit[rows[near], 2]):
+            here = rows[near[some]]
+            given = field, task.of(here), straight.of(here)
+            few = here.size < min(_FEW_RAYS, _FEW_SHARE * rows.size)
+            if few and task.weight[here, 0].all():
+                found.put(here, _one_by_one(*given, tolerance_px))
+            else:
+                found.put(here, _by_maps(*given, lit[here], tolerance_px))
+    return found
+
+
+def _by_maps(
+    field: Field, task: _Task, straight: _Found, lit: Array, tolerance_px: float
+) -> _Found:
+    """Points through air, of light whose straight rays are at places `lit` (N, 3)."""
     camera, projector = task.camera, task.projector
     tolerance_mm = in_mm(tolerance_px, camera, straight.depth)
     seen = np.column_stack([task.sight, straight.depth])
-    points = straight.point
-    lit = np.concatenate([projector.coordinates(points[some]) for some in shares(len(points))])
-    # Of what was decoded wrongly the maps know nothing.
-    inside = np.abs(straight.pixel / projector.size - 0.5).max(axis=1) < 0.5 + _BESIDE
-    middle = np.median(lit[inside, 2]) if inside.any() else np.nan
-    inside &= (lit[:, 2] < _DEPTHS * middle) & (lit[:, 2] > middle / _DEPTHS)
-    found = straight.of(slice(None))
-    found.status[~inside] = CrossingStatus.OFF
-    rows = np.flatnonzero(inside)
-    if not rows.size:
-        return found
-    some = rows[:: max(1, rows.size // _SAMPLE)]
-    room = np.array([0.0, 0.0, _ROOM_MM])
-    try:
-        sight = covering_map(field, camera, _box(seen[rows], room), tolerance_mm)
-        # Bent points lie beside straight ones by what bends their lines of sight, and deeper.
-        beside_mm = _ROOM * np.abs(sight.table.at(seen[some], 2)).max()
-        nearer = np.column_stack([task.sight[some], np.ones(some.size)])
-        nearer *= straight.depth[some, None] - _ROOM_MM
-        around = [camera.pose.to_world(nearer)]
-        around += [straight.point[some] + beside_mm * axis for axis in camera.pose.rotation.T[:2]]
-        rooms = (np.abs(projector.coordinates(each) - lit[some]).max(axis=0) for each in around)
-        room = np.sum([*rooms], axis=0)
-        light = covering_inverse_map(field, projector, _box(lit[rows], room), tolerance_mm)
-        found.put(rows, task.of(rows).solved(straight.depth[rows], sight, light))
-    except NoMapError:
-        found.put(rows, _one_by_one(field, task.of(rows), straight.of(rows), tolerance_px))
+    found = replace(straight, status=np.full_like(straight.status, CrossingStatus.OFF))
+    off = np.arange(len(seen))
+    for room_mm in _ROOMS_MM:
+        some = off[:: max(1, off.size // _SAMPLE)]
+        try:
+            room = np.array([0.0, 0.0, room_mm])
+            sight = covering_map(field, camera, _box(seen[off], room), tolerance_mm)
+            # Bent points lie beside straight ones by what bends their lines of sight, and deeper.
+            beside_mm = _ROOM * np.abs(sight.table.at(seen[some], 2)).max()
+            ahead = np.column_stack([task.sight[some], np.ones(some.size)])
+            shifts = [room_mm * ahead @ camera.pose.rotation.T]
+            shifts += [beside_mm * axis for axis in camera.pose.rotation.T[:2]]
+            moved = (projector.coordinates(straight.point[some] + each) for each in shifts)
+            room = np.sum([np.abs(each - lit[some]).max(axis=0) for each in moved], axis=0)
+            light = covering_inverse_map(field, projector, _box(lit[off], room), tolerance_mm)
+            found.put(off, task.of(off).solved(straight.depth[off], sight, light))
+        except NoMapError:
+            found.put(off, _one_by_one(field, task.of(off), straight.of(off), tolerance_px))
+            break
+        still = off[found.status[off] == CrossingStatus.OFF]
+        if not 0 < still.size < off.size:
+            break
+        off = still
     return found
 
 
@@ -368,10 +388,10 @@ def _box(places: Array, room: Array) -> Array:
 
 
 def _one_by_one(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _Found:
-    """The same beside a caustic of the projector's light, by its column: from forward maps.
+    """The same by the projector's column alone: for few, and beside a caustic of its light.
 
-    Where there are none either, rays are marched.  A row that was not decoded is that of straight
-    light, which matters to a distortion alone.
+    Few rays are marched; more come from forward maps, if there are any.  A row that was not decoded
+    is that of straight light, which matters to a distortion alone.
     """
     if not task.weight[:, 0].all():
         return replace(straight, status=np.full_like(straight.status, CrossingStatus.FOLDED))
@@ -382,16 +402,25 @@ def _one_by_one(field: Field, task: _Task, straight: _Found, tolerance_px: float
     found = straight.of(slice(None))
     for first in range(0, len(s), _FEW):
         rows = slice(first, first + _FEW)
-        try:
-            some: Any = crossings(field, camera, projector, pixel[rows], s[rows], tolerance_px)
-            along = some.along
-        except NoMapError:
-            some = marched_crossings(field, camera, projector, pixel[rows], s[rows])
-            along = some.along_mm
-        found.point[rows], found.status[rows] = some.point_mm, some.status
+        point, along, status = _crossed(
+            field, camera, projector, pixel[rows], s[rows], tolerance_px
+        )
+        found.point[rows], found.status[rows] = point, status
         found.pixel[rows] = projector.pixels(s[rows], along)
     found.depth[:] = camera.pose.to_local(found.point)[:, 2]
     return found
+
+
+def _crossed(
+    field: Field, camera: Pinhole, projector: PixelFamily, pixel: Array, s: Array, tolerance: float
+) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Points, the second coordinate t of their light, and `CrossingStatus`."""
+    if len(s) >= _FEW_RAYS:
+        with suppress(NoMapError):
+            mapped = crossings(field, camera, projector, pixel, s, tolerance)
+            return mapped.point_mm, mapped.along, mapped.status
+    marched = marched_crossings(field, camera, projector, pixel, s)
+    return marched.point_mm, marched.along_mm, marched.status
 
 
 def _uncovered(field: Field, task: _Task, found: _Found) -> NDArray[np.intp]:
