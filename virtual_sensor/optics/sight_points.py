@@ -293,8 +293,9 @@ class _Kernel:
             (of_v, y, along_y, start[1], heading[1]),
         ):
             by_depth = ahead - heading[2] * slope
-            top += weight * by_depth * (foot + start[2] * slope - here)
-            bottom += weight * by_depth * by_depth
+            # Not +=, which in Dr.Jit changes the number that both began with.
+            top = top + weight * by_depth * (foot + start[2] * slope - here)
+            bottom = bottom + weight * by_depth * by_depth
         return top / bottom
 
     def _at(self, p: Any, q: Any, z: Any) -> tuple[Any, Any, Any, Any, Any]:
