@@ -109,6 +109,9 @@ def test_what_noise_does_not_explain_is_named():
     assert noted["none"] == ()
     (note,) = noted["pixels"]
     assert "where noise makes 0 px: the projector's square pixels are steps" in note
+    first = {**FINE, "width": 64, "height": 64, "pixel": 44, "transport": "first_order"}
+    result = measure_fringes(vs.load_scene("fringe_cylinder", **first), Settings("phase 4 u"))
+    assert any("light was first_order (transport=marched" in note for note in result.summary.notes)
 
 
 def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
@@ -123,6 +126,18 @@ def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
     ok = result.cold.straight.range_image.ok
     assert np.array_equal(np.isfinite(result.cold.straight.deviation_um), ok)
     assert ok.sum() == result.cold.summary.straight.points <= decoded.ok.sum()
+
+
+def test_steps_of_a_part_are_edges_by_both():
+    """Rationale: pixels that see two faces have a mean of both; others are as good as anywhere."""
+    film = {"width": 160, "height": 160, "spp": 1, "pixels": "false"}
+    state = measure_fringes(vs.load_scene("fringe_stepped_shaft", **film), Settings(cold=True)).cold
+    assert (state.decoded.status == FringeStatus.EDGE).any()
+    found = state.summary.decoded_minus_search
+    assert found.column.compared > 20
+    assert found.column.largest_px < 0.01
+    assert set(found.only_searched) <= {"edge", "low_modulation", "order"}
+    assert state.summary.straight.fit is None
 
 
 def test_wrong_requests_are_refused():

@@ -64,6 +64,7 @@ _MANY = 0.1  # of the pixels: that so many are missing is a caveat
 _FITTED = 40_000  # points that a shape is fitted to, about
 _KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
 _OFF_PX, _OFF = 0.01, 1.5  # px, and predicted sigmas, off the search: noise alone makes less
+_EXACT = ("tabulated", "marched")  # transports whose light is that of the search
 _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies
 _SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the points": 0.3}
 
@@ -397,7 +398,9 @@ def _beyond_noise(state: FringeState) -> list[str]:
         )
         if of_search and of_search.rms_px > max(_OFF_PX, _OFF * (sigma or 0.0))
     }
+    transport = facts.frames.report.transport
     causes = {
+        f"the frames' light was {transport} (transport=marched is exact)": transport not in _EXACT,
         "the projector's square pixels are steps (pixels=false shows what lies between them,"
         " defocus smooths them)": projector.pixels and not projector.defocus_px,
         f"its gamma is {projector.gamma:g} (more steps make it matter less)": projector.gamma
