@@ -85,35 +85,34 @@ def pose_table(result: PosesCompared) -> TextTable:
         (
             Column("name", "pose"),
             Column("score", "score", "{:.2f}"),
-            Column("mean_distance_mm", "distance, mm", "{:.1f}"),
-            Column("resolution_um", "pixel, µm", "{:.1f}"),
-            Column("incidence_deg", "incidence, °", "{:.1f}"),
+            Column("mean_distance_mm", "distance", "{:.1f}"),
+            Column("resolution_um", "pixel", "{:.1f}"),
+            Column("incidence_deg", "incidence", "{:.1f}"),
             Column("coverage", "coverage", "{:.1%}"),
         ),
-        f"Poses; the score weighs {_weights(result)}",
+        f"Distance in mm, pixel in µm, incidence in °; the score weighs {_weights(result)}",
         [each.figures.name == best for each in result.poses],
     )
 
 
-def deviation_table(result: PosesCompared) -> TextTable:
+def deviation_tables(result: PosesCompared) -> list[TextTable]:
     """What the air does in each pose, and the cylinder through the points."""
-    columns = [Column("name", "pose"), Column("epipolar_px", "epipolar, px")]
-    lights = {"straight": "straight"}
+    lights = {"straight": "As if light ran straight"}
     if np.isfinite(result.table.bent_rms_um).any():
-        lights["bent"] = "through air"
-    fitted = bool(np.isfinite(result.table.straight_fit_std_um).any())
+        lights["bent"] = "Through the air"
+    tables = []
     for light, words in lights.items():
-        where = "" if light == "straight" else " in air"
-        columns.append(Column(f"{light}_rms_um", words, micrometres))
-        if fitted:
+        columns = [Column("name", "pose"), Column(f"{light}_rms_um", "rms", micrometres)]
+        if np.isfinite(getattr(result.table, f"{light}_fit_std_um")).any():
             columns += [
-                Column(f"{light}_radius_error_um", f"R{where}"),
-                Column(f"{light}_fit_std_um", f"std{where}"),
+                Column(f"{light}_radius_error_um", "radius off", micrometres),
+                Column(f"{light}_fit_std_um", "std", micrometres),
             ]
-    caption = "Distance from the part, rms, in µm"
-    if fitted:
-        caption = "Distance from the part, rms; error of the fitted cylinder's radius R; in µm"
-    return text_table(result.table, columns, caption)
+        if light == "straight":
+            columns.append(Column("epipolar_px", "epipolar, px"))
+        caption = f"{words}: distance from the part, and the cylinder through the points"
+        tables.append(text_table(result.table, columns, caption))
+    return tables
 
 
 def section_table(result: PosesCompared) -> TextTable | None:
@@ -126,19 +125,19 @@ def section_table(result: PosesCompared) -> TextTable | None:
         rows,
         (
             Column("name", "pose"),
-            Column("pair.straight.line_rms_um", "line, straight"),
-            Column("pair.straight.areal_rms_um", "fringes, straight"),
-            Column("pair.straight.difference_rms_um", "apart"),
-            Column("pair.bent.difference_rms_um", "apart, through the air"),
+            Column("pair.straight.line_rms_um", "line", micrometres),
+            Column("pair.straight.areal_rms_um", "fringes", micrometres),
+            Column("pair.straight.difference_rms_um", "apart", micrometres),
+            Column("pair.bent.difference_rms_um", "apart in air", micrometres),
         ),
-        "Along a laser line in the projector's place, rms in µm",
+        "Along a laser line in the projector's place, rms; as if light ran straight",
     )
 
 
 def on_console(result: PosesCompared) -> list[TextTable | str]:
     """What the command prints."""
     section = section_table(result)
-    return [pose_table(result), deviation_table(result), *([section] if section else [])]
+    return [pose_table(result), *deviation_tables(result), *([section] if section else [])]
 
 
 def lead(result: PosesCompared) -> str:
@@ -261,7 +260,7 @@ def page(result: PosesCompared, drawn: Picture, command: str) -> Page:
     figures = result.summary
     criteria = listed([name for name in CRITERIA if result.weights[name]])
     sections = [
-        Section("Deviation maps", drawn, deviation_table(result)),
+        Section("Deviation maps", drawn, *deviation_tables(result)),
         Section(
             "Which pose to choose",
             pose_table(result),
