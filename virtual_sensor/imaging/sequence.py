@@ -45,8 +45,10 @@ _HALF = 0.5  # of the memory: the rest is for what makes the frames
 class PatternFrames(Displayed):
     """Frames of a sequence of K patterns.
 
-    >>> frames = vs.render_sequence("fringe_cylinder", vs.PhaseShift((1280, 800)).patterns)
-    >>> shots = vs.record_sequence(frames, peak_e=8000)
+    >>> codec = vs.PhaseShift(steps=4)
+    >>> frames = vs.render_sequence("fringe_cylinder", codec.patterns)
+    >>> grey = vs.record(frames, peak_e=8000)  # (K, H, W)
+    >>> decoded = codec.decode(grey)
 
     Attributes
     ----------
