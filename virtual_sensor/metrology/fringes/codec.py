@@ -33,7 +33,7 @@ _ROUNDED = 1e-5  # of the mean: float32 knows no weaker fringes
 _BLOCK_PX = 65_536  # pixels that are decoded at a time: they stay in the processor's cache
 _REGION_PX = 9  # so many pixels side by side are no noise
 _SQUARE = np.ones((3, 3), np.uint8)
-_DISPLACED_PX = 0.008  # of a pixel's mean from its centre, from which on there is an edge
+_DISPLACED_PX = 0.014  # of a pixel's mean from its centre, from which on there is an edge
 _STEP_PX = 1.3  # second difference that square pixels make, and a few samples of them
 _GATHERED = 0.1  # mean of unit vectors that stand for places within a projector pixel
 _SAMPLE_PX = 40_000
@@ -482,7 +482,7 @@ def _mixed(
     """Pixels whose coordinate is not that of their centre, as their neighbours show.
 
     They jump; or the surface's bend, and the light's change over the pixel, displace its mean by
-    slope change/12 + bend/24.  Where a projector's square pixels show as steps, these are none.
+    up to slope change/12 + bend/24.  Steps of a projector's square pixels are none.
     """
     place = coordinate.astype(np.float32)
     stairs = _STEP_PX if _stepped(coordinate) else 0.0
@@ -504,9 +504,9 @@ def _mixed(
         )
         with np.errstate(all="ignore"):
             slope *= change / mean[inner]
-        slope += 0.5 * bend
+        displaced = np.abs(slope, out=slope) + 0.5 * np.abs(bend)
         most = np.maximum(spread, max(_DISPLACED_PX, usual / 24.0))
-        found[inner] |= np.abs(slope) > 12.0 * most
+        found[inner] |= displaced > 12.0 * most
     return found
 
 
