@@ -40,6 +40,7 @@ FILES = (
     FileOf(RESULTS_SIGN, "The figures, and what they were made with.", CalibrationSummary),
 )
 _WHITE = 65535
+_TARGETS = {"checkerboard": "A checkerboard", "dots": "A plate of dots"}
 _ARROWS = 40.0  # lengths of residuals as drawn: the rms is a so-many'th of the image's width
 _BEYOND_SIGMAS = 3.0
 
@@ -106,6 +107,11 @@ def _grey(images: list[NDArray[Any]]) -> list[NDArray[np.uint16]]:
     return [np.rint(im * s).astype(np.uint16) for im, s in zip(images, scales, strict=True)]
 
 
+def _number(value: float) -> str:
+    """Three digits, or all before the point."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+
 def lead(result: VirtualCalibration) -> str:
     """What was found, in a sentence or two."""
     s = result.summary
@@ -115,9 +121,9 @@ def lead(result: VirtualCalibration) -> str:
     return (
         f"Calibrated {air} by {s.marks['found']} marks in {len(s.poses)} poses: marks lie"
         f" {s.camera_rms_px:.2g} px (camera) and {s.projector_rms_px:.2g} px (projector) rms from"
-        f" the fit. The projector is found {micrometres(place)} and {turn:.3g} µrad from where it"
-        f" stands, at most {s.largest_sigmas:.2g} of its standard deviations; the marks' form is"
-        f" measured to {micrometres(s.shape_rms_um)} rms."
+        f" the fit. The projector is found {micrometres(place)} and {_number(turn)} µrad from where"
+        f" it stands, at most {_number(s.largest_sigmas)} of its standard deviations; the marks'"
+        f" form is measured to {micrometres(s.shape_rms_um)} rms."
     )
 
 
@@ -134,8 +140,8 @@ def pose_table(result: VirtualCalibration) -> TextTable:
     ]
     columns = (
         Column("name", "projector to camera"),
-        Column("error", "error"),
-        Column("sigma", "standard deviation"),
+        Column("error", "error", _number),
+        Column("sigma", "standard deviation", _number),
         Column("by", "error by it", "{:.2f}"),
     )
     beyond = [float(row["by"]) > _BEYOND_SIGMAS for row in rows]
@@ -170,7 +176,7 @@ def figure_table(result: VirtualCalibration) -> TextTable:
         ("points as seen, by the true devices, µm", s.seen_by_truth_rms_um),
     )
     named = [{"what": what, "rms": value} for what, value in rows]
-    return text_table(named, (Column("what", ""), Column("rms", "rms")))
+    return text_table(named, (Column("what", ""), Column("rms", "rms", _number)))
 
 
 def target_table(result: VirtualCalibration) -> TextTable:
@@ -276,7 +282,7 @@ def page(result: VirtualCalibration, drawn: Picture, command: str) -> Page:
         Section("All parameters", parameter_table(result)),
         Section(
             "The target",
-            f"A {s.target} of {s.columns} x {s.rows} marks, {s.pitch_mm:g} mm from mark to mark.",
+            f"{_TARGETS[s.target]}: {s.columns} x {s.rows} marks, {s.pitch_mm:g} mm apart.",
             target_table(result),
         ),
         Section(

@@ -1,6 +1,7 @@
 """A calibration by rendered frames beside the scene's own camera and projector."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -109,3 +110,29 @@ def test_what_can_not_be_calibrated_is_told(scene):
     laser = vs.load_scene("hot_cylinder", width=64, height=64)
     with pytest.raises(InputError, match="projector"):
         calibrate_scene(laser, settings())
+
+
+def test_a_calibrations_file_serves_as_a_scenes_projector_and_in_a_scenes_place(scene, tmp_path):
+    """Expected: what is written of the true devices gives the scene's own points."""
+    lens = replace(scene.projector.family, distortion=np.array([-0.1, 0.2, 1e-3, -2e-3]))
+    file = tmp_path / "both.yaml"
+    for projector in (scene.projector.family, lens):
+        vs.FringeCalibration(scene.camera, projector, np.zeros((0, 0))).write(file)
+        text = scene.path.read_text(encoding="utf-8")
+        head, _, tail = text.partition('<emitter type="pattern_projector"')
+        emitter = f'<emitter type="pattern_projector"><string name="calibration" value="{file}"/>'
+        own = tmp_path / "own.xml"
+        own.write_text(head + emitter + tail[tail.index("</emitter>") :], encoding="utf-8")
+        other = vs.load_scene(own, width=64, height=64, field="").projector
+        np.testing.assert_allclose(other.family.matrix, projector.matrix, rtol=1e-14)
+        np.testing.assert_allclose(other.pose.origin_mm, projector.pose.origin_mm, atol=1e-9)
+        np.testing.assert_array_equal(other.family.distortion, projector.distortion)
+    vs.FringeCalibration(scene.camera, scene.projector.family, np.zeros((0, 0))).write(file)
+    v, u = np.mgrid[:192.0, :192.0]
+    maps = [500.0 + 2.0 * v, 300.0 + u, *[np.full((192, 192), 0.1, np.float32)] * 4]
+    decoded = vs.DecodedFringes(
+        *maps, phase={}, status=np.zeros((192, 192), np.uint8), size_px=(1280, 800)
+    )
+    by_file = vs.reconstruct(vs.FringeCalibration.read(file), decoded).point_mm
+    np.testing.assert_allclose(by_file, vs.reconstruct(scene.cold(), decoded).point_mm, atol=1e-9)
+    assert np.isfinite(by_file).mean() > 0.5

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -379,6 +379,8 @@ def calibrate_scene(
             " the field continues it (--lift moves the target clear of it)"
         )
     facts = scene_facts(scene, tuple(told))
+    if settings.spp:
+        facts = replace(facts, made_with=replace(facts.made_with, samples_per_pixel=settings.spp))
     summary = CalibrationSummary(
         **vars(facts),
         target=target.kind,
