@@ -258,7 +258,7 @@ def _residual_panel(result: VirtualCalibration, name: str, width: int, height: i
         axes.set(ylabel="v, px", aspect="equal")
 
     alt = f"Residuals of the marks in the {name}'s image, {rms:.2g} px rms, as arrows."
-    return Panel(f"Residuals, {name}: {rms:.2g} px rms, drawn {scale:.2g} times", draw, alt)
+    return Panel(f"{name}: residuals, {rms:.2g} px rms, {scale:.0f} times as long", draw, alt)
 
 
 def page(result: VirtualCalibration, drawn: Picture, command: str) -> Page:

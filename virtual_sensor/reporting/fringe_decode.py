@@ -29,6 +29,8 @@ from virtual_sensor.studies.fringes.decode import (
 from virtual_sensor.studies.fringes.decoded_files import LAYERS, write_decoded
 from virtual_sensor.studies.provenance import Versions, versions
 
+COMMAND = "fringes decode"
+
 FORMATS = ("exr", "npz", "csv")
 
 _NAMES = {"u": "column", "v": "row"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields, replace
@@ -60,7 +59,6 @@ _LIGHT = {"straight": "as if light ran straight", "bent": "along the bent light"
 _BINS = 80
 _USUAL = 99.5  # percent of the differences that the histogram shows
 _FRAMES = 24  # that are drawn
-_STEP = re.compile(r", step (\d+) of (\d+)")
 
 LAYERS = (
     *DECODED_LAYERS,
@@ -278,7 +276,7 @@ def check_table(figures: FringeSummary) -> TextTable:
     return text_table(
         rows,
         (Column("state", " "), *axes, *(epipolar if shown else ())),
-        "Check: decoded minus searched projector pixel, and epipolar residual, px",
+        f"Check: decoded minus searched projector pixel{', and epipolar residual' * shown}, px",
     )
 
 
@@ -604,7 +602,7 @@ def _check_panel(states: dict[str, FringeState]) -> Panel:
 def _frames_panel(
     result: FringeMeasurement, state: FringeState, where: str, window: Window
 ) -> Panel:
-    names = [_STEP.sub(r" \1/\2", name) for name in result.codec.names[:_FRAMES]]
+    names = result.codec.names[:_FRAMES]
     images = state.images[:_FRAMES]
     more = len(state.images) - len(images)
     first = f", the first {len(images)}" if more else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
@@ -36,6 +37,8 @@ _MOST_VALUES = 1 << 18  # of which a scale is found
 _MARGIN = 0.03  # about what is known, of its size
 _LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
 _BESIDE_BAR = 0.87  # of the width of axes, where the bar's words need the rest
+_KEY_IN = 2.1  # beside a map of statuses
+_STEP = re.compile(r", step (\d+) of (\d+)")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THUMB_PX = 150
 _LABEL_PX = 0.16  # strip above a thumbnail, of its height
@@ -123,7 +126,7 @@ def status_panel(title: str, status: NDArray[Any], kind: type[StatusEnum], alt: 
 
     def draw(figure: FigureBase) -> None:
         whole = slice(0, status.shape[0]), slice(0, status.shape[1])
-        draw_statuses(_placed(figure, whole)[0], status, kind)
+        draw_statuses(_placed(figure, whole, _KEY_IN)[0], status, kind)
 
     return Panel(title, draw, alt, axes=False, layout=None)
 
@@ -139,10 +142,12 @@ def frames_panel(
     return Panel(title, draw, alt, axes=False, layout=None)
 
 
-def _placed(figure: FigureBase, window: Window) -> tuple[Axes, tuple[float, float, float, float]]:
+def _placed(
+    figure: FigureBase, window: Window, beside_in: float = _BAR_IN
+) -> tuple[Axes, tuple[float, float, float, float]]:
     """Axes as high as a panel and as wide as the pixels of a window then are, at its left."""
     width, height = (size / figure.dpi for size in (figure.bbox.width, figure.bbox.height))
-    left, low, right, top = _LEFT_IN / width, _LOW_IN / height, 1.0 - _BAR_IN / width, 0.9
+    left, low, right, top = _LEFT_IN / width, _LOW_IN / height, 1.0 - beside_in / width, 0.9
     high_px, wide_px = (each.stop - each.start for each in window)
     wide = min((top - low) * height / width * wide_px / max(high_px, 1), right - left)
     high = min(wide * width / height * high_px / max(wide_px, 1), top - low)
@@ -232,11 +237,13 @@ def draw_frames(
     rows, label = ceil(count / columns), max(round(_LABEL_PX * size[1]), 1)
     step_x, step_y = size[0] + 4, size[1] + label
     white = max((float(np.nanmax(each[::8, ::8], initial=0.0)) for each in images), default=0.0)
-    room = (
-        66.0 * axes.figure.bbox.width / axes.figure.dpi / columns
-    )  # printer's points above a thumbnail
-    letters = float(np.clip(room / (0.6 * max(map(len, names), default=1)), 4.0, 8.0))
-    sheet = np.full((rows * step_y, columns * step_x - 4), np.nan)
+    names = [_STEP.sub(r" \1/\2", name) for name in names]
+    across, up = columns * step_x - 4, rows * step_y
+    place = axes.get_position(original=True)
+    wide_pt, high_pt = (72.0 / axes.figure.dpi * size for size in axes.figure.bbox.size)
+    room = step_x * min(place.width * wide_pt / across, place.height * high_pt / up)
+    letters = float(np.clip(room / (0.6 * max(map(len, names), default=1)), 3.0, 8.0))
+    sheet = np.full((up, across), np.nan)
     for number, (image, name) in enumerate(zip(images, names, strict=True)):
         top, left = number // columns * step_y + label, number % columns * step_x
         small = cv2.resize(
