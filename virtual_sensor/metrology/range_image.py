@@ -71,7 +71,7 @@ class RangeImage(Displayed):
         return listed(
             tally(self.status, CrossingStatus.OK),
             span("depth", self.depth_mm, "mm"),
-            span("sigma", self.sigma_um, "um"),
+            span("sigma", self.sigma_um, "µm"),
         )
 
     @property
