@@ -247,8 +247,10 @@ class Projector(Displayed):
         axis = "u" if isinstance(self.pattern, Uniform) else self.pattern.axis
         if axis is None:
             fine = min(math.ceil(_COARSE / sigma), _MOST_COARSE)
-            places = [self._places(count, fine) for count in self.size]
-            image = np.asarray(sharp.shown(*np.meshgrid(*places)), float)
+            alike = fine if self.pixels else 1  # places within a pixel, which have one light
+            places = [self._places(count, fine // alike) for count in self.size]
+            image = np.asarray(sharp.shown(*np.meshgrid(*places)), np.float32)
+            image = image.repeat(alike, axis=0).repeat(alike, axis=1)
             kernel = _gaussian(sigma * fine)
             image = cv2.sepFilter2D(image, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
             return [(_picture(image), float(fine))]
