@@ -104,6 +104,9 @@ def test_what_can_not_be_calibrated_is_told(scene):
         ({"poses": 2}, "--poses"),
         ({"target": "stripes"}, "stripes"),
         ({"pitch_mm": -1.0}, "--pitch"),
+        ({"distortion": 3}, "--distortion 3"),
+        ({"codec": vs.codec_of("phase 3 1280 u")}, "say uv"),
+        ({"bits": 8}, "--electrons too"),
     ):
         with pytest.raises(InputError, match=said):
             calibrate_scene(scene.cold(), settings(**wrong))

@@ -38,9 +38,12 @@ from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
-_COUNTS = (0, 1, 2, 4, 5, 8, 12)  # of a distortion, that may be fitted
 COEFFICIENTS = ("k_1", "k_2", "p_1", "p_2", "k_3", "k_4", "k_5", "k_6", "s_1", "s_2", "s_3", "s_4")
 """Of a distortion, in OpenCV's order."""
+
+COUNTS = (0, 1, 2, 4, 5, 8, 12)
+"""How many of them may be fitted."""
+
 _LEAST_VIEWS, _LEAST_MARKS = 3, 6
 _UNDETERMINED = 1e9  # condition of the scaled Jacobian from which on the poses leave a choice
 _MOST_DOUBT = 0.02  # standard deviation of a focal length, relative
@@ -279,8 +282,8 @@ def calibrate_fringes(
         projector_distortion = distortion
     free = distortion, projector_distortion
     for name, count in zip(("distortion", "projector_distortion"), free, strict=True):
-        if type(count) is not int or count not in _COUNTS:
-            known = ", ".join(map(str, _COUNTS))
+        if type(count) is not int or count not in COUNTS:
+            known = ", ".join(map(str, COUNTS))
             raise InputError(f"calibrate_fringes: {name} is {short(count)}; give one of {known}")
     sizes = (
         _size("calibrate_fringes: camera_size", camera_size),

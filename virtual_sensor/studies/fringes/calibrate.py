@@ -23,6 +23,7 @@ from virtual_sensor.imaging.plate import PlateScenes, plate_scenes
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.fringes.calibration import (
     COEFFICIENTS,
+    COUNTS,
     FringeCalibration,
     calibrate_fringes,
     nearest_points,
@@ -334,8 +335,7 @@ def calibrate_scene(
         raise InputError(f"{scene.path}: a projector that is no pinhole can't be calibrated so")
     if settings.hot and scene.medium is None:
         raise InputError(f"{scene.path}: --hot: the scene has no hot air; give it a field")
-    whole_number("--poses", settings.poses, 3, 200)
-    number_within("--lift", settings.lift_mm, -1e4, 1e4, "mm towards the devices")
+    _check(settings)
     truth = camera, projector.family
     target = target_for(truth, settings)
     poses = target_poses(truth, settings.poses, settings.lift_mm)
@@ -404,6 +404,22 @@ def calibrate_scene(
         time_s=round(time.perf_counter() - started, 2),
     )
     return VirtualCalibration(scene, target, calibration, marks, summary, first)
+
+
+def _check(settings: CalibrationSettings) -> None:
+    """Refuse beforehand what would fail once all frames are rendered."""
+    whole_number("--poses", settings.poses, 3, 200)
+    number_within("--lift", settings.lift_mm, -1e4, 1e4, "mm towards the devices")
+    if settings.distortion not in COUNTS:
+        known = ", ".join(map(str, COUNTS))
+        raise InputError(f"--distortion {settings.distortion}: give one of {known}")
+    if settings.codec.axes != "uv":
+        raise InputError(
+            f"--codec {settings.codec_text}: has no patterns along both axes, which a calibration"
+            " needs; say uv"
+        )
+    if settings.bits is not None and settings.electrons is None:
+        raise InputError("--bits: frames without noise are not rounded; give --electrons too")
 
 
 # ------------------------------------------------------------------------ target and poses
