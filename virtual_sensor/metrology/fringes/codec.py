@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from virtual_sensor.arrays import LARGEST, number_within, truth_of, unmasked, whole_number
 from virtual_sensor.devices.patterns import AXES, Pattern
@@ -220,7 +221,8 @@ class Codec(Displayed, ABC):
                         found.clipped[here] |= lost.reshape(-1, shape[1])
                 found.put(axis, here, part)
 
-        with ThreadPoolExecutor(_THREADS) as pool:
+        # The products' own threads, within each of ours, would wait for one another.
+        with threadpool_limits(1, "blas"), ThreadPoolExecutor(_THREADS) as pool:
             list(pool.map(work, range(0, shape[0], rows)))
         return found
 
