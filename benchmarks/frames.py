@@ -1,6 +1,7 @@
 """Frames: ours through hot air beside the stock `direct` integrator's without any.
 
-By itself, `python benchmarks/frames.py`, it prints their ratios, with no marched frames.
+By itself, `python benchmarks/frames.py`, it prints their ratios, with no marched frames; then what
+the frames of a sequence of fringes cost beside one.
 """
 
 from __future__ import annotations
@@ -15,9 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from virtual_sensor.devices.patterns import Sine
 from virtual_sensor.engine import dr
-from virtual_sensor.imaging.render import render_frame, render_uncached
+from virtual_sensor.imaging.render import render, render_frame, render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
+from virtual_sensor.imaging.sequence import render_sequence
 from virtual_sensor.studies.chart.frames import SCENE, frame_direct, with_lamp
 
 STOCK = "stock direct, cold"
@@ -60,6 +63,18 @@ def measured(film_px: int, spp: int, runs: int, marched: bool = True) -> Iterato
             yield FrameRow(light, renderer, wall, cpu, wall / seconds[STOCK][0])
 
 
+def of_sequence(film_px: int, spp: int, runs: int, count: int = 12) -> dict[str, float]:
+    """Processor seconds, cold and hot, of so many frames of fringes over those of one."""
+    scene = load_scene("fringe_cylinder", width=film_px, height=film_px, spp=spp)
+    patterns = [Sine("u", 16.0, 2.0 * np.pi * k / count) for k in range(count)]
+    ratios = {}
+    for state, each in {"cold": scene.cold(), "hot": scene}.items():
+        frames = {"one": partial(render, each), "all": partial(render_sequence, each, patterns)}
+        seconds = _timed(frames, runs)
+        ratios[state] = seconds["all"][1] / seconds["one"][1]
+    return ratios
+
+
 def _timed(frames: dict[str, Callable[[], Any]], runs: int) -> dict[str, tuple[float, float]]:
     """Least wall and processor time of each, s, after one that warms up."""
     walls: dict[str, list[float]] = {name: [] for name in frames}
@@ -86,3 +101,5 @@ if __name__ == "__main__":
             f"{row.light:12s} {row.renderer:48s} {1e3 * row.seconds:6.0f} ms,"
             f" {1e3 * row.cpu_s:6.0f} of processors; {row.times_stock:.3f} times stock"
         )
+    for state, times in of_sequence(asked.film, asked.spp, asked.runs).items():
+        print(f"12 frames of fringes, {state}: {times:.2f} times one")
