@@ -155,7 +155,7 @@ def test_a_calibration_of_camera_and_projector_takes_the_scenes_place(searched, 
 def test_what_does_not_go_together_is_named(folder, searched, tmp_path):
     """Rationale: each with the remedy."""
     scene, decoded = searched
-    with pytest.raises(InputError, match="no pixels"):
+    with pytest.raises(InputError, match="no projector"):
         read_measured([str(folder)], Scenes("hot_cylinder", {"width": "48", "height": "48"}))
     with pytest.raises(InputError, match="48 x 48 px"):
         read_measured([str(folder)], Scenes(given={"width": "32"}))

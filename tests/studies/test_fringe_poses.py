@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 import virtual_sensor as vs
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
+from virtual_sensor.optics.ray_families import Telecentric
 from virtual_sensor.studies.fringes.poses import (
     DeviationFigures,
     PoseFigures,
@@ -171,3 +172,14 @@ def test_rendered_fringes_agree_with_a_line_along_it():
     assert found.bent.points > 60
     assert found.bent.difference_rms_um < 0.5
     assert 5.0 < found.straight.difference_rms_um < 20.0
+
+
+def test_a_telecentric_projector_differs_from_a_line_in_nothing():
+    """Rationale: its light is the sheet's; what differs hot is a pinhole's spread alone."""
+    scene = vs.load_scene("fringe_cylinder", width=256, height=256)
+    matrix = np.array([[1280 / 60, 0.0, 639.5], [0.0, 1280 / 60, 399.5], [0.0, 0.0, 1.0]])
+    family = Telecentric(matrix, scene.projector.pose, scene.projector.size)
+    same = replace(scene.projector, family=family)
+    found = sections(replace(scene, sources={scene.source_name: same}), rays=21).figures
+    assert found.straight.line_rms_um > 50.0
+    assert found.straight.difference_largest_um < 1e-3

@@ -340,6 +340,7 @@ def of_fringes(name: str, scene: Scene, decoded: DecodedFringes) -> Measured:
     InputError
         If they are of another camera or projector, or nothing is decoded.
     """
+    _ = scene.projector  # or it says what to do
     seen = fringe_observation(scene, decoded)
     count = len(seen.pixel)
     normal = seen.normal_deg if seen.normal_deg is not None else np.full(count, np.nan)
