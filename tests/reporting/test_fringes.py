@@ -57,6 +57,16 @@ def test_decoded_pixels_are_read_back(both, folder):
     np.testing.assert_array_equal(again.status, both.hot.decoded.status)
 
 
+def test_its_objects_are_saved_as_what_they_are(both, tmp_path):
+    """Rationale: of an image of millions of pixels no JSON is made."""
+    said = json.loads(both.save(tmp_path / "all.json").read_text(encoding="utf-8"))
+    assert said["codec"] == both.summary.codec
+    again = read_decoded(both.hot.decoded.save(tmp_path / "decoded.exr"))
+    np.testing.assert_array_equal(again.status, both.hot.decoded.status)
+    mesh = trimesh.load(both.hot.bent.save(tmp_path / "bent.ply"), process=False)
+    assert len(mesh.faces) > 1000
+
+
 def test_surfaces_are_triangles_with_their_deviation(both, folder):
     """Rationale: opened in another program, the colour is the error, in µm."""
     surface = both.hot.straight

@@ -325,6 +325,16 @@ def _write_scene(path: Path, scene: Any) -> None:
     write_json(path, {"notes": scene.notes, **_tree(scene)})
 
 
+def _write_decoded(path: Path, decoded: Any) -> None:
+    from virtual_sensor.studies.fringes.decoded_files import write_decoded
+
+    write_decoded(path, decoded)
+
+
+def _write_own_summary(path: Path, result: Any) -> None:
+    write_json(path, result.summary)
+
+
 def _write_summary(path: Path, result: Any) -> None:
     from virtual_sensor.studies.measure import summary
 
@@ -348,7 +358,9 @@ _OWN: dict[str, dict[str, Writer]] = {
     ),
     "imaging.scene.Scene": {".json": _write_scene},
     "metrology.range_image.RangeImage": {".ply": _write_range_image},
+    "metrology.fringes.decoded.DecodedFringes": {".exr": _write_decoded},
     "studies.fringes.result.Surface": {".ply": _write_surface},
+    "studies.fringes.result.FringeMeasurement": {".json": _write_own_summary},
     "studies.measure.Measurement": {".json": _write_summary},
 }
 """Formats that only some objects have, by their classes' names (see `display.names_of`)."""
