@@ -8,18 +8,12 @@ from virtual_sensor_plugins.refractive import folders_of_files
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS
 
 from virtual_sensor.arrays import one_of
-from virtual_sensor.devices.calibration_files import (
-    ALSO_OF_BOTH,
-    COEFFICIENTS,
-    CalibrationFile,
-    camera_in,
-    read_camera_and_projector,
-)
 from virtual_sensor.devices.patterns import pattern_of
 from virtual_sensor.devices.photometry import watts_of
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
+from virtual_sensor.optics.distortion import COEFFICIENTS
 from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, Telecentric
 from virtual_sensor.poses import Pose, keeps_lengths
 
@@ -151,6 +145,13 @@ def _scale(props: mi.Properties, size: tuple[int, int]) -> tuple[float, type[Pix
 
 def _calibrated(props: mi.Properties, name: str) -> Pinhole:
     """The projector that a calibration file describes."""
+    from virtual_sensor.devices.calibration_files import (  # which few scenes have
+        ALSO_OF_BOTH,
+        CalibrationFile,
+        camera_in,
+        read_camera_and_projector,
+    )
+
     clash = (
         *("width", "height", "fov", "focal_length", "image_width", "distortion", "telecentric"),
         *("principal_point_offset_x", "principal_point_offset_y"),

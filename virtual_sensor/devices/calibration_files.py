@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError, few
 from virtual_sensor.files import readable
+from virtual_sensor.optics.distortion import COEFFICIENTS
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
 
@@ -63,9 +64,6 @@ ALSO_OF_BOTH = {
 }
 """Other names of elements in files of a camera with a projector: of OpenCV's stereo calibration and
 of programs for structured light (scan3d-capture, SLStudio, procam-calibration)."""
-
-COEFFICIENTS = (0, 4, 5, 8, 12, 14)
-"""So many a distortion of OpenCV's may have."""
 
 _FLAGS = {"0": False, "1": True}  # fisheye?
 _MODELS = {

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import number_for, solved, where
 
-_COUNT = 14
+COEFFICIENTS = (0, 4, 5, 8, 12, 14)
+"""So many a distortion of OpenCV's may have."""
 _MOST_STEPS, _STEP, _SOLVED = 6, 1e-6, 1e-12  # of Newton's method, and for its derivatives
 
 
@@ -31,7 +32,7 @@ def distorted(x: Any, y: Any, coefficients: NDArray[np.float64]) -> tuple[Any, A
     """
     if not np.any(coefficients):
         return x, y
-    padded = np.pad(np.asarray(coefficients, float), (0, _COUNT - len(coefficients)))
+    padded = np.pad(np.asarray(coefficients, float), (0, COEFFICIENTS[-1] - len(coefficients)))
     k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = (number_for(x, float(k)) for k in padded[:12])
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
