@@ -267,7 +267,7 @@ def drawn(target, turn=(0.3, -0.25, 0.1), place=(0.0, 0.0, 260.0), fine=6):
     else:
         squares = (column > -1) & (column < target.columns) & (row > -1) & (row < target.rows)
         black = squares & ((np.floor(column) + np.floor(row)) % 2 == 0)
-    grey = np.where(inside, np.where(black, target.dark, target.bright), 0.4)
+    grey = np.where(inside, np.where(black, target.dark, target.bright), 0.02)
     image = grey.reshape(SIZE[0], fine, SIZE[1], fine).mean(axis=(1, 3))
     return image, cv2.projectPoints(target.points_mm, r, t, FOCAL, None)[0][:, 0]
 

@@ -22,6 +22,7 @@ KINDS = ("checkerboard", "dots")
 _MARGIN = 1.5  # pitches from the outer marks to the target's edge
 _SEARCHED_PX = 1200  # longer side of an image in which OpenCV searches
 _BLURS = 1.0 / 10.0, 1.0 / 6.0  # pitches, of a corner's two Gaussian kernels
+_LEAST_DOT = 20.0  # area in px, for OpenCV's search
 _DOT_WINDOW, _RING = 0.48, 0.36  # pitches: the ground around a dot
 _LEAST_GROUND = 12  # pixels
 _MOST_STEPS, _SOLVED_PX = 20, 1e-4
@@ -240,7 +241,8 @@ def _searched(image: NDArray[np.uint8], target: CalibrationTarget) -> Array | No
             found, places = cv2.findChessboardCornersSB(image, size, flags=flags)
         else:
             parameters = cv2.SimpleBlobDetector_Params()
-            parameters.minArea, parameters.maxArea = 20.0, float(image.size)
+            parameters.minArea = _LEAST_DOT
+            parameters.maxArea = image.size / (2.0 * target.columns * target.rows)
             parameters.minDistBetweenBlobs = 3.0
             detector = cv2.SimpleBlobDetector_create(parameters)
             for flags in (0, cv2.CALIB_CB_CLUSTERING):
