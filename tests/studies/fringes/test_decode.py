@@ -102,6 +102,8 @@ def test_a_wrong_number_of_files_is_told_with_what_is_missing_or_spare(shots, tm
 def test_a_wrong_order_is_told_and_may_be_put_right(shots, truth, tmp_path):
     column = truth[0]
     usual = decoded(shots)
+    again = read_decoded(usual.decoded.save(tmp_path / "usual.exr"))
+    np.testing.assert_allclose(again.column, usual.decoded.column, rtol=1e-6)
     assert [path.name for path in usual.paths[8:11]] == ["shot 9.png", "shot 10.png", "shot 11.png"]
     mixed = copied(shots, tmp_path / "mixed")
     (mixed / "shot 2.png").rename(mixed / "x.png")
