@@ -17,7 +17,7 @@ from virtual_sensor_plugins.lit_pixels import Columns
 from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
 from virtual_sensor_plugins.renderer import Arrangement, Prepared
 
-from virtual_sensor.arrays import to_numpy, whole_number
+from virtual_sensor.arrays import shares, to_numpy, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
@@ -323,10 +323,11 @@ def truth_of(prepared: Prepared) -> PixelTruth:
             coordinates[name][~shines] = np.nan
             statuses[name] = np.array(light.status, np.uint8)
             reached |= shines
-        points = to_numpy(sight.point)
-        point = points.astype(np.float32)
-        if camera := prepared.arrangement.camera:
-            depth = camera.pose.to_local(points)[:, 2].astype(np.float32)
+        points, camera = to_numpy(sight.point), prepared.arrangement.camera
+        for some in shares(count):
+            point[some] = points[some]
+            if camera:
+                depth[some] = camera.pose.to_local(points[some])[:, 2]
         point[~reached], depth[~reached] = np.nan, np.nan
     return PixelTruth(index, point, depth, coordinates, statuses, lit.report)
 
