@@ -44,8 +44,10 @@ class SceneOrWord(TyperGroup):
         if not ctx.args:
             return super().invoke(ctx)
         name, *args = ctx.args
-        with ctx, self.commands[name].make_context(name, args, parent=ctx) as below:
-            return below.command.invoke(below)
+        word, title = self.commands[name], f"{ctx.info_name} {name}"
+        # Beside this command, not below it: its usage names the scene once.
+        with ctx, word.make_context(title, args, parent=ctx.parent) as beside:
+            return beside.command.invoke(beside)
 
 
 app = typer.Typer(
