@@ -61,6 +61,17 @@ def number_within(name: str, value: Any, least: float, most: float, advice: str)
     return number
 
 
+def size_of(name: str, value: Any, most: int) -> tuple[int, int]:
+    """Width and height, px; raises InputError, naming it, if these are none from 1 to `most`."""
+    try:
+        width, height = value
+    except (TypeError, ValueError):
+        raise InputError(f"{name} is {short(value)}; give (width, height) in px") from None
+    sides = {"width": width, "height": height}
+    width, height = (whole_number(f"{name}: {side}", n, 1, most) for side, n in sides.items())
+    return width, height
+
+
 def one_of(name: str, value: Any, known: Iterable[str]) -> str:
     """The value, a word; raises InputError, naming it, if it is none of the known ones."""
     known = tuple(known)

@@ -48,7 +48,8 @@ def test_the_noise_of_a_phase_is_that_of_recorded_steps():
     seen = rng.poisson(mean) + rng.normal(0.0, vs.CameraNoise().dark_noise_e, mean.shape)
     found = np.angle(np.sum(seen * np.exp(1j * angle), axis=0))
     spread = np.std(np.angle(np.exp(1j * (found - phi))))
-    assert phase_noise(light, steps, 1.0, electrons)[0] == pytest.approx(spread, rel=0.02)
+    codec = PhaseShift(steps=steps)
+    assert phase_noise(codec, light, 1.0, electrons)[0] == pytest.approx(spread, rel=0.02)
 
 
 def test_defocus_and_contrast_take_amplitude_off():

@@ -72,7 +72,7 @@ _MODELS = {
 }
 _ORTHOGONAL = 1e-4
 _ZERO = 1e-9  # px
-_LARGEST_PX = 2**20
+LARGEST_PX = 2**20
 _LARGEST = 1e12  # products of a few such numbers are finite
 _LARGEST_BYTES = 2**22
 _DEEPEST = 100
@@ -365,7 +365,7 @@ def distortion_row(camera: Pinhole) -> Array:
 def pixels_in(file: CalibrationFile, name: str) -> int:
     """A number of px."""
     (value,) = file.numbers(name, (1,), below=np.inf)
-    if not (1.0 <= value <= _LARGEST_PX and value == int(value)):
+    if not (1.0 <= value <= LARGEST_PX and value == int(value)):
         raise InputError(f"{file.path}: '{name}' is {value:g}; give a whole number of px, from 1")
     return int(value)
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, number_within, vector_of
 from virtual_sensor.errors import InputError, few, nearest, short
-from virtual_sensor.metrology.covariance import carried
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN, carried
 from virtual_sensor.metrology.observations import Observation, Prior
 from virtual_sensor.metrology.shapes import Shape
 from virtual_sensor.metrology.unknowns import Unknown, of_air, of_poses, of_shape, with_priors
@@ -300,7 +300,7 @@ class Problem:
                 white = linear.whitened(factor).residual
                 if not state.used:
                     white = white - _of_neighbours(white, points.along_mm, known)
-                spread = np.maximum(1.0, 1.4826 * np.median(np.abs(white[known]), axis=0))
+                spread = np.maximum(1.0, SIGMA_BY_MEDIAN * np.median(np.abs(white[known]), axis=0))
                 near = (np.abs(np.nan_to_num(white)) <= _OUTLIER * spread).all(axis=1)
                 out, count = (known & ~near).sum(), known.sum()
                 if count >= _FEW or out <= _MOST_OUT * count:

@@ -17,6 +17,10 @@ def carried(by: Array, covariance: Array) -> Array:
     return found
 
 
+SIGMA_BY_MEDIAN = 1.4826
+"""Standard deviation of a normal distribution over the median distance from its mean."""
+
+
 def variance_along(direction: Array, covariance: Array) -> Array:
     """Variance (N,) along vectors (N, K) of covariances (N, K, K); that of rounding may be < 0."""
     found: Array = np.einsum("ni,nij,nj->n", direction, covariance, direction)

@@ -124,7 +124,7 @@ def fit_cylinder(points_mm: ArrayLike, *, direction: ArrayLike | None = None) ->
     if not starts:
         return _no_fit(points, FitStatus.UNDETERMINED)
     _, axis, start = min(starts, key=lambda tried: tried[0])
-    across = _across(axis)
+    across = square_to(axis)
     found = _least(centred, axis, across, start[:unknowns])
     depth = np.linalg.svd(centred, compute_uv=False)
     flat = held is None and depth[2] < max(
@@ -223,7 +223,7 @@ def radius_interval(
         return np.nan, np.nan
     used = points[np.isfinite(points).all(axis=1)]
     x = np.array([fit.radius_mm, 0.0, 0.0, 0.0, 0.0])
-    across = _across(fit.axis_direction)
+    across = square_to(fit.axis_direction)
     residual, jacobian = _distance(used - fit.axis_point_mm, x, fit.axis_direction, across)
     gain = -np.linalg.pinv(jacobian[:, :unknowns])[0]  # change of the radius by each residual's
 
@@ -267,7 +267,7 @@ def _all(x: Array) -> Array:
     return np.concatenate([x, np.zeros(5 - len(x))])
 
 
-def _across(axis: Array) -> Array:
+def square_to(axis: Array) -> Array:
     """Two unit vectors (2, 3) square to an axis and to each other."""
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
@@ -319,12 +319,12 @@ def _starts(points: Array, held: Array | None) -> list[tuple[float, Array, Array
     tried = _circles(points, np.concatenate([principal, _hemisphere(_TRIED)]))
     refined = []
     for _, axis, start in sorted(tried, key=lambda each: each[0])[:_REFINED]:
-        across = _across(axis)
+        across = square_to(axis)
         found = _least(points, axis, across, start)
         turned = axis + found.x[3:] @ across
         turned /= np.linalg.norm(turned)
         # The same place on the new axis, in the vectors that go with it.
-        place = _across(turned) @ (found.x[1:3] @ across)
+        place = square_to(turned) @ (found.x[1:3] @ across)
         refined.append((found.cost, turned, np.array([found.x[0], *place, 0.0, 0.0])))
     return refined
 
@@ -333,7 +333,7 @@ def _circles(points: Array, directions: Array) -> list[tuple[float, Array, Array
     """Cost, axis and unknowns of Kasa's circles across some directions, where there are any."""
     found = []
     for axis in directions:
-        p = points @ _across(axis).T
+        p = points @ square_to(axis).T
         columns = np.column_stack([p, np.ones(len(p))])
         solution, _, rank, _ = np.linalg.lstsq(columns, (p**2).sum(axis=1), rcond=1e-9)
         centre = solution[:2] / 2.0

@@ -247,8 +247,8 @@ def _image(
     found = sight_points(medium, camera, projector, sight, pixel, weight, tolerance_px)
 
     with np.errstate(divide="ignore", invalid="ignore"):  # of pixels without noise
-        told = np.where(weight > 0.0, (found.px_per_mm / sigma) ** 2, 0.0).sum(axis=1)
-        sigma_um = UM_PER_MM / np.sqrt(told)
+        information = np.where(weight > 0.0, (found.px_per_mm / sigma) ** 2, 0.0).sum(axis=1)
+        sigma_um = UM_PER_MM / np.sqrt(information)
     residual = None
     if decoded.column is not None and decoded.row is not None:
         residual = across_lines(camera, projector, sight, coordinates_of(projector, pixel))

@@ -18,7 +18,7 @@ from virtual_sensor.arrays import points_of, shares
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, with_spreads
 from virtual_sensor.errors import InputError, nearest, short
-from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
+from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder, square_to
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.shapes import CylinderShape, PlaneShape, Shape, SphereShape
 from virtual_sensor.poses import Pose
@@ -200,10 +200,7 @@ def _at_rest(shape: Shape) -> Shape:
 
 def _frame(axis: Array, origin: Array, column: int) -> Pose:
     """A right-handed frame at a point, one of whose axes is given."""
-    other = np.eye(3)[np.argmin(np.abs(axis))]
-    second = np.cross(axis, other)
-    second /= np.linalg.norm(second)
-    columns = np.roll([axis, second, np.cross(axis, second)], column, axis=0)
+    columns = np.roll([axis, *square_to(axis)], column, axis=0)
     return Pose(columns.T, origin)
 
 

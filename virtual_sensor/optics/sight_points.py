@@ -248,10 +248,10 @@ class _Kernel:
         z = self._start(p, q, u, v, of_u, of_v) if z is None else z
         for _ in range(_MOST_STEPS):
             point, held, ahead, (x, y), (by_x, by_y) = self._at(p, q, z)
-            tells = of_u * by_x * by_x + of_v * by_y * by_y
-            change = (of_u * by_x * (u - x) + of_v * by_y * (v - y)) / tells
+            information = of_u * by_x * by_x + of_v * by_y * by_y
+            change = (of_u * by_x * (u - x) + of_v * by_y * (v - y)) / information
             settled = dr.abs(change) <= _SETTLED * dr.abs(z)
-            px = dr.sqrt(tells / dr.maximum(of_u, of_v)) * dr.abs(z)
+            px = dr.sqrt(information / dr.maximum(of_u, of_v)) * dr.abs(z)
             reasons = {
                 CrossingStatus.NO_CROSSING: ~(px > _PARALLEL_PX) | (held & ~settled),
                 CrossingStatus.BEHIND: ~((z > 0.0) & (ahead > 0.0)),

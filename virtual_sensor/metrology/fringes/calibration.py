@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from virtual_sensor.arrays import numbers_of, points_of, whole_number
+from virtual_sensor.arrays import numbers_of, points_of, size_of
 from virtual_sensor.calls import public
 from virtual_sensor.devices.calibration_files import (
+    LARGEST_PX,
     distortion_row,
     put_camera,
     read_camera_and_projector,
@@ -31,7 +32,7 @@ from virtual_sensor.devices.calibration_files import (
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.files import path_of, written_whole
-from virtual_sensor.metrology.covariance import carried
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN, carried
 from virtual_sensor.metrology.fringes.target import MarkStatus
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
@@ -53,7 +54,6 @@ _LEAST_PX = 1e-6  # residuals below are rounding: they give no weight
 _ROUNDS = 6  # of weights and outliers
 _STEADY = 0.02  # change of the weights that ends them
 _PARALLEL = 1e-12
-_LARGEST_PX = 2**20
 _TINY = 1e-6  # rad and mm, for differences of poses
 
 
@@ -144,9 +144,10 @@ class FringeCalibration(Displayed):
         """
         path = path_of("FringeCalibration.read: path", path)
         if camera_size is not None:
-            camera_size = _size("FringeCalibration.read: camera_size", camera_size)
+            camera_size = size_of("FringeCalibration.read: camera_size", camera_size, LARGEST_PX)
         if projector_size is not None:
-            projector_size = _size("FringeCalibration.read: projector_size", projector_size)
+            name = "FringeCalibration.read: projector_size"
+            projector_size = size_of(name, projector_size, LARGEST_PX)
         camera, projector, file = read_camera_and_projector(path, camera_size, projector_size)
         camera_rms, projector_rms = (
             float(file.numbers(f"{name}_rms_px", (1,), np.array([np.nan]))[0])
@@ -286,8 +287,8 @@ def calibrate_fringes(
             known = ", ".join(map(str, COUNTS))
             raise InputError(f"calibrate_fringes: {name} is {short(count)}; give one of {known}")
     sizes = (
-        _size("calibrate_fringes: camera_size", camera_size),
-        _size("calibrate_fringes: projector_size", projector_size),
+        size_of("calibrate_fringes: camera_size", camera_size, LARGEST_PX),
+        size_of("calibrate_fringes: projector_size", projector_size, LARGEST_PX),
     )
     found = _statuses(seen, lit, status)
     used, notes = _poses_used(found)
@@ -307,16 +308,6 @@ def calibrate_fringes(
             " standard deviations off and were left out"
         )
     return _calibration(fit, sizes, all_status, residuals, tuple(notes))
-
-
-def _size(name: str, size: Any) -> tuple[int, int]:
-    """Width and height, px."""
-    try:
-        width, height = size
-    except (TypeError, ValueError):
-        raise InputError(f"{name} is {short(size)}; give (width, height) in px") from None
-    width, height = (whole_number(name, length, 1, _LARGEST_PX) for length in (width, height))
-    return width, height
 
 
 def _statuses(seen: Array, lit: Array, status: ArrayLike | None) -> NDArray[np.uint8]:
@@ -500,7 +491,8 @@ def _fitted(problem: _Problem, x: Array) -> _Fit:
         x = found.x
         residuals = problem.by_mark(problem.residuals(x))
         size = np.linalg.norm(residuals, axis=3)
-        spread = [max(1.4826 * _median_component(each), _LEAST_PX) for each in residuals]
+        usual = (float(np.nanmedian(np.abs(each))) for each in residuals)
+        spread = [max(SIGMA_BY_MEDIAN * each, _LEAST_PX) for each in usual]
         limit = np.maximum(_OUTLIER * np.reshape(spread, (2, 1, 1)), _NEAR_PX)
         far = (size > limit).any(axis=0)
         sigma = _spreads(problem, np.where(far[..., None], np.nan, residuals))
@@ -516,10 +508,6 @@ def _fitted(problem: _Problem, x: Array) -> _Fit:
         raise _undetermined("the poses of the target leave a choice")
     scaled = np.linalg.inv((jacobian / length).T @ (jacobian / length))
     return _Fit(problem, x, scaled / np.outer(length, length))
-
-
-def _median_component(residuals: Array) -> float:
-    return float(np.nanmedian(np.abs(residuals)))
 
 
 def _spreads(problem: _Problem, residuals: Array) -> tuple[float, float]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Any
 
@@ -14,10 +15,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from virtual_sensor.arrays import LARGEST, number_within, truth_of, unmasked, whole_number
+from virtual_sensor.arrays import LARGEST, number_within, size_of, truth_of, unmasked
 from virtual_sensor.devices.patterns import AXES, Pattern
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
 from virtual_sensor.metrology.line_profiles import saturation_level
 
@@ -38,9 +40,8 @@ _DISPLACED_PX = 0.014  # of a pixel's mean from its centre, from which on there 
 _STEP_PX = 1.3  # second difference that square pixels make, and a few samples of them
 _GATHERED = 0.1  # mean of unit vectors that stand for places within a projector pixel
 _SAMPLE_PX = 40_000
-_BEND, _SLOPE = np.array([1.0, -2.0, 1.0]), np.array([-0.5, 0.0, 0.5])
+BEND, _SLOPE = np.array([1.0, -2.0, 1.0]), np.array([-0.5, 0.0, 0.5])
 _FAR = 6.0  # spreads of the second differences
-_MAD = 1.4826  # of a normal distribution: its sigma over its median distance
 _THREADS = 2
 
 
@@ -69,6 +70,10 @@ class GreyNoise(Displayed):
         """Of a grey value, where images have such means."""
         shot = np.float32(self.gain) * np.maximum(mean - np.float32(self.black), 0.0)
         return shot + np.float32(self.read**2 + self.step**2 / 12.0)
+
+    def as_seen(self, variance: float) -> GreyNoise:
+        """The same with the read noise of images whose grey values have such a variance."""
+        return replace(self, read=math.sqrt(max(variance - self.step**2 / 12.0, 0.0)))
 
 
 @dataclass
@@ -131,6 +136,10 @@ class Codec(Displayed, ABC):
     @abstractmethod
     def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:
         """Which pixels of a block of the axis's own images can't be decoded for clipping."""
+
+    def axis_px(self, axis: str) -> int:
+        """The projector's columns, or rows: its size along an axis."""
+        return self.size_px[AXES.index(axis)]
 
     def _images_of(self, axis: str) -> slice:
         """Which images show an axis."""
@@ -244,8 +253,7 @@ class Codec(Displayed, ABC):
         weak |= modulation <= _ROUNDED * np.abs(mean)
         status = np.zeros(shape, np.uint8)
         for axis, coordinate in found.coordinate.items():
-            size = self.size_px[AXES.index(axis)]
-            outside = ~((coordinate >= -0.5) & (coordinate <= size - 0.5))
+            outside = ~((coordinate >= -0.5) & (coordinate <= self.axis_px(axis) - 0.5))
             status[outside] = FringeStatus.OUTSIDE
         status[found.disagreement > most] = FringeStatus.ORDER
         status[weak] = FringeStatus.LOW_MODULATION
@@ -434,14 +442,7 @@ def _noise_of(
 
 def checked_size(size_px: Any) -> tuple[int, int]:
     """A projector's (W, H); raises InputError if it is none."""
-    try:
-        width, height = size_px
-    except (TypeError, ValueError):
-        raise InputError(f"size_px is {short(size_px)}; give (width, height) in px") from None
-    return (
-        whole_number("size_px: width", width, 1, _MOST_PX),
-        whole_number("size_px: height", height, 1, _MOST_PX),
-    )
+    return size_of("size_px", size_px, _MOST_PX)
 
 
 def checked_axes(axes: Any) -> str:
@@ -495,11 +496,11 @@ def _mixed(
         inner = np.s_[1:-1] if along == 0 else np.s_[:, 1:-1]
         bend, slope, change = (
             _filtered(image, kernel, along)[inner]
-            for image, kernel in ((place, _BEND), (place, _SLOPE), (mean, _SLOPE))
+            for image, kernel in ((place, BEND), (place, _SLOPE), (mean, _SLOPE))
         )
         some = np.abs(bend[:: max(1, bend.shape[0] // 256), :: max(1, bend.shape[1] // 256)])
-        usual = _FAR * _MAD * float(np.nanmedian(some)) if np.isfinite(some).any() else 0.0
-        usual = max(usual, stairs)
+        middle = float(np.nanmedian(some)) if np.isfinite(some).any() else 0.0
+        usual = max(_FAR * SIGMA_BY_MEDIAN * middle, stairs)
         spread = sigma[inner]
         found[inner] |= np.abs(bend) > np.float32(np.sqrt(6.0) * _FAR) * spread + (
             24.0 * _DISPLACED_PX + usual

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.devices.patterns import AXES, GrayBit, Pattern, Sine
+from virtual_sensor.devices.patterns import GrayBit, Pattern, Sine
 from virtual_sensor.display import Displayed
 from virtual_sensor.metrology.fringes.codec import Codec
 from virtual_sensor.metrology.fringes.gray_code import GrayCode, position
@@ -199,7 +199,7 @@ def _of_phases(codec: PhaseShift, grey: Grey, order: Order) -> Iterator[float]:
         return
     turns = (np.arctan2(fitted[2::2], fitted[1::2]) / (2.0 * np.pi) % 1.0).astype(np.float32)
     for axis in codec.axes:
-        size = codec.size_px[AXES.index(axis)]
+        size = codec.axis_px(axis)
         mine = sorted((period, n) for n, (of, period) in enumerate(groups) if of == axis)
         here = [turns[n] for _, n in mine]
         if codec.unwrap == "gray":
@@ -245,7 +245,7 @@ def _of_bits(codec: GrayCode, grey: Grey, order: Order) -> Iterator[float]:
         mine = order[codec._images_of(axis)]
         bright = grey[list(mine[::2])] > grey[list(mine[1::2])]
         place, _ = position(bright, codec._bits(axis))
-        yield _beyond(place, codec.size_px[AXES.index(axis)], 2.0 ** len(codec._bits(axis)))
+        yield _beyond(place, codec.axis_px(axis), 2.0 ** len(codec._bits(axis)))
 
 
 def _beyond(place: NDArray[Any], size: int, range_px: float) -> float:

@@ -7,7 +7,6 @@ followed by its inverse, the columns before the rows.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.arrays import truth_of
 from virtual_sensor.calls import public
-from virtual_sensor.devices.patterns import AXES, GrayBit, Pattern, Uniform
+from virtual_sensor.devices.patterns import GrayBit, Pattern, Uniform
 from virtual_sensor.metrology.fringes.codec import (
     AxisBlock,
     Block,
@@ -94,8 +93,7 @@ class GrayCode(Codec):
         return f"gray {self.axes}{'' if self.inverted else ' single'}"
 
     def _bits(self, axis: str) -> range:
-        size = self.size_px[AXES.index(axis)]
-        return range(max((size - 1).bit_length(), 1) - 1, -1, -1)
+        return range(max((self.axis_px(axis) - 1).bit_length(), 1) - 1, -1, -1)
 
     def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
         if not self.inverted:
@@ -130,8 +128,7 @@ class GrayCode(Codec):
             variance = np.var(grey[::2] + grey[1::2], axis=0, ddof=1) / 2.0
         lit = variance[variance > 0.0]
         usual = float(np.median(lit)) if lit.size else 0.0
-        read = math.sqrt(max(usual - light.step**2 / 12.0, 0.0))
-        return GreyNoise(read, light.gain, light.black, light.step)
+        return light.as_seen(usual)
 
     def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
         lit, other = self._pairs(block)
@@ -141,9 +138,8 @@ class GrayCode(Codec):
         contrast = np.partition(apart, min(1, len(apart) - 1), axis=0)[min(1, len(apart) - 1)]
         contrast = contrast + 0.0 * apart.sum(axis=0)
         mean = 0.5 * (lit + other).mean(axis=0)
-        size = self.size_px[AXES.index(axis)]
         coordinate = middle.astype(float) - 0.5
-        coordinate[coordinate > size - 0.5] = np.inf
+        coordinate[coordinate > self.axis_px(axis) - 0.5] = np.inf
         spread = np.sqrt(noise.variance(mean))
         return AxisBlock(
             coordinate=coordinate,

@@ -21,6 +21,7 @@ from virtual_sensor.arrays import whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
 from virtual_sensor.metrology.observations import Observation
 
@@ -190,19 +191,19 @@ def _of_row(values: Array, noise: Array, good: Mask, size: tuple[int, int]) -> t
         inverse = np.linalg.pinv(np.swapaxes(weighed, 1, 2) @ columns, hermitian=True)
         found = np.einsum("nkj,nmj,anm->ank", inverse, weighed, value, optimize=True)
         off = np.abs(value - np.einsum("nmk,ank->anm", columns, found))
-        robust = 1.4826 * np.nanmedian(np.where(used, off, np.nan), axis=2, keepdims=True)
+        robust = SIGMA_BY_MEDIAN * np.nanmedian(np.where(used, off, np.nan), axis=2, keepdims=True)
         keeps = used & (off <= np.maximum(_OUTLIER * robust, _ROUNDING_PX)).all(axis=0)
         scatter = _rms(off, used, count - len(_POWERS))
         if np.array_equal(keeps, used):
             break
         used = keeps
-    told = _rms(sigma, used, count)
-    smooth = (scatter <= np.maximum(_SCATTER_PX, _SCATTER * told)).all(axis=0)
+    predicted = _rms(sigma, used, count)
+    smooth = (scatter <= np.maximum(_SCATTER_PX, _SCATTER * predicted)).all(axis=0)
     slopes = np.stack([found[..., _POWERS.index(p)] for p in ((1, 0), (0, 1))], axis=-1)
     slopes = np.swapaxes(slopes, 0, 1) * 2.0 / edge
     steep = np.linalg.svd(slopes, compute_uv=False).min(axis=1) > _LEAST_SLOPE
     fits = (count >= _ENOUGH * edge * edge) & (count > len(_POWERS)) & smooth & steep
-    spread = np.maximum(scatter, told) * np.sqrt(inverse[:, 0, 0])
+    spread = np.maximum(scatter, predicted) * np.sqrt(inverse[:, 0, 0])
     pixel = np.stack([some * step + middle[0], middle[1]], axis=-1)
     return tuple(each[fits] for each in (pixel, found[..., 0].T, spread.T, slopes))
 

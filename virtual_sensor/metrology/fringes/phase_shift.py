@@ -125,7 +125,7 @@ class PhaseShift(Codec):
         """
         found = {}
         for axis in self.axes:
-            size = self.size_px[AXES.index(axis)]
+            size = self.axis_px(axis)
             if self.unwrap == "gray":
                 found[axis] = hierarchical(self._periods)
                 continue
@@ -177,7 +177,7 @@ class PhaseShift(Codec):
         """Of the Gray code of an axis, the coarsest first: stripes of half a period at most."""
         if self.unwrap != "gray":
             return range(0)
-        size, period = self.size_px[AXES.index(axis)], min(self._periods)
+        size, period = self.axis_px(axis), min(self._periods)
         finest = max(0, math.floor(math.log2(period)) - 1)
         return range(max((size - 1).bit_length(), finest + 1) - 1, finest - 1, -1)
 
@@ -198,10 +198,14 @@ class PhaseShift(Codec):
         found: NDArray[np.float32] = np.kron(order, each / self.steps).astype(np.float32)
         return found
 
-    def sigma_phase(self, noise: float, modulation: ArrayLike) -> NDArray[np.float64]:
+    def sigma_phase(self, noise: ArrayLike, modulation: ArrayLike) -> NDArray[np.float64]:
         """Standard deviation of a phase in rad, for that of grey values and the modulation."""
         with np.errstate(divide="ignore"):
-            return math.sqrt(2.0 / self.steps) * noise / np.asarray(modulation, float)
+            return (
+                math.sqrt(2.0 / self.steps)
+                * np.asarray(noise, float)
+                / np.asarray(modulation, float)
+            )
 
     def wrong_order(self, sigma_phase: ArrayLike) -> NDArray[np.float64]:
         """Probability that the fringe order of a coordinate is wrong, for phases' noise in rad.
@@ -214,7 +218,7 @@ class PhaseShift(Codec):
         return self._chains[axis].wrong_order(sigma_phase)
 
     def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
-        size = self.size_px[AXES.index(axis)]
+        size = self.axis_px(axis)
         fringes = len(self._periods) * self.steps
         grey = block.astype(np.float32, copy=False)
         sums = (self._sums @ grey[:fringes]).reshape(len(self._periods), 3, -1)
@@ -307,8 +311,7 @@ class PhaseShift(Codec):
             return light
         lit = every[every > 0.0]
         variance = float(np.median(lit) / (chi2.median(free) / free)) if lit.size else 0.0
-        read = math.sqrt(max(variance - light.step**2 / 12.0, 0.0))
-        return GreyNoise(read, light.gain, light.black, light.step)
+        return light.as_seen(variance)
 
     @property
     def _model(self) -> NDArray[np.float64]:

@@ -19,7 +19,9 @@ from scipy import fft
 from virtual_sensor.arrays import number_within
 from virtual_sensor.calls import public
 from virtual_sensor.devices.patterns import Pattern, Sine
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.codec import (
+    BEND,
     NOISIEST_PHASE_RAD,
     AxisBlock,
     Block,
@@ -36,8 +38,6 @@ _FEWEST_FRINGES = 4.0  # within the image: fewer are none apart from its brightn
 _FAINT = 1e-9  # of the image's brightness: a carrier of that strength is rounding
 _REACH = 4.0  # of the band's window, in its widths
 _LONGEST_PX = 1e6
-_BEND = np.array([1.0, -2.0, 1.0])
-_MAD = 1.4826  # of a normal distribution: its sigma over its median distance
 _TURN = 2.0 * math.pi
 
 
@@ -101,12 +101,11 @@ class SingleShot(Codec):
             if min(image.shape) < 3:
                 return light
             grey = image.astype(np.float32)
-            rough = np.abs(cv2.filter2D(grey, -1, np.outer(_BEND, _BEND))[1:-1, 1:-1])
+            rough = np.abs(cv2.filter2D(grey, -1, np.outer(BEND, BEND))[1:-1, 1:-1])
             rough = rough[np.isfinite(rough) & (grey[1:-1, 1:-1] < clipped)]
             lit = rough[rough > 0.0]
-            found.append(float(np.median(lit)) / 6.0 * _MAD if lit.size else 0.0)
-        read = math.sqrt(max(float(np.mean(found)) ** 2 - light.step**2 / 12.0, 0.0))
-        return GreyNoise(read, light.gain, light.black, light.step)
+            found.append(float(np.median(lit)) / 6.0 * SIGMA_BY_MEDIAN if lit.size else 0.0)
+        return light.as_seen(float(np.mean(found)) ** 2)
 
     def _decode_image(self, axis: str, image: NDArray[Any], noise: GreyNoise) -> AxisBlock:
         holes = ~np.isfinite(image)

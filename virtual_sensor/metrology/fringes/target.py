@@ -13,6 +13,7 @@ from virtual_sensor.arrays import number_within, numbers_of, one_of, points_of, 
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
@@ -432,8 +433,8 @@ class _Plane:
         columns = self.target.columns
         number = np.arange(len(contrast))
         odd = (number // columns + number % columns) % 2
-        way = np.sign(contrast) * np.where(odd == 1, -1.0, 1.0)
-        return way * np.sign(np.nansum(way))  # turned, it may start with the other colour
+        colour = np.sign(contrast) * np.where(odd == 1, -1.0, 1.0)
+        return colour * np.sign(np.nansum(colour))  # turned, it may start with the other colour
 
     def shifts(self) -> Array:
         """From the image of a dot's centre to the centre of its image, (N, 2), px."""
@@ -521,7 +522,7 @@ def _interpolated(decoded: Array, at: Array, half: float) -> Array:
     for _ in range(3):
         found = np.linalg.lstsq(by[used], values[used], rcond=None)[0]
         off = np.abs(values - by @ found).max(axis=1)
-        spread = 1.4826 * np.median(off[used])
+        spread = SIGMA_BY_MEDIAN * np.median(off[used])
         keep = off <= _ROBUST * max(spread, 1e-9)
         if keep.sum() < 12 or (keep == used).all():
             break

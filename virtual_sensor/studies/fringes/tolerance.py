@@ -186,13 +186,13 @@ def _candidates(
         contrast = contrast_of(projector, finest, width)
         if contrast < _LEAST_CONTRAST:
             continue
-        noise_rad = phase_noise(light, steps, contrast, electrons)
+        noise_rad = phase_noise(codec, light, contrast, electrons)
         if float(np.mean(codec.wrong_order(noise_rad))) > MOST_WRONG:
             continue
         per_rad = finest / (2.0 * np.pi)
         parts = {
             "noise": per_rad * rms(noise_rad),
-            "bits": per_rad * _rounding(steps, projector.bits) / contrast,
+            "bits": per_rad * _rounding(codec, projector.bits) / contrast,
             "gamma": per_rad * gamma_ripple(steps, projector.gamma) / np.sqrt(2.0),
         }
         words = f"{codec.text}: " + ", ".join(f"{k} {v:.2g} px" for k, v in parts.items())
@@ -221,24 +221,20 @@ def contrast_of(projector: Projector, period_px: float, width_px: float = 0.0) -
     return (1.0 - 1.0 / projector.contrast) * blur * float(np.sinc(width_px / period_px))
 
 
-def phase_noise(light: Array, steps: int, contrast: float, electrons: float | None) -> Array:
-    """Standard deviation (N,) of phases in rad: shot and read noise, mean over the phase.
-
-    By Surrel 1997, Applied Optics 36, 271: sqrt(2/N) sigma/B, with B and sigma in electrons.
-    """
+def phase_noise(codec: PhaseShift, light: Array, contrast: float, electrons: float | None) -> Array:
+    """Standard deviation (N,) of phases in rad: shot and read noise, mean over the phase."""
     if electrons is None:
         return np.zeros_like(light)
     mean = 0.5 * electrons * light
     sigma = np.sqrt(mean + _USUAL_E.dark_noise_e**2)
-    found: Array = math.sqrt(2.0 / steps) * sigma / (contrast * mean)
-    return found
+    return codec.sigma_phase(sigma, contrast * mean)
 
 
-def _rounding(steps: int, bits: int) -> float:
+def _rounding(codec: PhaseShift, bits: int) -> float:
     """Phase noise in rad of grey values that are rounded to so many bits; 0: of none."""
     if not bits:
         return 0.0
-    return math.sqrt(2.0 / steps) / math.sqrt(12.0) / (2.0**bits - 1.0) / 0.5
+    return float(codec.sigma_phase(1.0 / math.sqrt(12.0) / (2.0**bits - 1.0), 0.5))
 
 
 def gamma_ripple(steps: int, gamma: float) -> float:
