@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli import shared
+from virtual_sensor.cli import fringe_options, shared
 
 EPILOG = (
     "Examples:\n\n"
@@ -17,21 +17,10 @@ EPILOG = (
 
 
 def calibrate(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            callback=shared.there,
-            help="A scene file with a projector, or one that is installed: fringe_cylinder,"
-            " fringe_stepped_shaft.",
-        ),
-    ],
+    scene: fringe_options.Scene,
     define: shared.Definitions = None,
     camera: shared.Camera = None,
-    source: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Of the scene's projectors, where it has several."),
-    ] = None,
+    source: fringe_options.Projector = None,
     poses: Annotated[int, typer.Option(min=3, max=200, help="Of the target.")] = 12,
     target: Annotated[
         str, typer.Option(help="What is on it: checkerboard or dots.")
@@ -66,24 +55,11 @@ def calibrate(
             help="Of the patterns: `phase STEPS PERIODS uv`, periods in projector px; `gray uv`."
         ),
     ] = "phase 4 16,128,1280 uv",
-    spp: Annotated[
-        int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's own.")
-    ] = None,
-    electrons: Annotated[
-        float | None,
-        typer.Option(
-            help="Record the frames with a camera's noise, so exposed that the brightest pixel has"
-            " so many electrons; by default without noise."
-        ),
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(min=1, max=16, help="Of the camera with --electrons; by default 12."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
-    frames: Annotated[
-        bool, typer.Option("--frames", help="Write all frames too, as PNG of 16 bits.")
-    ] = False,
+    spp: fringe_options.Samples = None,
+    electrons: fringe_options.Electrons = None,
+    bits: fringe_options.Bits = None,
+    seed: fringe_options.Seed = 0,
+    frames: Annotated[bool, typer.Option("--frames", help="Write all frames too, as PNG.")] = False,
     output: shared.Folder = Path("calibrated"),
     overwrite: shared.Overwrite = False,
 ) -> None:
@@ -94,26 +70,16 @@ def calibrate(
     is written as OpenCV's YAML.
     """
     from virtual_sensor.imaging.scene import load_scene
-    from virtual_sensor.metrology.fringes.codecs import codec_of
     from virtual_sensor.reporting.fringe_calibration import on_console, save
     from virtual_sensor.studies.fringes.calibrate import CalibrationSettings
+    from virtual_sensor.studies.fringes.recording import Recording
 
     shared.check_folder(output, overwrite)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
+        recording = Recording(electrons, bits, seed)
         settings = CalibrationSettings(
-            codec_of(codec, loaded.projector.size),
-            codec,
-            target,
-            poses,
-            distortion,
-            hot,
-            spp,
-            electrons,
-            bits,
-            seed,
-            pitch,
-            lift,
+            codec, target, poses, distortion, hot, spp, recording, pitch, lift
         )
         result = save(loaded, settings, output, shared.command_line(), frames, overwrite, report)
     shared.print_results(on_console(result), result.summary.notes)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from virtual_sensor.cli import shared
+from virtual_sensor.cli import fringe_options, shared
 from virtual_sensor.cli.sweep import values
 from virtual_sensor.errors import InputError
 
@@ -19,15 +19,7 @@ EPILOG = (
 
 
 def poses(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            callback=shared.there,
-            help="A scene file with a projector, or one that is installed: fringe_cylinder,"
-            " fringe_stepped_shaft.",
-        ),
-    ],
+    scene: fringe_options.Scene,
     define: Annotated[
         list[str] | None,
         typer.Option(
@@ -39,7 +31,7 @@ def poses(
         ),
     ] = None,
     camera: shared.Camera = None,
-    source: shared.Source = None,
+    source: fringe_options.Projector = None,
     weights: Annotated[
         str | None,
         typer.Option(

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from virtual_sensor.cli import fringe_calibrate, fringe_decode, fringe_poses, shared
+from virtual_sensor.cli import fringe_calibrate, fringe_decode, fringe_options, fringe_poses, shared
 from virtual_sensor.errors import InputError
 
 EPILOG = (
@@ -57,22 +57,6 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 
-FringeScene = Annotated[
-    str,
-    typer.Argument(
-        metavar="SCENE",
-        callback=shared.there,
-        help="A scene file with a projector, or one that is installed: fringe_cylinder,"
-        " fringe_stepped_shaft.",
-    ),
-]
-Projector = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Of the scene's projectors, where it has several: its id in the file.",
-    ),
-]
 CODEC = "phase 4"
 Codec = Annotated[
     str,
@@ -85,10 +69,10 @@ Codec = Annotated[
 
 @app.callback(epilog=EPILOG)
 def fringes(
-    scene: FringeScene,
+    scene: fringe_options.Scene,
     define: shared.Definitions = None,
     camera: shared.Camera = None,
-    source: Projector = None,
+    source: fringe_options.Projector = None,
     codec: Codec = CODEC,
     cold: Annotated[
         bool, typer.Option("--cold", help="Measure the cold part alone.", show_default=False)
@@ -99,9 +83,7 @@ def fringes(
             help="Field of the air through which points are found; by default the scene's own."
         ),
     ] = None,
-    spp: Annotated[
-        int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's own.")
-    ] = None,
+    spp: fringe_options.Samples = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -111,20 +93,9 @@ def fringes(
             " in place of --codec and --spp.",
         ),
     ] = None,
-    electrons: Annotated[
-        float | None,
-        typer.Option(
-            help="Record the frames with a camera's noise, so exposed that the brightest pixel has"
-            " so many electrons; by default without noise."
-        ),
-    ] = None,
-    bits: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=16, help="Of the camera; by default 12 with --electrons, else not rounded."
-        ),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the camera's noise.")] = 0,
+    electrons: fringe_options.Electrons = None,
+    bits: fringe_options.Bits = None,
+    seed: fringe_options.Seed = 0,
     frames: Annotated[
         bool, typer.Option("--frames", help="Write all frames too, as PNG.", show_default=False)
     ] = False,
@@ -137,7 +108,8 @@ def fringes(
     """
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.reporting.fringes import on_console, save
-    from virtual_sensor.studies.fringes.measure import Recording, Settings, measure_fringes
+    from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
+    from virtual_sensor.studies.fringes.recording import Recording
 
     shared.check_folder(output, overwrite)
     if tolerance is not None and (codec != CODEC or spp is not None):

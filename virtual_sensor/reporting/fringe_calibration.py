@@ -6,12 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.imaging.image_files import save_png
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.fringes.target import MarkStatus
 from virtual_sensor.reporting.files import FileOf, write_results
@@ -36,10 +35,12 @@ FILES = (
     FileOf("report.png", "The target, and the residuals of its marks."),
     FileOf(CALIBRATION, "The camera and the projector in the scene's world: OpenCV's YAML."),
     FileOf("marks.csv", "The marks in all poses of the target.", CalibrationMarks),
-    FileOf("frames/pose_*.png", "All frames (`--frames`): 16 bits, of a pose in one scale."),
+    FileOf(
+        "frames/pose_*.png",
+        "The frames (`--frames`): a pose's patterns are in one scale.",
+    ),
     FileOf(RESULTS_SIGN, "The figures, and what they were made with.", CalibrationSummary),
 )
-_WHITE = 65535
 _TARGETS = {"checkerboard": "A checkerboard", "dots": "A plate of dots"}
 _ARROWS = 40.0  # lengths of residuals as drawn: the rms is a so-many'th of the image's width
 _BEYOND_SIGMAS = 3.0
@@ -75,14 +76,16 @@ def save(
     InputError
         If the scene can't be calibrated, or the folder exists or can't be written.
     """
+    bits = settings.recording.resolved_bits
     with folder_written_whole(folder, overwrite) as place:
 
         def keep(number: int, shots: PoseFrames) -> None:
-            names = ["lamp", *(f"pattern_{n:02d}" for n in range(len(shots.patterns)))]
-            for name, image in zip(names, _grey([shots.lit, *shots.patterns]), strict=True):
-                path = place / "frames" / f"pose_{number:02d}_{name}.png"
-                with written_whole(path) as temporary:
-                    temporary.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+            patterns = [f"pattern_{n:02d}" for n in range(len(shots.patterns))]
+            for images, names in ((shots.lit[None], ["lamp"]), (shots.patterns, patterns)):
+                white = None if bits else float(images.max()) or None
+                for image, name in zip(images, names, strict=True):
+                    path = place / "frames" / f"pose_{number:02d}_{name}.png"
+                    save_png(image, path, bits or 16, white=white)
 
         result = calibrate_scene(scene, settings, report, keep if frames else None)
         report("writing the results", 0.98)
@@ -96,15 +99,6 @@ def save(
         }
         write_results(place, FILES, contents)
     return result
-
-
-def _grey(images: list[NDArray[Any]]) -> list[NDArray[np.uint16]]:
-    """Images of 16 bits: the lamp's in a scale of its own, the patterns in one."""
-    if images[0].dtype != np.float32:
-        return [each.astype(np.uint16) for each in images]
-    tops = [images[0].max(), *[max(each.max() for each in images[1:])] * (len(images) - 1)]
-    scales = (_WHITE / max(float(top), 1e-30) for top in tops)
-    return [np.rint(im * s).astype(np.uint16) for im, s in zip(images, scales, strict=True)]
 
 
 def _number(value: float) -> str:

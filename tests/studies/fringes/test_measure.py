@@ -8,7 +8,8 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.fringes.decoded import FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
 from virtual_sensor.studies.fringes import measure
-from virtual_sensor.studies.fringes.measure import Recording, Settings, measure_fringes
+from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
+from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import search_table
 
 FINE = {"width": 160, "height": 160, "pixel": 5.5, "spp": 1, "pixels": "false"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.plate import PlateScenes, plate_scenes
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.fringes.calibration import (
     COEFFICIENTS,
     COUNTS,
@@ -29,6 +30,8 @@ from virtual_sensor.metrology.fringes.calibration import (
     nearest_points,
     turn_between,
 )
+from virtual_sensor.metrology.fringes.codec import Codec
+from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.target import (
     CalibrationTarget,
     Marks,
@@ -36,15 +39,17 @@ from virtual_sensor.metrology.fringes.target import (
     find_marks,
     projector_marks,
 )
+from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import Record, Table, counts_of, status_names
+from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 
-_UM, _URAD = 1e3, 1e6
+_URAD = 1e6
 _GOLDEN_DEG = 137.507764  # poses' tilts are about axes that lie so far apart
 _TILTS = (0.4, 1.0, 0.7)  # of the largest, one after another; the first pose faces both devices
 _STEEPEST_DEG, _MOST_TILT_DEG = 62.0, 30.0
@@ -59,10 +64,8 @@ class CalibrationSettings(Displayed):
 
     Attributes
     ----------
-    codec : PhaseShift or GrayCode
-        Of the patterns, along both axes.
-    codec_text : str
-        As `codec_of` takes it.
+    codec : str or Codec
+        Of the patterns, along both axes; as `codec_of` takes it.
     target : str
         "checkerboard" or "dots".
     poses : int
@@ -73,28 +76,21 @@ class CalibrationSettings(Displayed):
         Whether the part's hot air is there.
     spp : int, optional
         Samples per pixel; the scene's own if not given.
-    electrons : float or None
-        Of the brightest pixel of lit frames and of patterns; None: frames without noise.
-    bits : int or None
-        Of the camera; None: 12 with noise.
-    seed : int
-        Of the noise.
+    recording : Recording
+        Of the frames with the lamp, and of those of the patterns.
     pitch_mm : float, optional
         From mark to mark; by default such that the marks fill the field of view.
     lift_mm : float
         Of the target towards the devices, clear of the part.
     """
 
-    codec: Any
-    codec_text: str
+    codec: str | Codec = "phase 4 16,128,1280 uv"
     target: str = "checkerboard"
     poses: int = 12
     distortion: int = 4
     hot: bool = False
     spp: int | None = None
-    electrons: float | None = None
-    bits: int | None = None
-    seed: int = 0
+    recording: Recording = field(default_factory=Recording)
     pitch_mm: float | None = None
     lift_mm: float = 0.0
 
@@ -335,7 +331,8 @@ def calibrate_scene(
         raise InputError(f"{scene.path}: a projector that is no pinhole can't be calibrated so")
     if settings.hot and scene.medium is None:
         raise InputError(f"{scene.path}: --hot: the scene has no hot air; give it a field")
-    _check(settings)
+    codec = codec_of(settings.codec, projector.size)
+    _check(settings, codec)
     truth = camera, projector.family
     target = target_for(truth, settings)
     poses = target_poses(truth, settings.poses, settings.lift_mm)
@@ -350,7 +347,7 @@ def calibrate_scene(
                 report(stage, 0.02 + 0.93 * (number + fraction) / len(poses))
 
             part(0.0)
-            frames, decoded = _recorded(plates, pose, settings, number, part)
+            frames, decoded = _recorded(plates, pose, codec, settings, number, part)
             if keep:
                 keep(number, frames)
             first = first or frames
@@ -372,13 +369,13 @@ def calibrate_scene(
     assert first is not None
     marks = _marks(target, poses, truth, calibration, (seen_px, lit_px))
     frames_each = len(first.patterns) + 1
-    told = [*scene.loading_notes, *_notes(calibration)]
+    notes = [*scene.loading_notes, *_notes(calibration)]
     if settings.hot:
-        told.append(
+        notes.append(
             "the target stands in the air of the part, which is not there; within the part's place"
             " the field continues it (--lift moves the target clear of it)"
         )
-    facts = scene_facts(scene, tuple(told))
+    facts = scene_facts(scene, tuple(notes))
     if settings.spp:
         facts = replace(facts, made_with=replace(facts.made_with, samples_per_pixel=settings.spp))
     summary = CalibrationSummary(
@@ -387,12 +384,12 @@ def calibrate_scene(
         columns=target.columns,
         rows=target.rows,
         pitch_mm=target.pitch_mm,
-        codec=settings.codec_text,
+        codec=codec.text,
         hot=settings.hot,
         frames=frames_each * len(poses),
-        electrons=settings.electrons,
-        bits=settings.bits,
-        seed=settings.seed,
+        electrons=settings.recording.electrons,
+        bits=settings.recording.resolved_bits,
+        seed=settings.recording.seed,
         marks=counts_of(calibration.status, MarkStatus),
         camera_rms_px=calibration.camera_rms_px,
         projector_rms_px=calibration.projector_rms_px,
@@ -406,20 +403,18 @@ def calibrate_scene(
     return VirtualCalibration(scene, target, calibration, marks, summary, first)
 
 
-def _check(settings: CalibrationSettings) -> None:
+def _check(settings: CalibrationSettings, codec: Codec) -> None:
     """Refuse beforehand what would fail once all frames are rendered."""
     whole_number("--poses", settings.poses, 3, 200)
     number_within("--lift", settings.lift_mm, -1e4, 1e4, "mm towards the devices")
     if settings.distortion not in COUNTS:
         known = ", ".join(map(str, COUNTS))
         raise InputError(f"--distortion {settings.distortion}: give one of {known}")
-    if settings.codec.axes != "uv":
+    if sorted(codec.axes) != ["u", "v"]:
         raise InputError(
-            f"--codec {settings.codec_text}: has no patterns along both axes, which a calibration"
+            f"--codec '{codec.text}': has no patterns along both axes, which a calibration"
             " needs; say uv"
         )
-    if settings.bits is not None and settings.electrons is None:
-        raise InputError("--bits: frames without noise are not rounded; give --electrons too")
 
 
 # ------------------------------------------------------------------------ target and poses
@@ -487,33 +482,32 @@ def target_poses(truth: tuple[Pinhole, Pinhole], count: int, lift_mm: float = 0.
 def _recorded(
     plates: PlateScenes,
     pose: Pose,
+    codec: Codec,
     settings: CalibrationSettings,
     number: int,
     part: Callable[[float], None],
 ) -> tuple[PoseFrames, Any]:
     """The frames of the target in a pose, and what the projector's patterns decode to."""
-    from virtual_sensor.imaging.camera_noise import CameraNoise, record
     from virtual_sensor.imaging.render import render
     from virtual_sensor.imaging.sequence import render_sequence
 
-    lit: NDArray[Any] = render(plates.at(pose, _LAMP_W_MM2), settings.spp)
+    lit = render(plates.at(pose, _LAMP_W_MM2), settings.spp)
     part(0.2)
     shown = render_sequence(
         plates.at(pose),
-        settings.codec.patterns,
+        codec.patterns,
         spp=settings.spp,
         progress=lambda done: part(0.2 + 0.6 * done),
     )
     part(0.85)
-    patterns: NDArray[Any] = shown.radiance
-    told: dict[str, Any] = {}
-    if settings.electrons is not None:
-        noise = CameraNoise(bit_depth=settings.bits or 12)
-        seeds = np.random.default_rng([settings.seed, number]).integers(2**62, size=2)
-        lit = record(lit, noise, int(seeds[0]), peak_e=settings.electrons)
-        patterns = record(patterns, noise, int(seeds[1]), peak_e=settings.electrons)
-        told = {"camera": noise}
-    return PoseFrames(lit, patterns), settings.codec.decode(patterns, edges=False, **told)
+    recording = settings.recording
+    seeds = np.random.default_rng([recording.seed, number]).integers(2**62, size=2).tolist()
+    both = (
+        recording.recorded(light, seed)
+        for light, seed in zip((lit, shown.radiance), seeds, strict=True)
+    )
+    frames = PoseFrames(*both)
+    return frames, recording.decoded(codec, frames.patterns, edges=False)
 
 
 # ------------------------------------------------------------------------- beside the truth
@@ -573,8 +567,8 @@ def _beside_truth(truth: tuple[Pinhole, Pinhole], calibration: FringeCalibration
         )
     place, turns = numbers[-6:-3], numbers[-3:]
     return {
-        "position_error_um": tuple(_UM * n.error for n in place),
-        "position_sigma_um": tuple(_UM * n.sigma for n in place),
+        "position_error_um": tuple(UM_PER_MM * n.error for n in place),
+        "position_sigma_um": tuple(UM_PER_MM * n.sigma for n in place),
         "turn_error_urad": tuple(_URAD * n.error for n in turns),
         "turn_sigma_urad": tuple(_URAD * n.sigma for n in turns),
         "largest_sigmas": max(n.sigmas for n in (*place, *turns)),
@@ -606,15 +600,15 @@ def _effects(
 
     inside = np.all([d.inside(p) for d, p in zip(truth, true_px, strict=True)], axis=0)
     straight, where = points(devices, true_px)[inside], places[inside]
-    off_um = _UM * (straight - where)
+    off_um = UM_PER_MM * (straight - where)
     turn, _ = Rotation.align_vectors(where - where.mean(axis=0), straight - straight.mean(axis=0))
     moved = turn.apply(straight - straight.mean(axis=0)) + where.mean(axis=0)
     return {
         "volume_rms_um": _length_rms(off_um),
         "volume_largest_um": float(np.linalg.norm(off_um, axis=1).max()),
-        "shape_rms_um": _length_rms(_UM * (moved - where)),
-        "seen_rms_um": _length_rms(_UM * (points(devices, seen_px) - places)),
-        "seen_by_truth_rms_um": _length_rms(_UM * (points(truth, seen_px) - places)),
+        "shape_rms_um": _length_rms(UM_PER_MM * (moved - where)),
+        "seen_rms_um": _length_rms(UM_PER_MM * (points(devices, seen_px) - places)),
+        "seen_by_truth_rms_um": _length_rms(UM_PER_MM * (points(truth, seen_px) - places)),
     }
 
 
@@ -635,9 +629,7 @@ def _pose_facts(
 
 def _length_rms(vectors: Array) -> float:
     """Root of the mean squared length of vectors (N, K); NaN of none."""
-    squared = np.sum(vectors**2, axis=-1)
-    squared = squared[np.isfinite(squared)]
-    return float(np.sqrt(squared.mean())) if squared.size else float("nan")
+    return rms(euclidean(vectors))
 
 
 def _notes(calibration: FringeCalibration) -> list[str]:

@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import number_within, whole_number
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import CameraNoise, record
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import render_sequence
@@ -33,6 +31,7 @@ from virtual_sensor.optics.epipolar import epipolar_residual
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import counts_of
+from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import (
     AXES,
     AxisAgreement,
@@ -65,68 +64,7 @@ _FITTED = 40_000  # points that a shape is fitted to, about
 _KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
 _OFF_PX, _OFF = 0.01, 1.5  # px, and predicted sigmas, off the search: noise alone makes less
 _EXACT = ("tabulated", "marched")  # transports whose light is that of the search
-_EXPOSED = 0.9  # of the grey values is where the brightest pixel lies
 _SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the points": 0.3}
-
-
-@dataclass(frozen=True)
-class Recording(Displayed):
-    """How a camera records the frames.
-
-    Attributes
-    ----------
-    electrons : float or None
-        Of the brightest pixel of all frames; None: without noise.
-    bits : int or None
-        To which grey values are rounded; None: 12 with noise, else not at all.
-    seed : int
-        Of the noise.
-    """
-
-    electrons: float | None = None
-    bits: int | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.electrons is not None:
-            number_within("--electrons", self.electrons, 1.0, 1e9, "1 to 1e9")
-        if self.bits is not None:
-            whole_number("--bits", self.bits, 1, 16)
-
-    @property
-    def resolved_bits(self) -> int | None:
-        """Of the grey values; None where they are not rounded."""
-        return self.bits or (None if self.electrons is None else CameraNoise().bit_depth)
-
-    @property
-    def camera(self) -> CameraNoise | None:
-        """Of so many bits, whose largest grey values are those of a full well."""
-        bits, usual = self.resolved_bits, CameraNoise()
-        if self.electrons is None or bits is None:
-            return None
-        finer = (2**bits - 1) / usual.white
-        gain, black = usual.gain * finer, usual.black_level * finer
-        return CameraNoise(gain=gain, black_level=black, bit_depth=bits)
-
-    def decoded_by(self, codec: Codec, radiance: NDArray[np.float32]) -> tuple[Any, DecodedFringes]:
-        """The frames (K, H, W) as recorded, and decoded with what is known of the camera."""
-        if self.electrons is not None:
-            grey = record(radiance, self.camera, self.seed, peak_e=self.electrons)
-            return grey, codec.decode(grey, camera=self.camera)
-        if self.bits is None:
-            return radiance, codec.decode(radiance, noise=0.0)
-        grey = _rounded(radiance, self.bits)
-        return grey, codec.decode(grey, noise=0.0)
-
-
-def _rounded(radiance: NDArray[np.float32], bits: int) -> NDArray[np.uint16]:
-    """Grey values of so many bits, of which the brightest pixel has nine tenths."""
-    brightest = float(radiance.max(initial=0.0)) or 1.0
-    scale = np.float32(_EXPOSED * (2**bits - 1) / brightest)
-    grey = np.empty(radiance.shape, np.uint16)
-    for frame, rounded in zip(radiance, grey, strict=True):
-        np.rint(frame * scale, out=rounded, casting="unsafe")
-    return grey
 
 
 @dataclass(frozen=True)
@@ -238,7 +176,8 @@ def _measure_state(
             scene, codec.patterns, spp=settings.spp, progress=part, source=name
         )
     with doing("decoding"):
-        images, decoded = settings.recording.decoded_by(codec, frames.radiance)
+        images = settings.recording.recorded(frames.radiance)
+        decoded = settings.recording.decoded(codec, images)
     with doing("searching"):
         grid = searched_grid(alone, decoded)
     with doing("finding the points"):
