@@ -108,6 +108,22 @@ def test_straight_points_lie_on_the_plane_and_the_sphere(hot, use, lens):
         np.testing.assert_allclose(found.depth_mm, depth, atol=1e-6)
 
 
+def test_rows_give_the_points_where_they_tell_the_depth(hot):
+    """Rationale: turned by 90 degrees, a projector's columns say next to nothing of the depth."""
+    camera, projector = hot.camera, hot.projector.family
+    turn = cv2.Rodrigues(np.array([0.0, 0.0, np.pi / 2.0]))[0]
+    pose = replace(projector.pose, rotation=projector.pose.rotation @ turn)
+    points = seen(camera, plane)
+    for family, wrong in ((projector, "row"), (replace(projector, pose=pose), "column")):
+        calibration = SimpleNamespace(camera=camera, projector=family)
+        decoded = decoded_of(by_opencv(family, points))
+        getattr(decoded, wrong)[:] += 0.1  # which moves no point
+        found = reconstruct(calibration, decoded)
+        np.testing.assert_allclose(found.point_mm.reshape(-1, 3), points, atol=1e-6)
+        setattr(decoded, {"row": "column", "column": "row"}[wrong], None)
+        assert np.abs(reconstruct(calibration, decoded).point_mm[..., 2]).max() > 0.1
+
+
 def test_bent_points_are_where_the_search_says(hot, searched):
     """The hot cylinder within 0.2 um rms of its true surface; straight it is off by 100 um."""
     decoded = decoded_of(searched.projector_pixel, searched.status)

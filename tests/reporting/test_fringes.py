@@ -121,6 +121,17 @@ def test_what_is_not_there_is_not_drawn():
     assert len(reporting.on_console(cold.summary)[-1].head) == 3
 
 
+def test_the_drawn_row_of_deviations_is_none_of_a_steps():
+    """Rationale: a step of the part along the frame's middle leaves that row empty."""
+    deviation_um = np.ones((40, 30), np.float32)
+    deviation_um[19:22] = np.nan
+    deviation_um[22:, :9] = np.nan
+    whole = (slice(0, 40), slice(0, 30))
+    assert reporting._full_row([deviation_um], whole) == 18
+    assert reporting._full_row([deviation_um], (slice(24, 40), slice(0, 30))) == 32
+    assert reporting._full_row([deviation_um * np.nan], whole) == 20
+
+
 def test_that_nothing_is_measured_is_said_with_the_reason(both):
     cold = both.summary.states["cold"]
     decoded = replace(cold.decoded, pixels=0, status={"ok": 0, "black": 9216})

@@ -29,6 +29,10 @@ Image = NDArray[np.float64]
 
 USES = ("column", "row", "both")
 """Which of the projector's coordinates give the points."""
+FAR_BETTER = 3.0
+"""Times as much as the column must the row tell of the depth to be used in its place."""
+
+_SAMPLE = 400  # pixels of which a sensor's geometry is seen
 
 
 @public
@@ -135,7 +139,9 @@ def reconstruct(
         (`scene.medium`), or the file of another.  By default light runs straight.
     use : str, optional
         "column": the points come from the decoded column alone; "row": from the row; "both": from
-        both by least squares, weighted by their sigmas.  By default the column, if it was decoded.
+        both by least squares, weighted by their sigmas.  By default the column; the row where it
+        tells the depth far better, as of a projector that stands above the camera rather than
+        beside it, or where it alone was decoded.
     camera, source : str, optional
         Names, where the scene has several.
     tolerance_px : float
@@ -154,7 +160,7 @@ def reconstruct(
     view, light, medium = _devices(sensor, medium, camera, source)
     column, row = (_coordinate(decoded, name, view) for name in ("column", "row"))
     if use is None:
-        use = "row" if column is None else "column"
+        use = "row" if column is None or _rows_tell_depth(view, light, decoded) else "column"
     one_of("reconstruct: use", use, USES)
     used = {"column": column is not None, "row": row is not None}
     for axis, there in used.items():
@@ -164,6 +170,40 @@ def reconstruct(
                 f" {'u' if axis == 'column' else 'v'} too, or use the other axis"
             )
     return _image(view, light, decoded, use, medium, tolerance_px)
+
+
+def depth_in_axes(
+    camera: Pinhole, projector: PixelFamily, pixel: Array, projector_pixel: Array
+) -> Array:
+    """How much the projector's column and row tell of the depth: px per mm, medians, shape (2,).
+
+    Parameters
+    ----------
+    camera : Pinhole
+    projector : PixelFamily
+    pixel, projector_pixel : ndarray of shape (N, 2)
+        Of the camera, and of the projector that they see; NaN are left out, and a sample is enough.
+    """
+    from virtual_sensor.optics.epipolar import coordinates_of
+    from virtual_sensor.optics.sight_points import sight_points
+
+    known = np.flatnonzero(np.isfinite(projector_pixel).all(axis=1))
+    some = known[:: max(1, known.size // _SAMPLE)]
+    sight, lit = coordinates_of(camera, pixel[some]), projector_pixel[some]
+    found = sight_points(None, camera, projector, sight, lit, np.ones_like(lit), 1.0)
+    told = np.abs(found.px_per_mm[found.status == CrossingStatus.OK])
+    return np.median(told, axis=0) if len(told) else np.full(2, np.nan)
+
+
+def _rows_tell_depth(camera: Pinhole, projector: PixelFamily, decoded: Any) -> bool:
+    """Whether rows were decoded, and tell the depth far better than columns."""
+    if decoded.row is None:
+        return False
+    row, column = np.nonzero(np.isfinite(decoded.column) & np.isfinite(decoded.row))
+    lit = np.column_stack([decoded.column[row, column], decoded.row[row, column]])
+    pixel = np.column_stack([column, row]).astype(float)
+    by_column, by_row = depth_in_axes(camera, projector, pixel, lit)
+    return bool(by_row > FAR_BETTER * by_column)
 
 
 def _devices(

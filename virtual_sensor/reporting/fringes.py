@@ -59,6 +59,7 @@ _LIGHT = {"straight": "as if light ran straight", "bent": "along the bent light"
 _BINS = 80
 _USUAL = 99.5  # percent of the differences that the histogram shows
 _FRAMES = 24  # that are drawn
+_FULL = 0.9  # of the fullest row's values
 
 LAYERS = (
     *DECODED_LAYERS,
@@ -526,8 +527,8 @@ def deviation_panels(states: dict[str, FringeState], window: Window) -> dict[str
 
 
 def _profile_panel(states: dict[str, FringeState], window: Window) -> Panel:
-    """Deviations along the middle row of what is seen, and of bent points."""
-    row = (window[0].start + window[0].stop) // 2
+    """Deviations along a row of the image, and of bent points."""
+    row = _full_row([s.straight.deviation_um for s in states.values()], window)
     u = np.arange(window[1].start, window[1].stop)
 
     def draw(axes: Axes) -> None:
@@ -546,6 +547,14 @@ def _profile_panel(states: dict[str, FringeState], window: Window) -> Panel:
 
     title = f"Along v = {row} px"
     return Panel(title, draw, f"Deviation of the points along the row {row}.", layout=None)
+
+
+def _full_row(maps: Sequence[NDArray[Any]], window: Window) -> int:
+    """The row nearest the window's middle that has nearly as many values as the fullest one."""
+    values = np.sum([np.isfinite(each[window]).sum(axis=1) for each in maps], axis=0)
+    middle = (window[0].stop - window[0].start) // 2
+    full = np.flatnonzero(values >= _FULL * values.max())
+    return window[0].start + int(full[np.abs(full - middle).argmin()])
 
 
 def _epipolar_panels(states: dict[str, FringeState], window: Window) -> dict[str, Panel]:

@@ -1,14 +1,18 @@
 """A measurement by fringes: its figures beside the search, and what it says when it goes wrong."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.metrology.fringes.decoded import FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
 from virtual_sensor.studies.fringes import measure
 from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
+from virtual_sensor.studies.fringes.poses import pose_maps
 from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import search_table
 
@@ -113,6 +117,29 @@ def test_what_noise_does_not_explain_is_named():
     first = {**FINE, "width": 64, "height": 64, "pixel": 44, "transport": "first_order"}
     result = measure_fringes(vs.load_scene("fringe_cylinder", **first), Settings("phase 4 u"))
     assert any("light was first_order (transport=marched" in note for note in result.summary.notes)
+
+
+def test_patterns_that_tell_little_of_the_depth_are_named():
+    small = {**FINE, "width": 48, "height": 48}
+    scene = vs.load_scene("fringe_cylinder", **small)
+    (caveat,) = measure_fringes(scene, Settings("phase 4 v", cold=True)).summary.caveats
+    assert "rows tell little of the depth" in caveat
+    assert "project patterns along u" in caveat
+
+
+def test_a_projector_that_is_turned_is_measured_by_its_rows(tmp_path):
+    """Rationale: by columns its points through hot air are millimetres off, or none."""
+    text = Path(find_scene("fringe_cylinder")).read_text()
+    text = text.replace('up="0, -1, 0"', 'up="1, 0, 0"')
+    (tmp_path / "turned.xml").write_text(text)
+    small = {**FINE, "width": 48, "height": 48}
+    scene = vs.load_scene(tmp_path / "turned.xml", **small)
+    result = measure_fringes(scene)
+    assert result.summary.caveats == ()
+    assert any("points are found by rows" in note for note in result.summary.notes)
+    assert result.summary.states["hot"].bent.rms_um < 0.2
+    with pytest.raises(InputError, match=r"rows tell the depth.*turn it by 90 degrees"):
+        pose_maps(scene, "turned", {})
 
 
 def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():

@@ -22,7 +22,7 @@ from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.fringes.codec import Codec
 from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
-from virtual_sensor.metrology.range_image import reconstruct
+from virtual_sensor.metrology.range_image import FAR_BETTER, depth_in_axes, reconstruct
 from virtual_sensor.metrology.shape_fits import fit_shape
 from virtual_sensor.metrology.shapes import CylinderShape, PartShape, Shape
 from virtual_sensor.metrology.truth import largest, rms
@@ -64,6 +64,7 @@ _FITTED = 40_000  # points that a shape is fitted to, about
 _KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
 _OFF_PX, _OFF = 0.01, 1.5  # px, and predicted sigmas, off the search: noise alone makes less
 _EXACT = ("tabulated", "marched")  # transports whose light is that of the search
+_FEW_BITS = 8  # of a camera, whose rounding is no white noise
 _SHARES = {"rendering": 0.35, "decoding": 0.15, "searching": 0.2, "finding the points": 0.3}
 
 
@@ -327,17 +328,17 @@ def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
 
 def _beyond_noise(state: FringeState) -> list[str]:
     """Note of decoded pixels that are off the search by more than noise makes, with the causes."""
-    facts, projector = state.summary, state.scene.projector
-    agreement = facts.decoded_minus_search
-    found = {
-        name: (of_search.rms_px, sigma or 0.0)
-        for name, of_search, sigma in (
-            ("column", agreement.column, facts.decoded.sigma_column_px),
-            ("row", agreement.row, facts.decoded.sigma_row_px),
-        )
-        if of_search and of_search.rms_px > max(_OFF_PX, _OFF * (sigma or 0.0))
-    }
-    transport = facts.frames.report.transport
+    facts, projector, grid = state.summary, state.scene.projector, state.grid
+    found = {}
+    for name in AXES.values():
+        of_search = getattr(facts.decoded_minus_search, name)
+        sigma = getattr(state.decoded, f"sigma_{name}")
+        if of_search is None:
+            continue
+        noise_px = rms(sigma[grid.row_column][grid.compared])
+        if of_search.rms_px > max(_OFF_PX, _OFF * noise_px):
+            found[name] = of_search.rms_px, noise_px
+    transport, bits = facts.frames.report.transport, facts.frames.bits
     causes = {
         f"the frames' light was {transport} (transport=marched is exact)": transport not in _EXACT,
         "the projector's square pixels are steps (pixels=false shows what lies between them,"
@@ -345,7 +346,7 @@ def _beyond_noise(state: FringeState) -> list[str]:
         f"its gamma is {projector.gamma:g} (more steps make it matter less)": projector.gamma
         != 1.0,
         f"its grey values have {projector.bits} bits": projector.bits,
-        f"the camera's have {facts.frames.bits}": facts.frames.bits,
+        f"the camera's grey values have {bits} bits": bits is not None and bits <= _FEW_BITS,
     }
     why = "; ".join(words for words, holds in causes.items() if holds)
     if not found:
@@ -355,6 +356,38 @@ def _beyond_noise(state: FringeState) -> list[str]:
         for name, (rms_px, sigma) in found.items()
     )
     return [f"decoded pixels are off the search, {off}" + f": {why}" * bool(why)]
+
+
+def _edges_words(state: FringeState) -> str:
+    """Which edges there are, and what has fewer of them."""
+    if not state.scene.projector.pixels:
+        return "steps or strong bends of the part; a finer film (width, height) has fewer"
+    return (
+        "steps of the part, or of the projector's own pixels, where the camera's are not much"
+        " smaller; a finer film (width, height) has fewer, and so have continuous patterns"
+        " (pixels=false)"
+    )
+
+
+def _depth_note(state: FringeState) -> dict[str, bool]:
+    """That points come from rows, or from the axis that tells next to nothing of their depth."""
+    grid, decoded = state.grid, state.decoded
+    told = depth_in_axes(
+        state.scene.camera, state.scene.projector.family, grid.pixel, grid.found.projector_pixel
+    )
+    by = dict(zip(AXES.values(), told.tolist(), strict=True))
+    used, other = ("row", "column") if decoded.column is None else ("column", "row")
+    if not by[other] > FAR_BETTER * by[used]:
+        return {}
+    if getattr(decoded, other) is not None:
+        why = f"points are found by rows: along a line of sight they change by {by[other]:.2g}"
+        return {f"{why} px/mm, columns by {by[used]:.2g}": False}
+    along = {name: axis for axis, name in AXES.items()}
+    return {
+        f"{used}s tell little of the depth, {by[used]:.2g} px/mm along a line of sight, {other}s"
+        f" {by[other]:.2g}: project patterns along {along[other]} (--codec), or turn the projector"
+        " by 90 degrees": True
+    }
 
 
 def _counted(numbers: dict[str, int]) -> str:
@@ -396,9 +429,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
     if edges > _MANY * (edges + facts.decoded.pixels):
         notes[
             f"{edges} of {edges + facts.decoded.pixels} pixels with a phase are left out as edges:"
-            " steps of the part, or of the projector's own pixels, where the camera's are not much"
-            " smaller; a finer film (width, height) has fewer, and so have continuous patterns"
-            " (pixels=false)"
+            f" {_edges_words(state)}"
         ] = False
     for light, surface in state.surfaces.items():
         status = surface.range_image.status[decoded.ok]
@@ -409,6 +440,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
                 f"{missing} of {facts.decoded.pixels} decoded pixels have no {light} point:"
                 f" {_counted(counts)}"
             ] = poor
+    notes |= _depth_note(state)
     notes |= dict.fromkeys(_beyond_noise(state), False)
     period = min((getattr(each, "period_px", np.inf) for each in codec.patterns), default=np.inf)
     wrong = np.abs(state.grid.difference_px) > 0.5 * period
