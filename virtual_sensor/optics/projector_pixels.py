@@ -159,6 +159,14 @@ def projector_pixels(
     return ProjectorPixels(projector_pixel, point, status)
 
 
+def pixel_grid(size: tuple[int, int], most: int) -> NDArray[np.int64]:
+    """Pixels (u, v), (N, 2), on a grid over the whole image of (W, H) px: about so many."""
+    width, height = size
+    step = int(np.ceil(np.sqrt(width * height / most)))
+    v, u = np.mgrid[step // 2 : height : step, step // 2 : width : step]
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
 def _found(
     seen: SearchScene, lit: SearchScene, pixel: Array, march: March
 ) -> tuple[Array, Array, NDArray[np.uint8]]:

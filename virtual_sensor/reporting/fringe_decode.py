@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
-from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
+from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
 from virtual_sensor.records import Described, Record, plain, write_csv
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.maps import frames_panel, map_panel, status_panel, window_of
@@ -33,7 +33,6 @@ COMMAND = "fringes decode"
 
 FORMATS = ("exr", "npz", "csv")
 
-_NAMES = {"u": "column", "v": "row"}
 _PLACE = (
     Described("u_px, v_px", "px", "Pixel of the camera."),
     Described("column_px, row_px", "px", "The projector's pixel; no column of an axis without."),
@@ -225,7 +224,7 @@ def draw(result: DecodedSequence) -> Picture:
     for axis, values in found.items():
         if values is None:
             continue
-        name = _NAMES[axis]
+        name = COORDINATES[axis]
         title, words = f"Projector {name}", f"projector {name} in px"
         panels.append(map_panel(title, values, words, "span", window))
         if axis in decoded.phase:

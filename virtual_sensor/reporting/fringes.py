@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.image_files import save_png
-from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
+from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
 from virtual_sensor.records import Described, write_ply_mesh
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.maps import (
@@ -41,7 +41,6 @@ from virtual_sensor.reporting.words import capital, counted, listed, micrometres
 from virtual_sensor.studies.fringes.decoded_files import LAYERS as DECODED_LAYERS
 from virtual_sensor.studies.fringes.decoded_files import write_decoded
 from virtual_sensor.studies.fringes.result import (
-    AXES,
     FringeMeasurement,
     FringeSearchTable,
     FringeState,
@@ -265,7 +264,7 @@ def check_table(figures: FringeSummary) -> TextTable:
     rows = [{"state": name, **vars(each)} for name, each in figures.states.items()]
     axes = [
         Column(f"decoded_minus_search.{axis}.{what}_px", words, "{:.4f}", "none")
-        for axis in AXES.values()
+        for axis in COORDINATES.values()
         if any(getattr(each.decoded_minus_search, axis) for each in figures.states.values())
         for what, words in (("rms", f"{axis}, rms"), ("largest", "most"))
     ]
@@ -589,7 +588,7 @@ def _check_panel(states: dict[str, FringeState]) -> Panel:
     found = {}
     for name, state in states.items():
         for number, (axis, differences) in enumerate(
-            zip(AXES.values(), state.grid.difference_px.T, strict=True)
+            zip(COORDINATES.values(), state.grid.difference_px.T, strict=True)
         ):
             known = 1e3 * differences[np.isfinite(differences)]
             if known.size:
@@ -623,7 +622,7 @@ def _frames_panel(
 def decoded_panels(decoded: DecodedFringes, where: str, window: Window) -> dict[str, Panel]:
     """What was decoded, by "column", "row", "sigma", "modulation", "phase" and "status"."""
     panels = {}
-    for axis, name in AXES.items():
+    for axis, name in COORDINATES.items():
         values = getattr(decoded, name)
         if values is not None:
             panels[name] = map_panel(

@@ -417,8 +417,11 @@ def _projector(axes: Axes, projector: Projector) -> None:
 @draws("metrology.fringes.calibration.FringeCalibration")
 def _fringe_calibration(axes: Axes, calibration: Any) -> None:
     """Camera and projector, where their axes are nearest to each other."""
-    camera, projector = calibration.camera, calibration.projector
-    _devices(axes, {"camera": camera, "projector": projector}, towards=_meeting(camera, projector))
+    from virtual_sensor.metrology.fringes.calibration import meeting_mm
+
+    both = {"camera": calibration.camera, "projector": calibration.projector}
+    middle = meeting_mm(*both.values())
+    _devices(axes, both, towards=middle if np.isfinite(middle).all() else None)
 
 
 @draws("optics.ray_families.Sheet")
@@ -513,16 +516,6 @@ def _devices(
     from_side(axes, across, up)
     axes.margins(0.12)
     return across, up
-
-
-def _meeting(camera: Pinhole, projector: Pinhole) -> Array:
-    """The point nearest to both devices' axes."""
-    origins = [np.asarray(each.pose.origin_mm, float) for each in (camera, projector)]
-    axes = [np.asarray(each.pose.rotation, float)[:, 2] for each in (camera, projector)]
-    square = [np.eye(3) - np.outer(axis, axis) for axis in axes]
-    offsets = sum(m @ origin for m, origin in zip(square, origins, strict=True))
-    found: Array = np.linalg.lstsq(sum(square), offsets, rcond=None)[0]
-    return found
 
 
 def _reach(pose: Pose, target: Array | None) -> float:

@@ -624,6 +624,14 @@ def nearest_points(
     return (one + two) / 2.0, np.linalg.norm(two - one, axis=1)
 
 
+def meeting_mm(camera: Pinhole, projector: Pinhole) -> Array:
+    """Where two devices' axes are nearest to each other, world (3,); NaN if they are parallel."""
+    origins = (each.pose.origin_mm[None] for each in (camera, projector))
+    axes = (each.pose.rotation[:, 2][None] for each in (camera, projector))
+    point: Array = nearest_points(*origins, *axes)[0][0]
+    return point
+
+
 def _pose_derivatives(rt: Array) -> Array:
     """Derivatives (6, 6) of a device's place and turns by rotation vector and shift."""
     middle = _inverse(rt)

@@ -13,6 +13,9 @@ from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
 from virtual_sensor.statuses import StatusEnum
 
+COORDINATES = {"u": "column", "v": "row"}
+"""Of the projector's image: what is decoded along each axis."""
+
 
 class FringeStatus(StatusEnum):
     """Why a pixel has a projector coordinate, or none."""

@@ -18,7 +18,11 @@ from virtual_sensor.imaging.sequence import render_sequence
 from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
 from virtual_sensor.metrology.truth import rms
-from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
+from virtual_sensor.optics.projector_pixels import (
+    ProjectorPixelStatus,
+    pixel_grid,
+    projector_pixels,
+)
 from virtual_sensor.studies.chart.benchmark import Configuration, Score, Task
 
 Array = NDArray[np.float64]
@@ -94,11 +98,9 @@ def _drawn(
 
 def _rendered(film_px: int, samples: tuple[int, ...]) -> Task:
     scene = load_scene(SCENE, width=film_px, height=film_px, pixels="false")
-    step = max(int(film_px / _SEARCHED**0.5), 1)
-    v, u = (
-        each.ravel() for each in np.mgrid[step // 2 : film_px : step, step // 2 : film_px : step]
-    )
-    found = projector_pixels(scene, np.stack([u, v], axis=1))
+    pixel = pixel_grid(scene.camera.size, _SEARCHED)
+    found = projector_pixels(scene, pixel)
+    u, v = pixel.T
     # Of coarse films no pixel is even enough for the mean over it to be its centre's.
     good = found.status == ProjectorPixelStatus.OK
     good = good if good.any() else np.isfinite(found.projector_pixel[:, 0])

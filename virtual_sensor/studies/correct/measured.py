@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
-from virtual_sensor.devices.calibration_files import read_camera_and_projector
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import RESULTS_SIGN, exists, readable
@@ -44,6 +43,7 @@ from virtual_sensor.imaging.scene import (
 )
 from virtual_sensor.metrology.calibration import Calibration, read_calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.fringes.calibration import FringeCalibration
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes
 from virtual_sensor.metrology.fringes.observations import fringe_observation
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -597,11 +597,7 @@ def calibrated(measured: Measured, calibration: Calibration) -> Measured:
             f" calibration, whose laser plane is turned by {angle:.3g} degrees; give the scene in"
             " which this sensor stands (-D, --scene), and the calibration in the scene's world"
         )
-    note = f"{measured.name}: the calibration's points lie up to {apart_mm:.3g} mm beside those of"
-    notes = (f"{note} the scene's own sensor; the calibration's are taken",)
-    return replace(
-        measured, scene=same, notes=measured.notes + (notes if apart_mm > _NOTED_MM else ())
-    )
+    return replace(measured, scene=same, notes=_with_shift(measured, apart_mm))
 
 
 def fringes_calibrated(measured: Measured, path: Path) -> Measured:
@@ -616,11 +612,9 @@ def fringes_calibrated(measured: Measured, path: Path) -> Measured:
     """
     scene, decoded = measured.scene, measured.fringes
     assert decoded is not None
-    camera, projector, _ = read_camera_and_projector(path, scene.camera.size, scene.projector.size)
-    here, there = camera.pose, scene.camera.pose
-    turn = there.rotation @ here.rotation.T
-    motion = Pose(turn, there.origin_mm - turn @ here.origin_mm)
-    camera, projector = (each.with_pose(each.pose.moved(motion)) for each in (camera, projector))
+    read = FringeCalibration.read(path, scene.camera.size, scene.projector.size)
+    calibration = read.placed(scene.camera.pose)
+    camera, projector = calibration.camera, calibration.projector
     for name, mine, theirs in (
         ("camera", camera, scene.camera),
         ("projector", projector, scene.projector),
@@ -644,10 +638,16 @@ def fringes_calibrated(measured: Measured, path: Path) -> Measured:
             f" up to {apart_mm:.3g} mm beside those of the calibration; give the scene in which"
             " this sensor stands (-D, --scene)"
         )
-    note = f"{measured.name}: the calibration's points lie up to {apart_mm:.3g} mm beside those of"
-    notes = (f"{note} the scene's own sensor; the calibration's are taken",)
     again = of_fringes(measured.name, same, decoded)
-    return replace(again, notes=measured.notes + (notes if apart_mm > _NOTED_MM else ()))
+    return replace(again, notes=_with_shift(measured, apart_mm))
+
+
+def _with_shift(measured: Measured, apart_mm: float) -> tuple[str, ...]:
+    """The notes, with one on how far a calibration moves the points, where that is worth one."""
+    if apart_mm <= _NOTED_MM:
+        return measured.notes
+    note = f"{measured.name}: the calibration's points lie up to {apart_mm:.3g} mm beside those of"
+    return *measured.notes, f"{note} the scene's own sensor; the calibration's are taken"
 
 
 def _with_names(found: list[Measured]) -> list[Measured]:

@@ -27,6 +27,7 @@ from virtual_sensor.metrology.fringes.calibration import (
     COUNTS,
     FringeCalibration,
     calibrate_fringes,
+    meeting_mm,
     nearest_points,
     turn_between,
 )
@@ -422,12 +423,10 @@ def _check(settings: CalibrationSettings, codec: Codec) -> None:
 
 def _frame(truth: tuple[Pinhole, Pinhole]) -> Pose:
     """Of a target that faces both devices where their axes are nearest: x along the camera's u."""
-    axes = [device.pose.rotation[:, 2] for device in truth]
-    origins = [device.pose.origin_mm for device in truth]
-    middle = nearest_points(*[np.array([each]) for each in (*origins, *axes)])[0][0]
+    middle = meeting_mm(*truth)
     if not np.isfinite(middle).all():
         raise InputError("fringes calibrate: camera and projector look the same way; turn one")
-    z = axes[0] + axes[1]
+    z = truth[0].pose.rotation[:, 2] + truth[1].pose.rotation[:, 2]
     z /= np.linalg.norm(z)
     x = truth[0].pose.rotation[:, 0]
     x = x - z * (x @ z)

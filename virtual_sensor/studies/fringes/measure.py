@@ -21,19 +21,22 @@ from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.deviation import UM_PER_MM
 from virtual_sensor.metrology.fringes.codec import Codec
 from virtual_sensor.metrology.fringes.codecs import codec_of
-from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
+from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
 from virtual_sensor.metrology.range_image import FAR_BETTER, depth_in_axes, reconstruct
 from virtual_sensor.metrology.shape_fits import fit_shape
 from virtual_sensor.metrology.shapes import CylinderShape, PartShape, Shape
 from virtual_sensor.metrology.truth import largest, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.epipolar import epipolar_residual
-from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
+from virtual_sensor.optics.projector_pixels import (
+    ProjectorPixelStatus,
+    pixel_grid,
+    projector_pixels,
+)
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import counts_of
 from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import (
-    AXES,
     AxisAgreement,
     DecodedFacts,
     EpipolarFacts,
@@ -215,10 +218,8 @@ def _measure_state(
 
 def searched_grid(scene: Scene, decoded: DecodedFringes) -> SearchedGrid:
     """Pixels on a grid, searched for beside what was decoded."""
-    width, height = scene.camera.size
-    step = int(np.ceil(np.sqrt(width * height / SEARCHED)))
-    v, u = (each.ravel() for each in np.mgrid[step // 2 : height : step, step // 2 : width : step])
-    pixel = np.column_stack([u, v]).astype(float)
+    places = pixel_grid(scene.camera.size, SEARCHED)
+    (u, v), pixel = places.T, places.astype(float)
     found = projector_pixels(scene, pixel)
     at, status = decoded.pixel[v, u], decoded.status[v, u]
     compared = (status == FringeStatus.OK) & (found.status == ProjectorPixelStatus.OK)
@@ -238,7 +239,7 @@ def _straight_um(
 ) -> Array:
     """Distances (N,) from the true surface of the straight points of searched pixels."""
     given: dict[str, Any] = {"absolute": True}
-    for axis, name in enumerate(AXES.values()):
+    for axis, name in enumerate(COORDINATES.values()):
         if getattr(decoded, name) is not None:
             given[name] = np.full(decoded.status.shape, np.nan)
             given[name][place] = projector_pixel[:, axis]
@@ -316,7 +317,7 @@ def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
         name: None
         if getattr(decoded, name) is None
         else AxisAgreement(rms(error), largest(error), int(np.isfinite(error).sum()))
-        for name, error in zip(AXES.values(), grid.difference_px.T, strict=True)
+        for name, error in zip(COORDINATES.values(), grid.difference_px.T, strict=True)
     }
     return SearchAgreement(
         **axes,
@@ -330,7 +331,7 @@ def _beyond_noise(state: FringeState) -> list[str]:
     """Note of decoded pixels that are off the search by more than noise makes, with the causes."""
     facts, projector, grid = state.summary, state.scene.projector, state.grid
     found = {}
-    for name in AXES.values():
+    for name in COORDINATES.values():
         of_search = getattr(facts.decoded_minus_search, name)
         sigma = getattr(state.decoded, f"sigma_{name}")
         if of_search is None:
@@ -372,17 +373,17 @@ def _edges_words(state: FringeState) -> str:
 def _depth_note(state: FringeState) -> dict[str, bool]:
     """That points come from rows, or from the axis that tells next to nothing of their depth."""
     grid, decoded = state.grid, state.decoded
-    told = depth_in_axes(
+    per_mm = depth_in_axes(
         state.scene.camera, state.scene.projector.family, grid.pixel, grid.found.projector_pixel
     )
-    by = dict(zip(AXES.values(), told.tolist(), strict=True))
+    by = dict(zip(COORDINATES.values(), per_mm.tolist(), strict=True))
     used, other = ("row", "column") if decoded.column is None else ("column", "row")
     if not by[other] > FAR_BETTER * by[used]:
         return {}
     if getattr(decoded, other) is not None:
         why = f"points are found by rows: along a line of sight they change by {by[other]:.2g}"
         return {f"{why} px/mm, columns by {by[used]:.2g}": False}
-    along = {name: axis for axis, name in AXES.items()}
+    along = {name: axis for axis, name in COORDINATES.items()}
     return {
         f"{used}s tell little of the depth, {by[used]:.2g} px/mm along a line of sight, {other}s"
         f" {by[other]:.2g}: project patterns along {along[other]} (--codec), or turn the projector"

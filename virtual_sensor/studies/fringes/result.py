@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.imaging.render import RenderReport
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.metrology.fringes.decoded import FringeStatus
+from virtual_sensor.metrology.fringes.decoded import COORDINATES, FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
 from virtual_sensor.records import Record, Table, status_names
 from virtual_sensor.studies.provenance import SceneFacts
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.str_]
-
-AXES = {"u": "column", "v": "row"}
-"""Of the projector's image, and the coordinate that is decoded along each."""
 
 
 @dataclass(frozen=True)
@@ -428,7 +425,7 @@ class FringeSearchTable(Table):
 def search_table(state: FringeState) -> FringeSearchTable:
     """A state's searched pixels."""
     grid = state.grid
-    names = AXES.values()
+    names = COORDINATES.values()
 
     def by_axis(values: Array) -> dict[str, Array]:
         columns = dict(zip(names, values.T, strict=True))

@@ -26,7 +26,11 @@ from virtual_sensor.imaging.sequence import render_sequence
 from virtual_sensor.metrology.fringes.decoded import FringeStatus
 from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
 from virtual_sensor.metrology.truth import rms
-from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus, projector_pixels
+from virtual_sensor.optics.projector_pixels import (
+    ProjectorPixelStatus,
+    pixel_grid,
+    projector_pixels,
+)
 from virtual_sensor.records import Record
 
 Array = NDArray[np.float64]
@@ -257,10 +261,9 @@ def _rendered_px(scene: Scene, codec: str, spp: int) -> float:
     patterns = codec_of(codec, scene.projector.size)
     frames = render_sequence(scene, patterns.patterns, spp=spp)
     decoded = patterns.decode(frames.radiance, noise=0.0)
-    height, width = decoded.status.shape
-    step = max(round(math.sqrt(height * width / _SEARCHED)), 1)
-    v, u = (each.ravel() for each in np.mgrid[step // 2 : height : step, step // 2 : width : step])
-    found = projector_pixels(scene, np.stack([u, v], axis=1))
+    pixel = pixel_grid(scene.camera.size, _SEARCHED)
+    found = projector_pixels(scene, pixel)
+    u, v = pixel.T
     error = decoded.pixel[v, u] - found.projector_pixel
     good = (decoded.status[v, u] == FringeStatus.OK) & (found.status == ProjectorPixelStatus.OK)
     if not good.any():
