@@ -141,10 +141,16 @@ def status_names(status: ArrayLike, kind: type[IntEnum]) -> NDArray[np.str_]:
     return np.array([kind(n).name.lower() for n in numbers], np.str_)[place]
 
 
-def counts_of(status: ArrayLike, kind: type[IntEnum]) -> dict[str, int]:
-    """How many have each status, by its name in lower case."""
+def counts_of(status: ArrayLike, kind: type[IntEnum], *, occurring: bool = False) -> dict[str, int]:
+    """How many have each status, or each that occurs, by its name in lower case."""
     status = np.asarray(status)
-    return {member.name.lower(): int(np.sum(status == member)) for member in kind}
+    counts = {member.name.lower(): int(np.sum(status == member)) for member in kind}
+    return {name: n for name, n in counts.items() if n or not occurring}
+
+
+def counts_in_words(counts: Mapping[str, int]) -> str:
+    """Counts that are not 0, such as "edge 12, order 3"."""
+    return ", ".join(f"{name} {number}" for name, number in counts.items() if number)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from virtual_sensor.reporting.page import PAGE, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import drawable
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
-from virtual_sensor.reporting.words import counted, heading, time_in_words
+from virtual_sensor.reporting.words import counted, heading, in_words, time_in_words
 from virtual_sensor.studies.fringes.decode import (
     DecodedSequence,
     DecodeSettings,
@@ -135,8 +135,7 @@ def lead(result: DecodedSequence) -> str:
     found = result.summary
     share = found.pixels / result.decoded.status.size
     if not found.pixels:
-        why = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in found.status.items())
-        return f"No pixel has a projector pixel: {why}."
+        return f"No pixel has a projector pixel: {_statuses(found)}."
     sigma = [
         f"{each:.2g} px ({name}s)"
         for name, each in (("column", found.sigma_column_px), ("row", found.sigma_row_px))
@@ -146,6 +145,11 @@ def lead(result: DecodedSequence) -> str:
         f"{counted(found.pixels, 'pixel')} of {result.decoded.status.size} ({share:.0%}) have a"
         f" projector pixel, with a predicted error of {' and '.join(sigma)}, median."
     )
+
+
+def _statuses(found: SequenceSummary) -> str:
+    """How many pixels have each status."""
+    return ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in found.status.items() if n)
 
 
 def table(result: DecodedSequence) -> TextTable:
@@ -167,7 +171,7 @@ def figures(result: DecodedSequence) -> TextTable:
         "projector columns": _span(found.columns),
         "projector rows": _span(found.rows),
         "noise of the grey values": f"{found.noise:.3g}",
-        "modulation, median": f"{found.modulation_median:.4g}",
+        "modulation, median": in_words(found.modulation_median, "{:.4g}", "not known"),
         "wrong fringe orders, expected": f"{found.wrong_orders:.2g}",
         "disorder of the images (0: none)": found.disorder and f"{found.disorder:.2f}",
         "time to decode": time_in_words(found.time_s),
@@ -218,8 +222,7 @@ def draw(result: DecodedSequence) -> Picture:
     title = f"The {len(result.images)} images in their order"
     brief = [_brief(name) for name in names]
     panels.append(replace(frames_panel(title, result.images, brief, None, alt), width=2))
-    counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in result.summary.status.items())
-    alt = f"What became of each pixel: {counts}."
+    alt = f"What became of each pixel: {_statuses(result.summary)}."
     panels.append(status_panel("Status of each pixel", decoded.status, FringeStatus, alt))
     for axis, values in found.items():
         if values is None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.image_files import save_png
 from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
-from virtual_sensor.records import Described, write_ply_mesh
+from virtual_sensor.records import Described, counts_in_words, write_ply_mesh
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.maps import (
     Window,
@@ -427,7 +427,7 @@ def _left_out(name: str, state: FringeStateSummary) -> Iterator[Content]:
     compared = max(each.compared if each else 0 for each in (found.column, found.row))
     words = f"{name}: {compared} of {counted(found.searched, 'searched pixel')} are compared"
     reasons = [
-        f"{sum(counts.values())} {what} ({', '.join(f'{k} {n}' for k, n in counts.items() if n)})"
+        f"{sum(counts.values())} {what} ({counts_in_words(counts)})"
         for what, counts in (
             ("are not decoded", found.only_searched),
             ("are decoded and not found by the search", found.only_decoded),

@@ -209,7 +209,7 @@ class Detected(Displayed):
     @property
     def summary(self) -> ImageSummary:
         """Counts, medians and the time."""
-        counts = {name: n for name, n in counts_of(self.line.status, Status).items() if n}
+        counts = counts_of(self.line.status, Status, occurring=True)
         return ImageSummary(
             file=self.path,
             columns=self.image.shape[1],

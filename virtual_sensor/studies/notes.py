@@ -23,7 +23,7 @@ from virtual_sensor.metrology.truth import (
     LineErrors,
 )
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
-from virtual_sensor.records import counts_of
+from virtual_sensor.records import counts_in_words, counts_of
 from virtual_sensor.studies.field_grid import COARSE_PX, furthest, pixel_loss
 from virtual_sensor.studies.probes import probe_rays
 
@@ -238,7 +238,7 @@ def centre_notes(
         narrow = few and 2 * lost["too_narrow"] > compared.lost.size
         notes[
             f"{compared.lost.size} of {compared.expected} columns that see the whole line have no"
-            f" centre: {_counted(lost)}{where}{_FINER * narrow}"
+            f" centre: {counts_in_words(lost)}{where}{_FINER * narrow}"
         ] = few
     cut, stray = compared.cut_centres, compared.stray_centres
     left_out = {
@@ -261,7 +261,3 @@ def centre_notes(
             f" {by_frame.largest_px:.2g} px"
         ] = wrong > _MANY * by_frame.count
     return notes
-
-
-def _counted(numbers: dict[str, int]) -> str:
-    return ", ".join(f"{name} {number}" for name, number in numbers.items() if number)

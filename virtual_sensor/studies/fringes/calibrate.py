@@ -43,7 +43,7 @@ from virtual_sensor.metrology.fringes.target import (
 from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
-from virtual_sensor.records import Record, Table, counts_of, status_names
+from virtual_sensor.records import Record, Table, counts_in_words, counts_of, status_names
 from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 
@@ -633,12 +633,7 @@ def _length_rms(vectors: Array) -> float:
 
 def _notes(calibration: FringeCalibration) -> list[str]:
     notes = [*calibration.notes]
-    lost = {
-        name: number
-        for name, number in counts_of(calibration.status, MarkStatus).items()
-        if number and name != "found"
-    }
-    if lost:
-        said = ", ".join(f"{name} {number}" for name, number in lost.items())
-        notes.append(f"marks that took no part, or of the camera alone: {said}")
+    lost = calibration.status[calibration.status != MarkStatus.FOUND]
+    if words := counts_in_words(counts_of(lost, MarkStatus)):
+        notes.append(f"marks that took no part, or of the camera alone: {words}")
     return notes

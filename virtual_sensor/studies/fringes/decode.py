@@ -26,8 +26,9 @@ from virtual_sensor.metrology.fringes.frame_order import (
     orders_of,
     spare_images,
 )
-from virtual_sensor.records import Record, Table, counts_of
+from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.detect import joined_notes
+from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
 
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
@@ -103,7 +104,7 @@ class SequenceTable(Table):
 
 
 @dataclass(frozen=True)
-class SequenceSummary(Record):
+class SequenceSummary(DecodedFacts):
     """What a sequence shows.
 
     Attributes
@@ -111,18 +112,10 @@ class SequenceSummary(Record):
     images : int
     size_px : tuple of int
         Width and height of an image.
-    pixels : int
-        That have a projector pixel.
-    status : dict of str to int
-        How many pixels have each status; only those that occur.
     columns, rows : tuple of float or None
         Least and largest projector coordinate; None without.
-    sigma_column_px, sigma_row_px : float or None
-        Predicted standard deviations, medians.
     noise : float
         Standard deviation of the grey values, as given or as the images show it.
-    modulation_median : float
-        Of the pixels that have a projector pixel, in grey values.
     wrong_orders : float
         Expected share of the pixels whose fringe order is wrong, by the noise.
     disorder : float or None
@@ -135,14 +128,9 @@ class SequenceSummary(Record):
 
     images: int
     size_px: tuple[int, int]
-    pixels: int
-    status: dict[str, int]
     columns: tuple[float, float] | None
     rows: tuple[float, float] | None
-    sigma_column_px: float | None
-    sigma_row_px: float | None
     noise: float
-    modulation_median: float
     wrong_orders: float
     disorder: float | None
     absolute: bool
@@ -394,17 +382,13 @@ def _turned(decoded: DecodedFringes) -> bool:
 def _summary(
     stack: NDArray[Any], decoded: DecodedFringes, disorder: float, time_s: float
 ) -> SequenceSummary:
-    return SequenceSummary(
+    return SequenceSummary.of(
+        decoded,
         images=len(stack),
         size_px=(stack.shape[2], stack.shape[1]),
-        pixels=int(decoded.ok.sum()),
-        status={name: n for name, n in counts_of(decoded.status, FringeStatus).items() if n},
         columns=_range(decoded.column),
         rows=_range(decoded.row),
-        sigma_column_px=_median(decoded.sigma_column),
-        sigma_row_px=_median(decoded.sigma_row),
         noise=decoded.noise,
-        modulation_median=_median(decoded.modulation[decoded.ok]) or 0.0,
         wrong_orders=decoded.wrong_orders,
         disorder=None if np.isnan(disorder) else disorder,
         absolute=decoded.absolute,
@@ -415,11 +399,6 @@ def _summary(
 def _range(values: Array | None) -> tuple[float, float] | None:
     known = () if values is None else values[np.isfinite(values)]
     return (float(np.min(known)), float(np.max(known))) if len(known) else None
-
-
-def _median(values: NDArray[Any] | None) -> float | None:
-    known = () if values is None else values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
 
 
 def _by_number(name: str) -> list[tuple[int, int, str]]:

@@ -34,11 +34,11 @@ from virtual_sensor.optics.projector_pixels import (
     projector_pixels,
 )
 from virtual_sensor.optics.surfaces import Cylinder
-from virtual_sensor.records import counts_of
+from virtual_sensor.records import counts_in_words, counts_of
+from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
 from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import (
     AxisAgreement,
-    DecodedFacts,
     EpipolarFacts,
     FramesFacts,
     FringeMeasurement,
@@ -197,7 +197,7 @@ def _measure_state(
             bits=settings.recording.resolved_bits,
             seed=settings.recording.seed,
         ),
-        decoded=_decoded_facts(decoded),
+        decoded=DecodedFacts.of(decoded),
         decoded_minus_search=_agreement(grid, decoded),
         epipolar=_epipolar_facts(straight, grid),
         straight=straight.facts,
@@ -294,21 +294,6 @@ def _fit(scene: Scene, points_mm: Array) -> ShapeFit | None:
 # Figures.
 
 
-def _decoded_facts(decoded: DecodedFringes) -> DecodedFacts:
-    ok = decoded.ok
-
-    def median(image: NDArray[Any]) -> float:
-        return float(np.median(image[ok])) if ok.any() else np.nan
-
-    return DecodedFacts(
-        pixels=int(ok.sum()),
-        status=counts_of(decoded.status, FringeStatus),
-        modulation_median=median(decoded.modulation),
-        sigma_column_px=None if decoded.sigma_column is None else median(decoded.sigma_column),
-        sigma_row_px=None if decoded.sigma_row is None else median(decoded.sigma_row),
-    )
-
-
 def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
     status = decoded.status[grid.row_column]
     found = grid.found.status == ProjectorPixelStatus.OK
@@ -322,8 +307,10 @@ def _agreement(grid: SearchedGrid, decoded: DecodedFringes) -> SearchAgreement:
     return SearchAgreement(
         **axes,
         searched=int(found.sum()),
-        only_searched=_occurring(counts_of(status[found & ~ok], FringeStatus)),
-        only_decoded=_occurring(counts_of(grid.found.status[ok & ~found], ProjectorPixelStatus)),
+        only_searched=counts_of(status[found & ~ok], FringeStatus, occurring=True),
+        only_decoded=counts_of(
+            grid.found.status[ok & ~found], ProjectorPixelStatus, occurring=True
+        ),
     )
 
 
@@ -391,14 +378,6 @@ def _depth_note(state: FringeState) -> dict[str, bool]:
     }
 
 
-def _counted(numbers: dict[str, int]) -> str:
-    return ", ".join(f"{name} {number}" for name, number in numbers.items() if number)
-
-
-def _occurring(counts: dict[str, int]) -> dict[str, int]:
-    return {name: count for name, count in counts.items() if count}
-
-
 def _epipolar_facts(straight: Surface, grid: SearchedGrid) -> EpipolarFacts | None:
     residual = straight.range_image.epipolar_px
     if residual is None:
@@ -420,11 +399,12 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
     facts, decoded, agreement = state.summary, state.decoded, state.summary.decoded_minus_search
     notes = dict.fromkeys([*frame_notes(facts.frames.report), *decoded.notes], False)
     if not facts.decoded.pixels:
-        return {**notes, f"no pixel has a phase: {_counted(facts.decoded.status)}": True}
+        return {**notes, f"no pixel has a phase: {counts_in_words(facts.decoded.status)}": True}
     seen = {name: n for name, n in agreement.only_searched.items() if name != _AT_EDGES}
     if (lost := sum(seen.values())) > _MANY * agreement.searched:
         notes[
-            f"{lost} of {agreement.searched} searched pixels are not decoded: {_counted(seen)}"
+            f"{lost} of {agreement.searched} searched pixels are not decoded:"
+            f" {counts_in_words(seen)}"
         ] = True
     edges = facts.decoded.status[_AT_EDGES]
     if edges > _MANY * (edges + facts.decoded.pixels):
@@ -439,7 +419,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
             poor = missing > _MANY * facts.decoded.pixels
             notes[
                 f"{missing} of {facts.decoded.pixels} decoded pixels have no {light} point:"
-                f" {_counted(counts)}"
+                f" {counts_in_words(counts)}"
             ] = poor
     notes |= _depth_note(state)
     notes |= dict.fromkeys(_beyond_noise(state), False)

@@ -15,6 +15,7 @@ from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.fringes.decoded import COORDINATES, FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
 from virtual_sensor.records import Record, Table, status_names
+from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
 from virtual_sensor.studies.provenance import SceneFacts
 
 Array = NDArray[np.float64]
@@ -193,30 +194,6 @@ class FramesFacts(Record):
     electrons: float | None
     bits: int | None
     seed: int
-
-
-@dataclass(frozen=True)
-class DecodedFacts(Record):
-    """What was decoded.
-
-    Attributes
-    ----------
-    pixels : int
-        That have a projector pixel.
-    status : dict
-        How many of the frame's pixels have each status.
-    modulation_median : float
-        Of the pixels that have a projector pixel, as their grey values.
-    sigma_column_px, sigma_row_px : float or None
-        Predicted standard deviation of the projector pixel, median; None of an axis without
-        patterns.
-    """
-
-    pixels: int
-    status: dict[str, int]
-    modulation_median: float
-    sigma_column_px: float | None
-    sigma_row_px: float | None
 
 
 @dataclass(frozen=True)
