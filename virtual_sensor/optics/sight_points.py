@@ -48,7 +48,7 @@ _MOST_STEPS = 12
 _SETTLED = 1e-9  # of the depth: a step so small is the last
 _LINEAR = 1e-6  # of the depth: steps for slopes
 _PARALLEL_PX = 1e-3  # by so little the projector's pixel tells no depth, as the depth doubles
-_LANES, _FEW = 1 << 20, 1 << 17  # pixels at once: memory stays bounded
+_LANES, _FEW = 1 << 18, 1 << 17  # pixels at once: memory stays bounded
 _ROOMS_MM = 3.0, 12.0, 48.0  # that bent points may lie deeper or nearer than straight ones
 _ROOM = 1.5  # times how far lines of sight are seen to be moved
 _BESIDE = 0.05  # images that a ray may lie beside the projector's
@@ -121,8 +121,7 @@ def sight_points(
     found = _Found.nowhere(np.where(known, CrossingStatus.OK, CrossingStatus.NO_PIXEL))
     decoded, weight = np.where(used, decoded, 0.0), np.where(used, weight, 0.0)
     task = _Task(camera, projector, sight, decoded, weight)
-    if (rows := found.ok).size:
-        found.put(rows, task.of(rows).solved())
+    task.solve(found, found.ok)
     if field is not None and (rows := found.ok).size:
         found.put(rows, _bent(field, task.of(rows), found.of(rows), tolerance_px))
         found.status[_uncovered(field, task, found)] = CrossingStatus.UNCOVERED
@@ -149,12 +148,14 @@ class _Found:
     def ok(self) -> NDArray[np.intp]:
         return np.flatnonzero(self.status == CrossingStatus.OK)
 
-    def of(self, rows: Any) -> _Found:
-        return _Found(*(values[rows] for values in vars(self).values()))
+    def of(self, rows: NDArray[np.intp]) -> _Found:
+        """Some rows; all of them share these arrays."""
+        return _Found(*(_taken(values, rows) for values in vars(self).values()))
 
-    def put(self, rows: Any, better: _Found) -> None:
+    def put(self, rows: NDArray[np.intp], better: _Found) -> None:
         for values, others in zip(vars(self).values(), vars(better).values(), strict=True):
-            values[rows] = others
+            if values is not others:
+                values[rows] = others
 
     def points(self, sight: Array) -> SightPoints:
         """The result; its slopes are those along the lines of sight (N, 2)."""
@@ -176,29 +177,34 @@ class _Task:
     decoded: Array
     weight: Array
 
-    def of(self, rows: Any) -> _Task:
+    def of(self, rows: NDArray[np.intp]) -> _Task:
         """Some of them."""
-        numbers = (each[rows] for each in (self.sight, self.decoded, self.weight))
+        numbers = (_taken(each, rows) for each in self._numbers)
         return _Task(self.camera, self.projector, *numbers)
 
-    def solved(
+    def solve(
         self,
+        found: _Found,
+        rows: NDArray[np.intp],
         depth: Array | None = None,
         sight: ForwardMap | None = None,
         light: InverseMap | None = None,
-    ) -> _Found:
-        """Points by Newton's method, from depths (N,), or from where ideal straight light meets."""
+    ) -> None:
+        """Find points of some rows by Newton's method.
+
+        They begin at depths (N,) of all rows, or where ideal straight light meets.
+        """
         kernel = _Kernel.of(self.camera, self.projector, sight, light)
-        found = _Found.nowhere(np.zeros(len(self.sight)))
-        for first in range(0, len(self.sight), _LANES):
-            rows = slice(first, first + _LANES)
-            numbers = np.hstack([self.sight[rows], self.decoded[rows], self.weight[rows]])
-            if depth is None:
-                some = by_rows(kernel.from_nothing, numbers)
-            else:
-                some = by_rows(kernel.solved, numbers, depth[rows])
-            found.put(rows, some)
-        return found
+        for first in range(0, len(rows), _LANES):
+            some = rows[first : first + _LANES]
+            columns = [each[some, k] for each in self._numbers for k in range(2)]
+            if depth is not None:
+                columns.append(depth[some])
+            found.put(some, by_rows(kernel.solved, *columns))
+
+    @property
+    def _numbers(self) -> tuple[Array, Array, Array]:
+        return self.sight, self.decoded, self.weight
 
 
 @dataclass(frozen=True)
@@ -233,14 +239,9 @@ class _Kernel:
             light.linear if light else None,
         )
 
-    def from_nothing(self, numbers: Array) -> _Found:
-        """As `solved`, from where ideal straight light meets."""
-        return self._solved(*(in_own_memory(column, mi.Float64) for column in numbers.T))
-
-    def solved(self, numbers: Array, depth: Array) -> _Found:
-        """Points of rows (N, 6) of p, q, u, v and the weights of u and v, from depths (N,)."""
-        columns = (in_own_memory(column, mi.Float64) for column in (*numbers.T, depth))
-        return self._solved(*columns)
+    def solved(self, *columns: Array) -> _Found:
+        """Points of p, q, u, v, the weights of u and v, and depths from which to begin, if any."""
+        return self._solved(*(in_own_memory(column, mi.Float64) for column in columns))
 
     def _solved(
         self, p: Any, q: Any, u: Any, v: Any, of_u: Any, of_v: Any, z: Any = None
@@ -346,7 +347,7 @@ def _bent(field: Field, task: _Task, straight: _Found, tolerance_px: float) -> _
             if few and task.weight[here, 0].all():
                 found.put(here, _one_by_one(*given, tolerance_px))
             else:
-                found.put(here, _by_maps(*given, lit[here], tolerance_px))
+                found.put(here, _by_maps(*given, _taken(lit, here), tolerance_px))
     return found
 
 
@@ -363,7 +364,7 @@ def _by_maps(
         some = off[:: max(1, off.size // _SAMPLE)]
         try:
             room = np.array([0.0, 0.0, room_mm])
-            sight = covering_map(field, camera, _box(seen[off], room), tolerance_mm)
+            sight = covering_map(field, camera, _box(_taken(seen, off), room), tolerance_mm)
             # Bent points lie beside straight ones by what bends their lines of sight, and deeper.
             beside_mm = _ROOM * np.abs(sight.table.at(seen[some], 2)).max()
             ahead = np.column_stack([task.sight[some], np.ones(some.size)])
@@ -371,8 +372,9 @@ def _by_maps(
             shifts += [beside_mm * axis for axis in camera.pose.rotation.T[:2]]
             moved = (projector.coordinates(straight.point[some] + each) for each in shifts)
             room = np.sum([np.abs(each - lit[some]).max(axis=0) for each in moved], axis=0)
-            light = covering_inverse_map(field, projector, _box(lit[off], room), tolerance_mm)
-            found.put(off, task.of(off).solved(straight.depth[off], sight, light))
+            box = _box(_taken(lit, off), room)
+            light = covering_inverse_map(field, projector, box, tolerance_mm)
+            task.solve(found, off, straight.depth, sight, light)
         except NoMapError:
             found.put(off, _one_by_one(field, task.of(off), straight.of(off), tolerance_px))
             break
@@ -381,6 +383,11 @@ def _by_maps(
             break
         off = still
     return found
+
+
+def _taken(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Some rows, which are in their order; all of them are not copied."""
+    return values if len(rows) == len(values) else values[rows]
 
 
 def _box(places: Array, room: Array) -> Array:
@@ -400,7 +407,7 @@ def _one_by_one(field: Field, task: _Task, straight: _Found, tolerance_px: float
     row = np.where(task.weight[:, 1] > 0.0, task.decoded[:, 1], straight.pixel[:, 1])
     s, _ = projector.of_pixels(np.column_stack([task.decoded[:, 0], row]))
     pixel = camera.pixels(*task.sight.T)
-    found = straight.of(slice(None))
+    found = replace(straight)
     for first in range(0, len(s), _FEW):
         rows = slice(first, first + _FEW)
         point, along, status = _crossed(
