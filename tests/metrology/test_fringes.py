@@ -255,6 +255,8 @@ def test_each_pixel_says_why_it_has_no_coordinate():
     images[:, :, 99:] = seen(codec, step, row)[:, :, 99:]
     images[:12, 100:110, 60:64] = seen(codec, column + 40.0, row)[:12, 100:110, 60:64]
     images[4:8, 100:110, 60:64] = seen(codec, column, row)[4:8, 100:110, 60:64]
+    for some in (np.s_[:4, 112:, 60:70], np.s_[:4, 112:, 71:80]):  # but for a strip up to the end
+        images[some] = seen(codec, column + 40.0, row)[some]
     decoded = codec.decode(images, saturation=255.0)
     status = decoded.status
     assert (status[11:29, 11:39] == vs.FringeStatus.BLACK).all()
@@ -264,11 +266,15 @@ def test_each_pixel_says_why_it_has_no_coordinate():
     assert status[90, 50] == vs.FringeStatus.NOT_FINITE
     assert (status[:8, 99:101] == vs.FringeStatus.EDGE).all()
     assert (status[101:109, 61:63] == vs.FringeStatus.ORDER).all()
+    assert (status[113:, 70] == vs.FringeStatus.EDGE).all()
     assert (status[:8, 102:150] == OK).all()
     for values in (decoded.column, decoded.row, decoded.sigma_column, decoded.sigma_row):
         assert np.array_equal(np.isfinite(values), status == OK)
     beyond = codec.decode(seen(codec, column, row + 300.0))
     assert (beyond.status[row > 510.0] == vs.FringeStatus.OUTSIDE).all()
+    bordered = codec.decode(seen(codec, column, row), border_px=20.0)
+    middle = (np.abs(row - 399.5) < 380.0) & (np.abs(column - 639.5) < 620.0)
+    assert np.array_equal(bordered.ok, middle)
 
 
 def test_images_may_come_as_they_are():

@@ -75,6 +75,14 @@ def decode(
     least_modulation: Annotated[
         float, typer.Option(help="Weakest fringes that count, relative to the image's strongest.")
     ] = 0.02,
+    border: Annotated[
+        float,
+        typer.Option(
+            metavar="PX",
+            help="Of the projector's image: that is left out; of a projector that is out of focus"
+            " three times the standard deviation of its blur.",
+        ),
+    ] = 0.0,
     format: Annotated[
         list[str] | None,
         typer.Option(help="Of what is decoded: exr (the default), npz or csv; repeatable."),
@@ -110,6 +118,7 @@ def decode(
         black=black,
         saturation=saturation,
         least_modulation=least_modulation,
+        border_px=border,
     )
     shared.check_folder(output, overwrite)
     paths, notes = sequence_files(images)

@@ -32,6 +32,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 _MOST_BITS = 16
+_BLURRED = 3.0  # standard deviations of the defocus, beyond which an edge is not felt
 _BLUR_REACH = 4.0  # standard deviations of the defocus beyond which there is no light
 _FINE, _LEAST_FINE = 64, 4  # samples a pixel of a blurred pattern along one axis
 _COARSE, _MOST_COARSE = 4.0, 4  # samples a standard deviation, and a pixel, of one along both
@@ -164,6 +165,11 @@ class Projector(Displayed):
     def _beyond(self) -> float:
         """How far beyond the image there is light, px."""
         return _BLUR_REACH * self.defocus_px
+
+    @property
+    def blurred_border_px(self) -> float:
+        """Width of the image's border whose light blur mixes with the dark beside it, px."""
+        return _BLURRED * self.defocus_px
 
     def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
         """Mask of the coordinates with light, or near it; NaN has none.

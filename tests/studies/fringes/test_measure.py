@@ -142,6 +142,18 @@ def test_a_projector_that_is_turned_is_measured_by_its_rows(tmp_path):
         pose_maps(scene, "turned", {})
 
 
+def test_the_blurred_border_of_the_projectors_image_is_left_out(monkeypatch):
+    """Rationale: dark mixes with its light, and moved what was decoded there by 2 px unseen."""
+    monkeypatch.setattr(measure, "SEARCHED", 1000)
+    blurred = {**FINE, "projector_height": 60, "defocus": 4.0}
+    scene = vs.load_scene("fringe_cylinder", **blurred)
+    result = measure_fringes(scene, Settings("phase 4 uv", cold=True))
+    found = result.summary.states["cold"].decoded_minus_search
+    assert found.column.compared > 20
+    assert max(found.column.largest_px, found.row.largest_px) < 0.03
+    assert any("12 px along the border" in note for note in result.summary.notes)
+
+
 def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
     """Rationale: a frame half of background, and a projector that lights a corner of it."""
     far = {**FINE, "width": 64, "height": 64, "pixel": 176, "projector_fov": 2.0}

@@ -159,6 +159,7 @@ class Codec(Displayed, ABC):
         least_modulation: float = LEAST_MODULATION,
         most_disagreement: float = 0.75,
         edges: bool = True,
+        border_px: float = 0.0,
     ) -> DecodedFringes:
         """Decode a sequence of images.
 
@@ -188,6 +189,9 @@ class Codec(Displayed, ABC):
             takes all.
         edges : bool
             Whether pixels at edges are sought and left out.
+        border_px : float
+            Width of the border of the projector's image, px, whose pixels are OUTSIDE: three times
+            its blur, say, which mixes their light with the dark beside the image.
 
         Raises
         ------
@@ -203,10 +207,11 @@ class Codec(Displayed, ABC):
         least = number_within("least_modulation", least_modulation, 0.0, 1.0, within)
         most = number_within("most_disagreement", most_disagreement, 0.0, 1.0, within)
         truth_of("edges", edges)
+        number_within("border_px", border_px, 0.0, _MOST_PX, "px >= 0")
         if noise is None and camera is None:
             light = self._seen_noise(stack, light, clipped)
         found = self._all_blocks(stack, light, clipped)
-        return self._judged(found, light, stack.shape[1:], least, most, edges)
+        return self._judged(found, light, stack.shape[1:], least, most, edges, border_px)
 
     def _seen_noise(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> GreyNoise:
         """The noise as images show it, if they do."""
@@ -243,6 +248,7 @@ class Codec(Displayed, ABC):
         least: float,
         most: float,
         edges: bool,
+        border_px: float,
     ) -> DecodedFringes:
         """The statuses of all pixels, and NaN where there is no answer."""
         modulation, mean = found.modulation, found.mean
@@ -253,8 +259,8 @@ class Codec(Displayed, ABC):
         weak |= modulation <= _ROUNDED * np.abs(mean)
         status = np.zeros(shape, np.uint8)
         for axis, coordinate in found.coordinate.items():
-            outside = ~((coordinate >= -0.5) & (coordinate <= self.axis_px(axis) - 0.5))
-            status[outside] = FringeStatus.OUTSIDE
+            low, high = border_px - 0.5, self.axis_px(axis) - border_px - 0.5
+            status[~((coordinate >= low) & (coordinate <= high))] = FringeStatus.OUTSIDE
         status[found.disagreement > most] = FringeStatus.ORDER
         status[weak] = FringeStatus.LOW_MODULATION
         status[weak & ~(mean - np.float32(light.black) > least * strongest)] = FringeStatus.BLACK
@@ -464,7 +470,7 @@ def _beside_dark(status: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def _in_splinters(ok: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels of what is narrower than three, whose neighbours do not tell whether it is an edge."""
     good = 1 - _regions(~ok)
-    return cv2.morphologyEx(good, cv2.MORPH_OPEN, _SQUARE, borderValue=1) == 0
+    return cv2.morphologyEx(good, cv2.MORPH_OPEN, _SQUARE) == 0
 
 
 def _regions(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -48,8 +48,8 @@ class FringeStatus(StatusEnum):
     )
     OUTSIDE = (
         6,
-        "The decoded place lies outside the projector's image: check its size, and the order of "
-        "the images.",
+        "The decoded place lies outside the projector's image, or in the border that is left out: "
+        "check its size, and the order of the images.",
     )
     NOT_FINITE = (
         7,

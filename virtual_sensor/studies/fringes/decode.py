@@ -66,6 +66,8 @@ class DecodeSettings(Record):
         Grey value from which on pixels are clipped; None: as the files say.
     least_modulation : float
         Amplitude of the weakest fringes, relative to the image's strongest.
+    border_px : float
+        Of the projector's image: that is left out.
     """
 
     codec: str
@@ -78,6 +80,7 @@ class DecodeSettings(Record):
     black: float = 0.0
     saturation: float | None = None
     least_modulation: float = LEAST_MODULATION
+    border_px: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,7 @@ def decode_sequence(
         black=settings.black,
         saturation=saturation,
         least_modulation=settings.least_modulation,
+        border_px=settings.border_px,
     )
     time_s = time.perf_counter() - began
     chosen = tuple(paths[n] for n in order)

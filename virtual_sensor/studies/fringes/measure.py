@@ -61,7 +61,7 @@ Report = Callable[[str, float], None]
 SEARCHED = 2500
 """Pixels of the camera, at most, that are searched for, on a grid over the whole frame."""
 
-_AT_EDGES = FringeStatus.EDGE.name.lower()
+_AT_EDGES, _OUTSIDE = FringeStatus.EDGE.name.lower(), FringeStatus.OUTSIDE.name.lower()
 _MANY = 0.1  # of the pixels: that so many are missing is a caveat
 _FITTED = 40_000  # points that a shape is fitted to, about
 _KINDS = {"Rectangle": "plane", "Disk": "plane", "Sphere": "sphere"}  # by Mitsuba's shapes
@@ -181,7 +181,8 @@ def _measure_state(
         )
     with doing("decoding"):
         images = settings.recording.recorded(frames.radiance)
-        decoded = settings.recording.decoded(codec, images)
+        border_px = scene.projector.blurred_border_px
+        decoded = settings.recording.decoded(codec, images, border_px=border_px)
     with doing("searching"):
         grid = searched_grid(alone, decoded)
     with doing("finding the points"):
@@ -406,6 +407,11 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
             f"{lost} of {agreement.searched} searched pixels are not decoded:"
             f" {counts_in_words(seen)}"
         ] = True
+    if facts.decoded.status[_OUTSIDE] and (border_px := state.scene.projector.blurred_border_px):
+        notes[
+            f"{border_px:.2g} px along the border of the projector's image are left out (outside):"
+            " its blur mixes their light with the dark beside it"
+        ] = False
     edges = facts.decoded.status[_AT_EDGES]
     if edges > _MANY * (edges + facts.decoded.pixels):
         notes[

@@ -66,11 +66,11 @@ class Recording(Displayed):
             return record(radiance, self.camera, seed, peak_e=self.electrons)
         return radiance if self.bits is None else _rounded(radiance, self.bits)
 
-    def decoded(self, codec: Codec, images: NDArray[Any], *, edges: bool = True) -> DecodedFringes:
+    def decoded(self, codec: Codec, images: NDArray[Any], **options: Any) -> DecodedFringes:
         """Recorded frames (K, H, W), decoded with what is known of the camera."""
         if self.electrons is not None:
-            return codec.decode(images, camera=self.camera, edges=edges)
-        return codec.decode(images, noise=0.0, edges=edges)
+            return codec.decode(images, camera=self.camera, **options)
+        return codec.decode(images, noise=0.0, **options)
 
 
 def _rounded(radiance: NDArray[np.float32], bits: int) -> NDArray[np.uint16]:

@@ -260,7 +260,9 @@ def _rendered_px(scene: Scene, codec: str, spp: int) -> float:
 
     patterns = codec_of(codec, scene.projector.size)
     frames = render_sequence(scene, patterns.patterns, spp=spp)
-    decoded = patterns.decode(frames.radiance, noise=0.0)
+    decoded = patterns.decode(
+        frames.radiance, noise=0.0, border_px=scene.projector.blurred_border_px
+    )
     pixel = pixel_grid(scene.camera.size, _SEARCHED)
     found = projector_pixels(scene, pixel)
     u, v = pixel.T
