@@ -3,14 +3,14 @@
 from typing import Any
 
 import numpy as np
+from virtual_sensor_plugins.properties import pose_of, positive
 
 from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Sheet
-from virtual_sensor.poses import Pose, keeps_lengths
 
 _FARTHEST_MM = 1e6  # float32 places are good to 0.06 mm there
 _MOST_DOTS = 1000
@@ -91,53 +91,42 @@ class LaserLineEmitter(SourceEmitter):
     """
 
     def __init__(self, props: mi.Properties) -> None:
-        length, fan_deg = _positive(props, "length"), float(props.get("fan", 0.0))
-        if not 0.0 <= fan_deg < 170.0:
-            raise InputError(
-                f"laser_line: 'fan' is {fan_deg:g} degrees; give a full angle from 0 (telecentric)"
-                " up to 170"
-            )
-        fan_per_mm = float(2.0 * np.tan(np.radians(fan_deg) / 2.0) / length)
-        sheet = Sheet(pose_of(props), _positive(props, "distance", 300.0), fan_per_mm)
-        if fan_per_mm * sheet.distance_mm >= 1.0:
-            raise InputError(
-                f"laser_line: a 'fan' of {fan_deg:g} degrees would start in front of the exit;"
-                " make 'fan' or 'distance' smaller, or 'length' larger"
-            )
-        source = LaserLine(
-            sheet,
-            length_mm=length,
-            radius_mm=_positive(props, "radius"),
-            power_w=_positive(props, "power", 1.0),
-            dots_mm=_positions(str(props.get("dots", ""))),
-        )
+        with naming("laser_line"):
+            source = _laser_of(props)
         super().__init__(props, source)
 
 
-def pose_of(props: mi.Properties) -> Pose:
-    """Pose of the exit: a rotation and a place; other transforms are refused."""
-    matrix = np.asarray(props["to_world"].matrix, float).reshape(4, 4)
-    axes = matrix[:3, :3]
-    if not np.isfinite(matrix).all():
+def _laser_of(props: mi.Properties) -> LaserLine:
+    """The laser line that an element describes."""
+    length, fan_deg = _length(props, "length"), float(props.get("fan", 0.0))
+    if not 0.0 <= fan_deg < 170.0:
         raise InputError(
-            "laser_line: 'to_world' is no rotation; give a <lookat> whose up and direction differ"
+            f"'fan' is {fan_deg:g} degrees; give a full angle from 0 (telecentric) up to 170"
         )
-    if not keeps_lengths(axes):
+    fan_per_mm = float(2.0 * np.tan(np.radians(fan_deg) / 2.0) / length)
+    pose = pose_of(props, "'length', 'radius' and 'distance'")
+    sheet = Sheet(pose, _length(props, "distance", 300.0), fan_per_mm)
+    if fan_per_mm * sheet.distance_mm >= 1.0:
         raise InputError(
-            "laser_line: 'to_world' scales or shears, which a laser can't; give rotations and"
-            " translations alone, and its size by 'length', 'radius' and 'distance'"
+            f"a 'fan' of {fan_deg:g} degrees would start in front of the exit; make 'fan' or"
+            " 'distance' smaller, or 'length' larger"
         )
-    return Pose.from_matrix(matrix)
+    return LaserLine(
+        sheet,
+        length_mm=length,
+        radius_mm=_length(props, "radius"),
+        power_w=positive(props, "power", 1.0),
+        dots_mm=_positions(str(props.get("dots", ""))),
+    )
 
 
-def _positive(props: mi.Properties, name: str, default: float | None = None) -> float:
+def _length(props: mi.Properties, name: str, default: float | None = None) -> float:
+    """A length in mm."""
     if default is None and name not in props:
-        raise InputError(f"laser_line: the property '{name}' is missing; give it in mm")
-    value = float(props.get(name, default))
-    if not 1e-30 < value < 1e30:  # of float32
-        raise InputError(f"laser_line: '{name}' must be a positive number, not {value:g}")
-    if name != "power" and value > _FARTHEST_MM:
-        raise InputError(f"laser_line: '{name}' is {value:g} mm; give at most {_FARTHEST_MM:g} mm")
+        raise InputError(f"the property '{name}' is missing; give it in mm")
+    value = positive(props, name, default)
+    if value > _FARTHEST_MM:
+        raise InputError(f"'{name}' is {value:g} mm; give at most {_FARTHEST_MM:g} mm")
     return value
 
 
@@ -148,12 +137,12 @@ def _positions(text: str) -> np.ndarray:
         places = np.array([np.nan])
     if not np.isfinite(places).all():
         raise InputError(
-            f'laser_line: \'dots\' must list positions in mm, such as "0, -1.25", not "{text[:80]}"'
+            f'\'dots\' must list positions in mm, such as "0, -1.25", not "{text[:80]}"'
         )
     if places.size > _MOST_DOTS:
-        raise InputError(f"laser_line: {places.size} 'dots'; give at most {_MOST_DOTS}")
+        raise InputError(f"{places.size} 'dots'; give at most {_MOST_DOTS}")
     if np.abs(places).max(initial=0.0) > _FARTHEST_MM:
-        raise InputError(f"laser_line: 'dots' lie beyond {_FARTHEST_MM:g} mm; give them in mm")
+        raise InputError(f"'dots' lie beyond {_FARTHEST_MM:g} mm; give them in mm")
     return places
 
 

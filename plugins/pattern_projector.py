@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from virtual_sensor_plugins.laser_line import SourceEmitter
+from virtual_sensor_plugins.properties import LARGEST, pose_of, positive
 from virtual_sensor_plugins.refractive import folders_of_files
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS
 
@@ -15,10 +16,9 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.optics.distortion import COEFFICIENTS
 from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, Telecentric
-from virtual_sensor.poses import Pose, keeps_lengths
+from virtual_sensor.poses import Pose
 
 _MM_PER_UM = 1e-3
-_LARGEST = 1e30  # float32 ends at 3e38
 _MOST_PX = 1 << 16
 
 
@@ -86,10 +86,10 @@ class PatternProjector(SourceEmitter):
 def _power_w(props: mi.Properties) -> float:
     """Of an all-white image."""
     if "lumen" not in props:
-        return _positive(props, "power", 1.0)
+        return positive(props, "power", 1.0)
     if "power" in props:
         raise InputError("has both 'power' and 'lumen'; give one")
-    return watts_of(_positive(props, "lumen"), _positive(props, "wavelength", 532.0))
+    return watts_of(positive(props, "lumen"), positive(props, "wavelength", 532.0))
 
 
 def _family(props: mi.Properties) -> PixelFamily:
@@ -110,8 +110,7 @@ def _family(props: mi.Properties) -> PixelFamily:
 
 def _scale(props: mi.Properties, size: tuple[int, int]) -> tuple[float, type[PixelFamily]]:
     """Pixels per unit of the coordinates, and what kind of projector it is."""
-    ways = {"fov": "fov", "focal_length": "focal_length", "image_width": "telecentric"}
-    given = [name for name in ways if name in props]
+    given = [name for name in ("fov", "focal_length", "image_width") if name in props]
     telecentric = bool(props.get("telecentric", False))
     if len(given) != 1 or telecentric != (given == ["image_width"]):
         raise InputError(
@@ -120,14 +119,14 @@ def _scale(props: mi.Properties, size: tuple[int, int]) -> tuple[float, type[Pix
             " with 'pixel' in um, or, of a telecentric one, 'image_width' in mm"
         )
     if telecentric:
-        return size[0] / _positive(props, "image_width"), Telecentric
+        return size[0] / positive(props, "image_width"), Telecentric
     if "focal_length" in props:
         if "pixel" not in props:
             raise InputError(
                 "has 'focal_length' but no 'pixel'; give the pitch of its pixels in um"
             )
-        pitch_mm = _positive(props, "pixel") * _MM_PER_UM
-        return _positive(props, "focal_length") / pitch_mm, Pinhole
+        pitch_mm = positive(props, "pixel") * _MM_PER_UM
+        return positive(props, "focal_length") / pitch_mm, Pinhole
     fov = float(props["fov"])
     if not 0.0 < fov < 180.0:
         raise InputError(f"'fov' is {fov:g} degrees; give an angle above 0 and below 180")
@@ -189,15 +188,7 @@ def _distortion(text: str) -> np.ndarray:
 
 def _pose(props: mi.Properties) -> Pose:
     """Pose of the lens in our convention: x along u, y along v, z forward."""
-    matrix = np.asarray(props["to_world"].matrix, float).reshape(4, 4)
-    if not np.isfinite(matrix).all():
-        raise InputError("'to_world' is no rotation; give a <lookat> whose up and direction differ")
-    if not keeps_lengths(matrix[:3, :3]):
-        raise InputError(
-            "'to_world' scales or shears, which a projector can't; give rotations and translations"
-            " alone, and its image's size by 'fov'"
-        )
-    pose = Pose.from_matrix(matrix)
+    pose = pose_of(props, "'fov'")
     return Pose(pose.rotation @ OURS_FROM_MITSUBAS, pose.origin_mm)
 
 
@@ -210,15 +201,8 @@ def _whole(props: mi.Properties, name: str, default: int) -> int:
 
 def _finite(props: mi.Properties, name: str, default: float) -> float:
     value = float(props.get(name, default))
-    if not abs(value) < _LARGEST:
+    if not abs(value) < LARGEST:
         raise InputError(f"'{name}' is {value:g}; give a finite number")
-    return value
-
-
-def _positive(props: mi.Properties, name: str, default: float | None = None) -> float:
-    value = float(props.get(name, default))
-    if not 1.0 / _LARGEST < value < _LARGEST:
-        raise InputError(f"'{name}' must be a positive number, not {value:g}")
     return value
 
 

@@ -16,7 +16,7 @@ from artificial import HeldScene
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
-from virtual_sensor_plugins import laser_line
+from virtual_sensor_plugins import laser_line, properties
 
 import virtual_sensor as vs
 from virtual_sensor.arrays import to_vectors
@@ -64,7 +64,7 @@ class FocusedLine(laser_line.SourceEmitter):
     """The emitter `focused_line`: that sheet with a Gaussian line's light."""
 
     def __init__(self, props):
-        family = FocusedSheet(laser_line.pose_of(props), float(props["focus"]), FAN_PER_MM)
+        family = FocusedSheet(properties.pose_of(props), float(props["focus"]), FAN_PER_MM)
         super().__init__(props, LaserLine(family, 19.0, 0.35, 0.1, np.empty(0)))
 
 
@@ -75,7 +75,7 @@ class DrawnLine(laser_line.SourceEmitter):
     """The emitter `drawn_line`: a line of a pinhole's light."""
 
     def __init__(self, props):
-        family = Pinhole(np.eye(3), laser_line.pose_of(props), (1, 1))
+        family = Pinhole(np.eye(3), properties.pose_of(props), (1, 1))
         super().__init__(props, LaserLine(family, 0.072, 4e-4, 0.1, np.empty(0)))
 
 

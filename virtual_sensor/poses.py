@@ -119,6 +119,11 @@ class Pose(Displayed):
         """World points (N, 3) in this frame (equation 4)."""
         return (_rows(points_mm) - self.origin_mm) @ self.rotation
 
+    def axes_angle_deg(self, other: Pose) -> float:
+        """Angle between the z axes of this frame and another: of devices, between their views."""
+        cosine = self.rotation[:, 2] @ other.rotation[:, 2]
+        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
     def moved(self, motion: Pose) -> Pose:
         """The frame after a rigid motion of the world's points."""
         return Pose(motion.rotation @ self.rotation, motion.to_world(self.origin_mm))

@@ -32,5 +32,4 @@ class SensorModel(Displayed):
     @property
     def triangulation_angle_deg(self) -> float:
         """Angle between the camera's axis and the laser's: the paper's alpha."""
-        cosine = self.camera.pose.rotation[:, 2] @ self.laser.pose.rotation[:, 2]
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return self.camera.pose.axes_angle_deg(self.laser.pose)

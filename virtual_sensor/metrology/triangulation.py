@@ -180,8 +180,8 @@ class _Sensor(NamedTuple):
     @property
     def triangulation_angle_deg(self) -> float:
         """Between their axes."""
-        cosine = self.camera.pose.rotation[:, 2] @ self.laser.pose.rotation[:, 2]
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        angle: float = self.camera.pose.axes_angle_deg(self.laser.pose)
+        return angle
 
 
 def _check_size(line: Any, size: tuple[int, int], scene: Any) -> None:

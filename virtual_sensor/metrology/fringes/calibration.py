@@ -114,8 +114,7 @@ class FringeCalibration(Displayed):
     @property
     def triangulation_angle_deg(self) -> float:
         """Angle between the two axes."""
-        cosine = self.camera.pose.rotation[:, 2] @ self.projector.pose.rotation[:, 2]
-        return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        return self.camera.pose.axes_angle_deg(self.projector.pose)
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -454,8 +454,7 @@ def target_for(truth: tuple[Pinhole, Pinhole], settings: CalibrationSettings) ->
 def target_poses(truth: tuple[Pinhole, Pinhole], count: int, lift_mm: float = 0.0) -> list[Pose]:
     """Poses of a target where camera and projector look: tilted, turned, nearer and farther."""
     frame = _frame(truth)
-    cosine = truth[0].pose.rotation[:, 2] @ truth[1].pose.rotation[:, 2]
-    between = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    between = truth[0].pose.axes_angle_deg(truth[1].pose)
     steepest = min(_MOST_TILT_DEG, _STEEPEST_DEG - between / 2.0)
     if steepest < 5.0:
         raise InputError(
@@ -614,10 +613,10 @@ def _effects(
 def _pose_facts(
     truth: tuple[Pinhole, Pinhole], poses: list[Pose], calibration: FringeCalibration
 ) -> tuple[TargetPoseFacts, ...]:
-    z = _frame(truth).rotation[:, 2]
+    frame = _frame(truth)
     facts = []
     for number, pose in enumerate(poses):
-        tilt = float(np.degrees(np.arccos(np.clip(pose.rotation[:, 2] @ z, -1.0, 1.0))))
+        tilt = pose.axes_angle_deg(frame)
         x, y, height = pose.origin_mm.tolist()
         marks = counts_of(calibration.status[number], MarkStatus)
         of_pose = (calibration.camera_residual_px, calibration.projector_residual_px)
