@@ -200,8 +200,10 @@ class _Beam:
 
     @property
     def wide(self) -> bool:
-        """Whether its light falls on a surface, not on a line."""
-        return bool(np.all(np.ptp(self.own[:, :2], axis=0) > _WIDE_MM * self.per_mm))
+        """Whether its light falls on a surface, not on a line, however far round it is searched."""
+        low, high = self.source.extent
+        size = np.minimum(np.ptp(self.own[:, :2], axis=0), high - low)
+        return bool(np.all(size > _WIDE_MM * self.per_mm))
 
     def near(self) -> "_Beam":
         """Those of its pixels that are within the margin; all, if none is."""
