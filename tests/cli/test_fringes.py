@@ -9,6 +9,7 @@ from data_dictionary import undocumented
 
 from virtual_sensor.cli.fringes import SceneOrWord
 from virtual_sensor.reporting.fringes import FILES
+from virtual_sensor.studies.fringes import measure
 from virtual_sensor.studies.fringes.decoded_files import read_decoded
 
 SMALL = ["-D", "width=96", "-D", "height=96", "-D", "pixel=11", "-D", "spp=1", "-D", "pixels=false"]
@@ -43,6 +44,7 @@ def test_a_word_stands_in_the_scenes_place():
 def test_a_scene_is_measured_cold_and_hot(tmp_path, monkeypatch):
     """Rationale: `correct` and people read the files; each is in the data dictionary."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(measure, "SEARCHED", 200)
     status, out, err = command(
         "fringes", "fringe_cylinder", *SMALL, "--electrons", "8000", "--frames"
     )

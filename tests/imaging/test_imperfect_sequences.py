@@ -196,6 +196,7 @@ def test_a_glow_that_changes_in_a_sequence_adds_its_own_first_harmonic():
     np.testing.assert_allclose(error, expected, atol=0.05 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_air_that_moves_between_the_steps_ripples_at_twice_the_phase(tmp_path):
     """Phases e_k beside the first step's give (1/N) sum e_k (1 - cos(2 phi - 2 theta_k)).
 

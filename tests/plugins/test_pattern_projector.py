@@ -272,6 +272,7 @@ def test_distorted_and_parallel_light_through_hot_air(tmp_path):
         assert np.nanmax(apart) < 0.05  # a coarse camera's pixels are 0.5 mm
 
 
+@pytest.mark.slow
 def test_maps_of_wide_light_do_not_see_the_marches_own_error():
     """Of a coarse step that error differs from ray to ray, and no table would hold it."""
     scene = vs.load_scene("fringe_cylinder", **SMALL, tolerance=3e-4)

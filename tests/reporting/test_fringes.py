@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.reporting import fringes as reporting
+from virtual_sensor.studies.fringes import measure
 from virtual_sensor.studies.fringes.decoded_files import read_decoded
 from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
 
@@ -21,7 +22,9 @@ SIZE = 96
 
 def measured(codec, cold=False):
     loaded = load_scene("fringe_cylinder", width=SIZE, height=SIZE, spp=4, pixels=False)
-    return measure_fringes(loaded, Settings(codec, cold=cold))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "SEARCHED", 200)
+        return measure_fringes(loaded, Settings(codec, cold=cold))
 
 
 @pytest.fixture(scope="module")

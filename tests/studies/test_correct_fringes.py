@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 import virtual_sensor as vs
 from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
+from virtual_sensor.optics.rays import March
 from virtual_sensor.records import write_json
 from virtual_sensor.reporting.correct import save
 from virtual_sensor.studies.correct.asked import Settings
@@ -23,6 +24,7 @@ from virtual_sensor.studies.provenance import scene_facts
 
 SIDE = 48
 SIGMA_PX = 0.02
+QUICK = March(0.5, "leapfrog", "double")
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +32,7 @@ def searched():
     """A hot scene, and what each of its pixels sees of the projector's image."""
     scene = vs.load_scene("fringe_cylinder", width=SIDE, height=SIDE)
     v, u = np.mgrid[:SIDE, :SIDE]
-    found = vs.projector_pixels(scene, np.stack([u.ravel(), v.ravel()], axis=1))
+    found = vs.projector_pixels(scene, np.stack([u.ravel(), v.ravel()], axis=1), march=QUICK)
     column, row = np.moveaxis(found.projector_pixel.reshape(SIDE, SIDE, 2), -1, 0)
     sigma, nothing = (np.full(column.shape, n, np.float32) for n in (SIGMA_PX, 1.0))
     status = np.where(np.isfinite(column), 0, 1).astype(np.uint8)

@@ -163,6 +163,7 @@ def test_a_step_of_the_part_has_the_distance_of_the_face_that_is_seen():
     assert np.isnan(there.table.bent_fit_std_um).all()
 
 
+@pytest.mark.slow
 def test_rendered_fringes_agree_with_a_line_along_it():
     """The issue's line is 0.5 um, of 2048 px; here pixels are four times as wide."""
     scene = vs.load_scene("fringe_cylinder", width=512, height=512, pixels="false")

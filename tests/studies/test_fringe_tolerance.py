@@ -11,7 +11,7 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
-from virtual_sensor.studies.fringes import tolerance
+from virtual_sensor.studies.fringes import measure, tolerance
 from virtual_sensor.studies.fringes.tolerance import (
     choose_fringes,
     contrast_of,
@@ -108,8 +108,10 @@ def test_a_tolerance_that_nothing_keeps_names_what_errs_most(scene, monkeypatch)
         choose_fringes(vs.load_scene("fringe_cylinder", gamma=2.2, **size), 0.1)
 
 
-def test_the_command_measures_with_what_was_chosen(tmp_path):
+@pytest.mark.usefixtures("unpainted_test")
+def test_the_command_measures_with_what_was_chosen(tmp_path, monkeypatch):
     """Rationale: a choice is printed with its reasons, and stands in the results."""
+    monkeypatch.setattr(measure, "SEARCHED", 200)
     words = f"fringes fringe_cylinder -D width={SIDE} -D height={SIDE} -D pixels=false --cold"
     words = [*words.split(), "--tolerance", "0.2", "-o", str(tmp_path / "fringed")]
     done = CliRunner().invoke(app, words)
