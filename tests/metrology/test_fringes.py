@@ -156,8 +156,8 @@ def test_shot_noise_of_three_steps_depends_on_the_phase():
     column, row = np.broadcast_to(np.linspace(-0.5, 15.4, 9)[None], (6000, 9)), np.zeros((6000, 9))
     for steps, spread in ((3, 1.5), (4, 1.0), (6, 1.0)):
         codec = vs.PhaseShift(size_px=(16, 1), steps=steps, periods_px=(16,), axes="u")
-        images = rng.poisson(seen(codec, column, row, 1000.0, 800.0)).astype(float)
-        decoded = codec.decode(images, noise=0.0, gain=1.0, edges=False)
+        images = 200.0 + rng.poisson(seen(codec, column, row, 1000.0, 800.0))  # black is at 200
+        decoded = codec.decode(images, noise=0.0, gain=1.0, black=200.0, edges=False)
         error = (decoded.column - column + 8.0) % 16.0 - 8.0
         observed = np.nanstd(error, axis=0)
         predicted = np.sqrt(np.nanmean(decoded.sigma_column**2, axis=0))
@@ -208,6 +208,8 @@ def test_wrong_orders_are_as_frequent_as_the_formula_says():
     column, row = places(500, 800, (128, 80))
     codec = vs.PhaseShift(size_px=(128, 80), periods_px=(16, 128), axes="u")
     turns = np.stack([((column + 0.5) / period) for period in (16.0, 128.0)])
+    for ratio in (2.0, 8.0):
+        assert hierarchical((16.0, 16.0 * ratio)).gains == pytest.approx([np.hypot(1.0, ratio)])
     inner = (column > 12.0) & (column < 116.0)  # at the borders a period follows the last
     for sigma_rad, formula in ((0.12, 0.0012), (0.16, None), (0.2, None)):
         normal = erfc(np.pi / (np.sqrt(2.0) * sigma_rad * np.sqrt(65.0)))
@@ -250,6 +252,8 @@ def test_each_pixel_says_why_it_has_no_coordinate():
     images[:, 40:60, 10:40] = 100.0  # other light alone
     images[3, 70:80, 20:30] = 255.0
     images[5, 90, 50] = np.nan
+    images[3, 95, 50], images[15, 95, 50] = 255.0, np.nan
+    images[12:, 85:93, 10:30] = 100.0 + 0.01 * (images[12:, 85:93, 10:30] - 100.0)  # rows alone
     step = column.copy()
     step[:, 100:] += 7.3  # a step of the surface
     images[:, :, 99:] = seen(codec, step, row)[:, :, 99:]
@@ -263,7 +267,8 @@ def test_each_pixel_says_why_it_has_no_coordinate():
     assert (status[41:59, 11:39] == vs.FringeStatus.LOW_MODULATION).all()
     assert (status[9, 9:41] == vs.FringeStatus.EDGE).all()
     assert (status[70:80, 20:30] == vs.FringeStatus.SATURATED).all()
-    assert status[90, 50] == vs.FringeStatus.NOT_FINITE
+    assert status[90, 50] == status[95, 50] == vs.FringeStatus.NOT_FINITE
+    assert (status[86:92, 11:29] == vs.FringeStatus.LOW_MODULATION).all()
     assert (status[:8, 99:101] == vs.FringeStatus.EDGE).all()
     assert (status[101:109, 61:63] == vs.FringeStatus.ORDER).all()
     assert (status[113:, 70] == vs.FringeStatus.EDGE).all()
@@ -275,6 +280,65 @@ def test_each_pixel_says_why_it_has_no_coordinate():
     bordered = codec.decode(seen(codec, column, row), border_px=20.0)
     middle = (np.abs(row - 399.5) < 380.0) & (np.abs(column - 639.5) < 620.0)
     assert np.array_equal(bordered.ok, middle)
+    shaded = codec.decode(images + 50.0, black=50.0).status
+    assert (shaded[11:29, 11:39] == vs.FringeStatus.BLACK).all()
+    faint = seen(codec, column, row, amplitude=1.0)  # and beside no stronger ones
+    assert not codec.decode(faint, noise=5.0).ok.any()
+
+
+def test_between_two_steps_nothing_is_sure():
+    """Rationale: of one good pixel between two edges no neighbour says whether it is one."""
+    column, row = places()
+    column[:, 100:] += 7.3
+    column[:, 103:] += 7.3
+    status = vs.PhaseShift().decode(seen(vs.PhaseShift(), column, row)).status
+    assert (status[:, 99:104] == vs.FringeStatus.EDGE).all()
+    assert (status[:, 105:150] == OK).all()
+
+
+def test_gray_code_knows_its_noise_and_what_is_clipped():
+    column, row = places()
+    rng = np.random.default_rng(8)
+    for text, seen_noise in (("gray uv", 1.5), ("gray u single", 0.0)):
+        codec = vs.codec_of(text)
+        images = seen(codec, column, row)
+        images = images + rng.normal(0.0, 1.5, images.shape)
+        images[4:6, 10:20, 10:20] = 255.0
+        decoded = codec.decode(images, saturation=255.0)
+        assert decoded.noise == pytest.approx(seen_noise, rel=0.05)
+        assert np.median(decoded.modulation) == pytest.approx(80.0, rel=0.04)
+        clipped = decoded.status[10:20, 10:20] == vs.FringeStatus.SATURATED
+        assert clipped.all() == (text == "gray uv")  # a single bit of two is decoded
+
+
+def test_gray_code_that_does_not_fit_the_phase_is_named():
+    """Rationale: a part that moved in between by 6 px gives some pixels the period beside."""
+    column, row = places()
+    codec = vs.codec_of("phase 4 16 u gray")
+    images = seen(codec, column, row)
+    images[4:] = seen(codec, column + 6.0, row)[4:]
+    decoded = codec.decode(images, edges=False)
+    assert 0.3 < np.mean(decoded.status == vs.FringeStatus.ORDER) < 0.7
+    assert np.abs(decoded.column - column)[decoded.ok].max() < 1e-4
+
+
+def test_one_image_scatters_as_it_says():
+    """Noise on one image, beside the same without: what the window lets through."""
+    v, u = np.mgrid[:200, :160].astype(float)
+    column = 300.0 + 4.8 * u + 0.02 * v
+    codec = vs.codec_of("single 16 u")
+    images = seen(codec, column, column)
+    noise = np.random.default_rng(9).normal(0.0, 2.0, images.shape)
+    noisy = images + noise
+    noisy[0, 3, 4] = np.nan
+    decoded = codec.decode(noisy, noise=2.0)
+    inner = np.s_[20:-20, 20:-20]  # beside what the missing pixel spoils
+    scatter = np.std((decoded.column - codec.decode(images, noise=0.0).column)[inner])
+    assert np.nanmedian(decoded.sigma_column) == pytest.approx(scatter, rel=0.15)
+    assert np.median(decoded.modulation[inner]) == pytest.approx(80.0, rel=0.02)
+    assert decoded.status[3, 4] == vs.FringeStatus.NOT_FINITE
+    wide = vs.codec_of("single 256 u")  # whose own second differences are small
+    assert wide.decode(seen(wide, column, column) + noise).noise == pytest.approx(2.0, rel=0.1)
 
 
 def test_images_may_come_as_they_are():
@@ -294,7 +358,10 @@ def test_images_may_come_as_they_are():
         assert not vs.codec_of("gray u").decode(np.repeat(blank[:1], 22, 0)).ok.any()
     camera = vs.CameraNoise()
     grey = np.rint(images + camera.black_level).astype(np.uint16)
-    assert codec.decode(grey, camera=camera).noise == pytest.approx(0.37 * 2.4)
+    grey[2, 3, 4] = camera.white
+    decoded = codec.decode(grey, camera=camera)
+    assert decoded.noise == pytest.approx(0.37 * 2.4)
+    assert decoded.status[3, 4] == vs.FringeStatus.SATURATED
 
 
 def test_what_cannot_be_decoded_is_refused():

@@ -167,14 +167,21 @@ def test_beside_a_caustic_there_is_a_slower_way(hot, searched, monkeypatch):
 def test_sigma_is_the_spread_of_the_points(hot):
     """Rationale: what is predicted is what noise on the decoded pixels does, axis by axis."""
     rng = np.random.default_rng(1)
-    camera, projector = hot.camera, hot.projector.family
-    points = seen(camera, plane)
-    pixel = by_opencv(projector, points)
-    for use, noise in (("column", (0.05, 0.0)), ("row", (0.0, 0.01)), ("both", (0.05, 0.002))):
+    projector = hot.projector.family
+    wide = np.array([[34.0, 0.0, 23.5], [0.0, 34.0, 23.5], [0.0, 0.0, 1.0]])  # of 35 degrees
+    for camera, use, noise in (
+        (hot.camera, "column", (0.05, 0.0)),
+        (hot.camera, "row", (0.0, 0.01)),
+        (hot.camera, "both", (0.05, 0.002)),
+        (replace(hot.camera, matrix=wide), "column", (0.05, 0.0)),
+    ):
+        points = seen(camera, plane)
+        pixel = by_opencv(projector, points)
         noisy = decoded_of(pixel + rng.normal(0.0, 1.0, pixel.shape) * noise)
         for name, sigma in zip(("sigma_column", "sigma_row"), noise, strict=True):
             setattr(noisy, name, np.full((SIZE, SIZE), sigma, np.float32))
-        found = reconstruct(hot.cold(), noisy, use=use)
+        calibration = SimpleNamespace(camera=camera, projector=projector)
+        found = reconstruct(calibration, noisy, use=use)
         away_um = 1e3 * np.linalg.norm(found.point_mm.reshape(-1, 3) - points, axis=1)
         share = away_um / found.sigma_um.ravel()
         assert 0.95 < rms(share) < 1.05

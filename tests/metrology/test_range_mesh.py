@@ -35,6 +35,18 @@ def test_a_plane_is_covered_once_and_faces_the_camera():
     np.testing.assert_array_equal(mesh.index, np.arange(SIZE**2))
 
 
+def test_squares_are_cut_along_their_flatter_diagonal():
+    """Of a trough along either diagonal no triangle bridges its bottom, and all face the camera."""
+    v, u = np.mgrid[:SIZE, :SIZE]
+    for along in (u + v, u - v):
+        mesh = image_of(300.0 + 0.01 * (along - along.mean() - 0.3) ** 2).mesh()
+        a, b, c = corners(mesh).transpose(1, 0, 2)
+        assert np.all(np.cross(b - a, c - a)[:, 2] < 0.0)
+        assert len(mesh.faces) == 2 * (SIZE - 1) ** 2
+        heights = along.ravel()[mesh.index[mesh.faces]]
+        assert np.all(np.ptp(heights, axis=1) == 1)
+
+
 def test_no_triangle_bridges_a_step_or_a_hole():
     depth = np.full((SIZE, SIZE), 300.0)
     depth[:, 17:] = 305.0

@@ -9,6 +9,7 @@ from artificial import paper_sensor
 
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics import epipolar
+from virtual_sensor.optics.distortion import undistorted
 
 COEFFICIENTS = {
     "four": [-0.3, 0.5, 1e-3, -2e-3],
@@ -119,3 +120,11 @@ def test_a_lens_that_folds_is_undone_one_by_one(monkeypatch):
     found = epipolar.coordinates_of(folded, pixel)
     np.testing.assert_array_equal(found, np.stack(folded.of_pixels(pixel), axis=1))
     assert 0 < np.isnan(found[:, 0]).sum() < 100
+
+
+def test_light_that_no_lens_puts_there_is_nan():
+    """By x (1 - 80 x^2), which is 0.043 at most: nothing is at 0.06, something at 0.02."""
+    x, y = undistorted(np.array([0.06, 0.02]), np.zeros(2), np.array([-80.0, 0.0, 0.0, 0.0]))
+    assert np.isnan(x[0])
+    assert np.isnan(y[0])
+    assert x[1] * (1.0 - 80.0 * x[1] ** 2) == pytest.approx(0.02, abs=1e-12)

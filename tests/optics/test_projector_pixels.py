@@ -86,12 +86,14 @@ def test_epipolar_lines_are_opencvs(cold, hot, found):
     turn = camera.pose.rotation.T @ projector.pose.rotation
     x, y, z = camera.pose.to_local(projector.pose.origin_mm)
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ turn
-    inverse, of_projector = np.linalg.inv(camera.matrix), np.linalg.inv(projector.matrix)
-    fundamental = inverse.T @ essential @ of_projector
-    lines = cv2.computeCorrespondEpilines(found.projector_pixel, 1, fundamental)[:, 0]
-    expected = np.sum(lines * np.column_stack([GRID, np.ones(len(GRID))]), axis=1)
-    residual = vs.epipolar_residual(camera, projector, GRID, found.projector_pixel)
-    np.testing.assert_allclose(np.abs(residual), np.abs(expected), atol=1e-7)
+    of_projector = np.linalg.inv(projector.matrix)
+    for flat in (2.0, 1.0):  # pixels that are no squares, too
+        seeing = replace(camera, matrix=np.diag([1.0, flat, 1.0]) @ camera.matrix)
+        fundamental = np.linalg.inv(seeing.matrix).T @ essential @ of_projector
+        lines = cv2.computeCorrespondEpilines(found.projector_pixel, 1, fundamental)[:, 0]
+        expected = np.sum(lines * np.column_stack([GRID, np.ones(len(GRID))]), axis=1)
+        residual = vs.epipolar_residual(seeing, projector, GRID, found.projector_pixel)
+        np.testing.assert_allclose(np.abs(residual), np.abs(expected), atol=1e-7)
     assert 3.0 < np.sqrt(np.mean(residual**2)) < 8.0
 
     straight = projector_pixels(cold, GRID, march=QUICK)
@@ -120,8 +122,15 @@ def test_no_value_without_a_reason(cold):
     np.testing.assert_array_equal(found.status, expected)
     np.testing.assert_array_equal(np.isnan(found.projector_pixel[:, 0]), [True, True, False])
 
-    about_axis = vs.Pose.turn(100.0, [1.0, 0.0, 0.0], [0.0, 0.0, -13.5])
     family = cold.projector.family
+    narrow = replace(family, matrix=np.diag([3.0, 3.0, 1.0]) @ family.matrix)
+    beside = projector_pixels(with_family(cold, narrow), GRID, march=QUICK)
+    pixel = by_opencv(narrow, beside.point_mm)
+    inside = np.all((pixel > -0.5) & (pixel < np.array(narrow.size) - 0.5), axis=1)
+    np.testing.assert_array_equal(beside.status == ProjectorPixelStatus.OUTSIDE, ~inside)
+    assert 0 < inside.sum() < len(GRID)
+
+    about_axis = vs.Pose.turn(100.0, [1.0, 0.0, 0.0], [0.0, 0.0, -13.5])
     pose = family.pose.moved(about_axis)
     row = np.column_stack([np.linspace(560.0, 1490.0, 200), np.full(200, 1023.0)])
     turned = projector_pixels(with_family(cold, family.with_pose(pose)), row, march=QUICK)
