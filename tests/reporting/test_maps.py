@@ -45,6 +45,12 @@ def test_maps_that_are_compared_share_one_scale_and_one_window():
     assert (scale.low, scale.high) == (-5.0, 5.0)
     rows, columns = window_of(one, other)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (9, 31, 29, 41)
+    strip = np.full((400, 600), np.nan)
+    strip[200:204, 100:301] = 1.0
+    rows, columns = window_of(strip)
+    assert (rows.start + rows.stop) // 2 == 202
+    assert 100 <= rows.stop - rows.start <= 110
+    assert (columns.start, columns.stop) == (94, 307)
     assert window_of(one * np.nan) == (slice(0, 40), slice(0, 60))
 
 

@@ -384,8 +384,10 @@ def _compared(state: FringeStateSummary) -> str:
         f"{counted(state.decoded.pixels, 'pixel')} of {width * height} decoded,"
         f" {counted(facts.points, 'point')}"
     )
-    beside_edges = facts.points - facts.compared
-    return words + (f", {beside_edges} of them at edges and not compared." if beside_edges else ".")
+    beyond = facts.points - facts.compared
+    if not beyond:
+        return f"{words}."
+    return f"{words}, {beyond} of them at the part's edges or beyond them, and not compared."
 
 
 def _decoded_table(figures: FringeSummary) -> TextTable:

@@ -35,6 +35,7 @@ _NEAR = 1.5  # times the colours' range: within it all values have a colour of t
 _MOST_PX = 600  # of a map along a side
 _MOST_VALUES = 1 << 18  # of which a scale is found
 _MARGIN = 0.03  # about what is known, of its size
+_NARROWEST = 0.5  # side of what is shown, by the other
 _LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
 _BESIDE_BAR = 0.87  # of the width of axes, where the bar's words need the rest
 _KEY_IN = 2.1  # beside a map of statuses
@@ -89,15 +90,20 @@ def scale_of(kind: Kind, *maps: NDArray[Any]) -> Scale:
 
 
 def window_of(*maps: NDArray[Any]) -> Window:
-    """Rows and columns in which any of the maps (H, W) has a value, with a margin; all, if none."""
+    """Rows and columns in which any of the maps (H, W) has a value, with a margin; all, if none.
+
+    A strip is shown with what is beside it: a map has room for the words on its bar.
+    """
     known = np.any([np.isfinite(each) for each in maps], axis=0)
+    if not known.any():
+        return slice(0, known.shape[0]), slice(0, known.shape[1])
+    ends = [np.flatnonzero(known.any(axis=1 - axis))[[0, -1]] for axis in (0, 1)]
+    least = _NARROWEST * max(last - first for first, last in ends)
     found = []
-    for axis, size in enumerate(known.shape):
-        at = np.flatnonzero(known.any(axis=1 - axis))
-        if not at.size:
-            return slice(0, known.shape[0]), slice(0, known.shape[1])
-        margin = max(round(_MARGIN * (at[-1] - at[0])), 1)
-        found.append(slice(max(at[0] - margin, 0), min(at[-1] + 1 + margin, size)))
+    for (first, last), size in zip(ends, known.shape, strict=True):
+        long = last - first
+        margin = max(round(_MARGIN * long), ceil((least - long) / 2), 1)
+        found.append(slice(max(int(first) - margin, 0), min(int(last) + 1 + margin, size)))
     return found[0], found[1]
 
 
