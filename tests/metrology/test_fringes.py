@@ -101,6 +101,20 @@ def test_gray_code_is_opencvs():
     np.testing.assert_allclose(np.unique(decoded.sigma_column), np.sqrt(1 / 12), rtol=1e-6)
 
 
+def test_gray_code_of_more_projector_pixels_than_a_camera_tells_is_named():
+    """Rationale: box means over 4.2 px invert the stripes of 2 px; each pixel looks as sure."""
+    codec = vs.GrayCode(size_px=(1280, 800), axes="u")
+    within = (np.arange(21) - 10.0) / 21.0
+    for width_px, noted in ((4.2, True), (1.2, False)):
+        column = 200.0 + width_px * np.arange(200.0)
+        fine = column[:, None] + width_px * within
+        images = seen(codec, fine, fine).mean(axis=2)[:, None, :].repeat(5, axis=1)
+        decoded = codec.decode(images, noise=0.1)
+        error = decoded.column - column
+        assert (np.nanstd(error) > 1.2 * float(np.nanmedian(decoded.sigma_column))) == noted
+        assert any("pixels along u" in note for note in decoded.notes) == noted
+
+
 def test_unwrapping_in_space_lacks_whole_periods_and_says_so():
     column, row = places()
     for text, most in (("phase 4 64 uv spatial", 1e-4), ("single 64 uv", 16.0)):
@@ -230,6 +244,20 @@ def test_wrong_orders_are_as_frequent_as_the_formula_says():
         assert "wrong fringe order" in decoded.notes[0]
         sieved = codec.decode(images, noise=noise, edges=False)
         assert np.mean(np.abs(sieved.column - column)[inner & sieved.ok] > 8.0) < 0.5 * expected
+
+
+def test_pixels_that_stand_alone_have_wrong_orders_too():
+    """Rationale: where no neighbour is decoded, a pixel's own sigma tells."""
+    codec = vs.PhaseShift(axes="u")
+    images = seen(codec, *places(60, 60))
+    lone = np.zeros((60, 60), bool)
+    lone[::3, ::3] = True
+    images[:, ~lone] = np.nan
+    decoded = codec.decode(images, noise=15.0, edges=False)
+    whole = codec.decode(seen(codec, *places(60, 60)), noise=15.0, edges=False)
+    assert np.array_equal(decoded.ok, lone)
+    assert decoded.wrong_orders == pytest.approx(whole.wrong_orders, rel=0.1)
+    assert whole.wrong_orders > 1e-3
 
 
 def test_what_moves_between_the_steps_makes_a_ripple_of_twice_the_phase():

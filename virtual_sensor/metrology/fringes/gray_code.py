@@ -21,6 +21,7 @@ from virtual_sensor.metrology.fringes.codec import (
     AxisBlock,
     Block,
     Codec,
+    Found,
     GreyNoise,
     checked_axes,
     checked_size,
@@ -29,6 +30,7 @@ from virtual_sensor.metrology.fringes.codec import (
 
 _SIGMA_PX = 1.0 / np.sqrt(12.0)  # of a place that is anywhere within a pixel
 _SAMPLE_PX = 40_000
+_RESOLVED_PX = 3.0  # of the projector within a pixel: over four, stripes of two look inverted
 _CLEAR = 3.0  # spreads by which a bit's two images must differ
 
 
@@ -148,6 +150,20 @@ class GrayCode(Codec):
             mean=mean,
             drowned=contrast < _CLEAR * spread,
         )
+
+    def _doubts(self, found: Found, ok: NDArray[np.bool_]) -> tuple[float, tuple[str, ...]]:
+        notes = []
+        for axis, coordinate in found.coordinate.items():
+            steps = (np.abs(np.diff(coordinate, axis=along)) for along in (0, 1))
+            known = [step[np.isfinite(step)] for step in steps]
+            seen_px = sum(float(np.median(each)) for each in known if each.size)
+            if seen_px > _RESOLVED_PX:
+                notes.append(
+                    f"A camera pixel sees about {seen_px:g} of the projector's pixels along {axis}:"
+                    " the finest stripes are lost in it, and pixels wrong by more than their sigma;"
+                    " count fringes by Gray code ('phase 4 16 uv gray'), or take smaller pixels."
+                )
+        return 0.0, tuple(notes)
 
     def _clipped(self, block: Block, saturation: float) -> NDArray[np.bool_]:
         """Where both images of a bit are clipped, the bit is lost."""

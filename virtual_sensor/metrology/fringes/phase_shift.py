@@ -336,8 +336,9 @@ class PhaseShift(Codec):
             per_rad = float(np.sqrt(np.sum((chain.weights * chain.periods_px) ** 2))) / _TURN
             # Each pixel's own modulation is as noisy as its phase: its neighbours' counts.
             usual = cv2.medianBlur(np.where(ok, sigma, np.float32(1e9)), 5)[ok]
-            some = usual[:: max(1, usual.size // _SAMPLE_PX)]
-            share += float(np.mean(chain.wrong_order(some[some < 1e9] / per_rad)))
+            beside = np.where(usual < 1e9, usual, sigma[ok])  # its own where it is alone
+            some = beside[:: max(1, beside.size // _SAMPLE_PX)]
+            share += float(np.mean(chain.wrong_order(some / per_rad)))
         if share <= _MOST_WRONG:
             return share, ()
         note = (
