@@ -118,6 +118,8 @@ def _scale(props: mi.Properties, size: tuple[int, int]) -> tuple[float, type[Pix
             f"{' and is telecentric' * telecentric}; give 'fov' in degrees, or 'focal_length' in mm"
             " with 'pixel' in um, or, of a telecentric one, 'image_width' in mm"
         )
+    if "fov_axis" in props and given != ["fov"]:
+        raise InputError("has a 'fov_axis' and no 'fov' that it is of; take it out")
     if telecentric:
         return size[0] / positive(props, "image_width"), Telecentric
     if "focal_length" in props:
@@ -152,7 +154,16 @@ def _calibrated(props: mi.Properties, name: str) -> Pinhole:
     )
 
     clash = (
-        *("width", "height", "fov", "focal_length", "image_width", "distortion", "telecentric"),
+        *(
+            "width",
+            "height",
+            "fov",
+            "fov_axis",
+            "focal_length",
+            "image_width",
+            "distortion",
+            "telecentric",
+        ),
         *("principal_point_offset_x", "principal_point_offset_y"),
     )
     if both := [other for other in clash if other in props]:

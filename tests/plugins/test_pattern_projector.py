@@ -188,6 +188,7 @@ def test_what_can_not_be_thrown_is_refused(tmp_path, grey):
         ({"fov": FOV, "image_width": 3.0}, "'fov' and 'image_width'"),
         ({"image_width": 3.0}, "give 'fov'"),
         ({"telecentric": True, "fov": FOV}, "is telecentric"),
+        ({"telecentric": True, "image_width": 60.0, "fov_axis": "x"}, "no 'fov' that it is of"),
         ({"focal_length": 24.0}, "'pixel'"),
         ({"fov": FOV, "fov_axis": "z"}, "fov_axis"),
         ({"distortion": "1, 2"}, "4, 5, 8"),

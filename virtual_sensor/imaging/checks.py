@@ -155,9 +155,14 @@ def _glow_note(scene: Scene, line: LitLine) -> list[str]:
         source = source.with_pattern(Uniform())
     share = glow / (irradiance(source, line.points_mm).max() * _DULL / np.pi)
     return [
-        f"the hot part glows with {glow:.2g} W/(mm^2 sr) through its filter: {share:.1g} of the"
-        f" {_light(source)} on a surface that reflects {_DULL:.0%}"
+        f"the hot part glows with {glow:.2g} W/(mm^2 sr) through its filter: {_roughly(share)} of"
+        f" the {_light(source)} on a surface that reflects {_DULL:.0%}"
     ]
+
+
+def _roughly(number: float) -> str:
+    """A positive number's first digit, written out."""
+    return f"{float(f'{number:.1g}'):g}"
 
 
 def _kind(source: LaserLine | Projector) -> str:

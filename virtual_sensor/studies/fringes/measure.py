@@ -350,7 +350,10 @@ def _beyond_noise(state: FringeState) -> list[str]:
 def _edges_words(state: FringeState) -> str:
     """Which edges there are, and what has fewer of them."""
     if not state.scene.projector.pixels:
-        return "steps or strong bends of the part; a finer film (width, height) has fewer"
+        return (
+            "steps or strong bends of the part, or alone among pixels without a phase; a finer film"
+            " (width, height) has fewer"
+        )
     return (
         "steps of the part, or of the projector's own pixels, where the camera's are not much"
         " smaller; a finer film (width, height) has fewer, and so have continuous patterns"
