@@ -55,7 +55,7 @@ def cases() -> Iterator[Case]:
             "of white, standard deviation of grey values",
             partial(_noisy, text),
             orders,
-            "orders that are likely wrong are told in a note; expose longer, or take more steps",
+            "a note says how many orders are likely wrong; expose longer, or take more steps",
             share=2e-3,
         )
     for words, text in _STEPS.items():

@@ -60,7 +60,7 @@ for name, case in cases.items():
 
 
 class Case(NamedTuple):
-    """A sequence of columns and rows: its codec as we call it, and how the peer is told it."""
+    """A sequence of columns and rows: its codec as we call it, and how the peer writes it."""
 
     codec: str
     steps: int
@@ -98,8 +98,8 @@ def peer(cases: dict[str, Case], folder: Path, python: str | None) -> None:
         venv.create(folder / "venv", with_pip=True)
         python = str(folder / "venv/bin/python")
         subprocess.run([python, "-m", "pip", "install", "-q", PACKAGE], check=True)
-    told = json.dumps({name: case._asdict() for name, case in cases.items()})
-    subprocess.run([python, "-c", PEER, str(folder), told], check=True)
+    codecs = json.dumps({name: case._asdict() for name, case in cases.items()})
+    subprocess.run([python, "-c", PEER, str(folder), codecs], check=True)
 
 
 def compared(case: Case, given: Any) -> Result:

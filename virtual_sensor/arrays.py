@@ -296,40 +296,22 @@ def _numpy_type(scalar: Any) -> Any:
 # -------------------------------------------------------- formulas for NumPy's and Dr.Jit's arrays
 
 
-def exp(x: Any) -> Any:
-    """The exponential of an array of either."""
-    if isinstance(x, float | np.ndarray):
-        return np.exp(x)
-    from virtual_sensor.engine import dr
+def _of_either(name: str) -> Callable[[Any], Any]:
+    """A function of an array of either, which both libraries have by a name."""
 
-    return dr.exp(x)
+    def function(x: Any) -> Any:
+        if isinstance(x, float | np.ndarray):
+            return getattr(np, name)(x)
+        from virtual_sensor.engine import dr
 
+        return getattr(dr, name)(x)
 
-def cos(x: Any) -> Any:
-    """The cosine of an array of either."""
-    if isinstance(x, float | np.ndarray):
-        return np.cos(x)
-    from virtual_sensor.engine import dr
-
-    return dr.cos(x)
+    return function
 
 
-def floor(x: Any) -> Any:
-    """The largest whole numbers that are not larger, of an array of either; of its own type."""
-    if isinstance(x, float | np.ndarray):
-        return np.floor(x)
-    from virtual_sensor.engine import dr
-
-    return dr.floor(x)
-
-
-def sqrt(x: Any) -> Any:
-    """The square root of an array of either."""
-    if isinstance(x, float | np.ndarray):
-        return np.sqrt(x)
-    from virtual_sensor.engine import dr
-
-    return dr.sqrt(x)
+exp, cos, sqrt = (_of_either(name) for name in ("exp", "cos", "sqrt"))
+floor = _of_either("floor")
+"""Of its argument's own type."""
 
 
 def where(mask: Any, x: Any, y: Any) -> Any:

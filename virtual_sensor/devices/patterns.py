@@ -110,7 +110,7 @@ class Uniform(Pattern):
 class Sine(Pattern):
     """A fringe: mean + amplitude cos(2 pi (x + 0.5)/period - phase), x being u or v.
 
-    The phase of the fringes is nought at the image's left or top border.
+    The phase of the fringes is 0 at the image's left or top border.
 
     Attributes
     ----------

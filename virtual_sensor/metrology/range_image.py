@@ -1,7 +1,7 @@
 """Range images: a point for each pixel of a camera, from a projector's decoded pixels.
 
 A camera's pixel and the column of the projector that it sees give a point by triangulation; the
-row, where it was decoded too, takes part by least squares, or tells by its residual what the air
+row, where it was decoded too, takes part by least squares, or shows by its residual what the air
 has done (`optics.epipolar`).  Light runs straight, or through a medium.
 """
 
@@ -57,7 +57,7 @@ class RangeImage(Displayed):
     projector_pixel : ndarray of shape (H, W, 2)
         (u, v) of the projector's ray that lights the point: of the axis used, the decoded one; of
         the other, what it should have been.  Where that differs from what was decoded, light took
-        another way than was reckoned with: the air is another.
+        another path than was computed: the air is another.
     """
 
     _field_units: ClassVar = {"projector_pixel": "px"}
@@ -191,8 +191,8 @@ def depth_in_axes(
     some = known[:: max(1, known.size // _SAMPLE)]
     sight, lit = coordinates_of(camera, pixel[some]), projector_pixel[some]
     found = sight_points(None, camera, projector, sight, lit, np.ones_like(lit), 1.0)
-    told = np.abs(found.px_per_mm[found.status == CrossingStatus.OK])
-    return np.median(told, axis=0) if len(told) else np.full(2, np.nan)
+    px_per_mm = np.abs(found.px_per_mm[found.status == CrossingStatus.OK])
+    return np.median(px_per_mm, axis=0) if len(px_per_mm) else np.full(2, np.nan)
 
 
 def _rows_tell_depth(camera: Pinhole, projector: PixelFamily, decoded: Any) -> bool:

@@ -521,6 +521,18 @@ def largest(values: Array) -> float:
     return float(np.max(np.abs(known))) if known.size else np.nan
 
 
+def mean(values: Array) -> float:
+    """Mean of those that are not NaN; NaN if there are none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def farthest(values: Array) -> float:
+    """The value farthest from 0, with its sign; NaN if all are NaN."""
+    known = values[np.isfinite(values)]
+    return float(known[np.abs(known).argmax()]) if known.size else np.nan
+
+
 def _parts(pixel: Array, found: Mask, longest_step: float) -> Iterator[tuple[Array, Array]]:
     """Unbroken parts of a searched line as (u, v), u ascending from end to end."""
     steps = np.linalg.norm(np.diff(pixel, axis=0), axis=1)

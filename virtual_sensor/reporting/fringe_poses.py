@@ -287,5 +287,5 @@ def _of_section(table: TextTable) -> Iterator[Content]:
     yield (
         "A telecentric laser line stands in the projector's place, and both are seen by the same"
         " pixels of the camera. As if light ran straight they differ in hot air, since their light"
-        " takes other ways to the part; through the air they agree."
+        " takes other paths to the part; through the air they agree."
     )

@@ -312,8 +312,8 @@ def _tried(
             notes += [] if projects else close_lines(scene)
         except InputError as error:
             raise InputError(f"{error}".replace(f"{folder}", f"{path.parent}")) from None
-    told = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
-    return scene.parameters, lines, told, projects
+    in_place = tuple(note.replace(f"{folder}", f"{path.parent}") for note in notes)
+    return scene.parameters, lines, in_place, projects
 
 
 def _remedy(line: SeenLine) -> str:

@@ -178,7 +178,7 @@ def heterodyne(periods_px: Sequence[float], size: int) -> Chain | None:
 
 
 def _path(cost: Array, starts: NDArray[np.bool_], end: int) -> list[int]:
-    """The cheapest way (node by node) from any of the starts to the end; no link costs 0."""
+    """The cheapest path of nodes from any of the starts to the end; no link costs 0."""
     length, before = dijkstra(cost.T, indices=end, return_predecessors=True)
     path = [int(np.argmin(np.where(starts, length, np.inf)))]
     while path[-1] != end:

@@ -13,7 +13,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes
 from virtual_sensor.metrology.range_image import RangeImage, reconstruct
-from virtual_sensor.metrology.truth import largest, rms
+from virtual_sensor.metrology.truth import largest, mean, rms
 from virtual_sensor.records import Record
 from virtual_sensor.studies.correct.scene_part import ScenePart
 
@@ -92,7 +92,7 @@ class CorrectedSurface(Displayed):
         return SurfaceErrors(
             int(self.corrected.ok.sum()),
             rms(known),
-            float(known.mean()) if known.size else np.nan,
+            mean(known),
             largest(known),
             rms(before),
             None if residual is None else rms(residual),

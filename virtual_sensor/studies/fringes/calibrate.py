@@ -183,8 +183,8 @@ class CalibrationSummary(SceneFacts):
     largest_sigmas : float
         Largest of these six errors by its standard deviation.
     volume_rms_um, volume_largest_um : float
-        By which straight light's true pixels of the target's marks are found elsewhere than they
-        are, by the calibrated devices: what the calibration does to a measurement.
+        How far the calibrated devices find the target's marks from where they are, by the true
+        pixels of straight light: what the calibration does to a measurement.
     shape_rms_um : float
         What is left of it when all marks are moved as one to where they are: its effect on shapes.
     seen_rms_um, seen_by_truth_rms_um : float

@@ -25,7 +25,7 @@ from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes
 from virtual_sensor.metrology.range_image import FAR_BETTER, depth_in_axes, reconstruct
 from virtual_sensor.metrology.shape_fits import fit_shape
 from virtual_sensor.metrology.shapes import CylinderShape, PartShape, Shape
-from virtual_sensor.metrology.truth import largest, rms
+from virtual_sensor.metrology.truth import farthest, largest, mean, rms
 from virtual_sensor.optics.crossing_status import CrossingStatus
 from virtual_sensor.optics.epipolar import epipolar_residual
 from virtual_sensor.optics.projector_pixels import (
@@ -268,9 +268,9 @@ def _surface(scene: Scene, decoded: DecodedFringes, medium: IndexField | None) -
     facts = SurfaceFacts(
         points=int(found.ok.sum()),
         compared=known.size,
-        mean_um=float(known.mean()) if known.size else np.nan,
+        mean_um=mean(known),
         rms_um=rms(known),
-        largest_um=float(known[np.abs(known).argmax()]) if known.size else np.nan,
+        largest_um=farthest(known),
         sigma_um=float(np.median(sigma)) if sigma.size else np.nan,
         fit=_fit(scene, found.point_mm[found.ok]),
     )

@@ -32,7 +32,7 @@ from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
 from virtual_sensor.metrology.range_image import FAR_BETTER, depth_in_axes
 from virtual_sensor.metrology.shapes import PartShape
 from virtual_sensor.metrology.triangulation import triangulated_points
-from virtual_sensor.metrology.truth import rms
+from virtual_sensor.metrology.truth import farthest, mean, rms
 from virtual_sensor.optics.epipolar import epipolar_residual
 from virtual_sensor.optics.projector_pixels import projector_pixels
 from virtual_sensor.optics.surfaces import Cylinder
@@ -496,17 +496,14 @@ def pose_maps(scene: Scene, name: str, parameters: Mapping[str, str], grid: int 
 
 def _figures(distance_um: Array, points: Array, surface: Any) -> DeviationFigures:
     """The figures of points (N, 3) with distances (N,) from the part."""
-    known = distance_um[np.isfinite(distance_um)]
     error_um = std_um = None
     if isinstance(surface, Cylinder):
         fit = fit_cylinder(points, direction=(1.0, 0.0, 0.0))
         if fit.status == FitStatus.FITTED:
             error_um = UM_PER_MM * (fit.radius_mm - surface.radius_mm)
             std_um = fit.residual_std_um
-    if not known.size:
-        return DeviationFigures(np.nan, np.nan, np.nan, error_um, std_um)
-    most = float(known[np.abs(known).argmax()])
-    return DeviationFigures(float(known.mean()), rms(known), most, error_um, std_um)
+    figures = mean(distance_um), rms(distance_um), farthest(distance_um)
+    return DeviationFigures(*figures, error_um, std_um)
 
 
 def _choices(path: Path, over: Mapping[str, Sequence[str]] | None) -> dict[str, Sequence[str]]:

@@ -2,8 +2,8 @@
 
 Both are seen by the same pixels of the same camera. Where light runs straight, and where both are
 triangulated through the air, they give the same points. As if light ran straight, hot, they differ:
-the sheet's light is telecentric, the projector's spreads from a point, and they come to the part on
-other ways.
+the sheet's light is telecentric, the projector's spreads from a point, and they reach the part by
+other paths.
 """
 
 from __future__ import annotations
