@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
+from oracles import unit
 from scipy.interpolate import RegularGridInterpolator
 
 from virtual_sensor import IndexField, InputError, RayStatus, trace
-from virtual_sensor.engine import mi
+from virtual_sensor.arrays import to_numpy, to_vectors
+from virtual_sensor.engine import dr, mi
+from virtual_sensor.optics.eikonal import bend, in_plane
+from virtual_sensor.optics.rays import March, Straight
+from virtual_sensor.optics.surfaces import NoSurface
 
 ORIGIN = np.array([-4.0, 2.0, -3.0])
 SPACING = np.array([1.5, 0.75, 1.25])
@@ -105,6 +110,29 @@ def test_rays_through_air_that_does_not_vary_along_x_are_the_same(interpolation,
     assert np.all(rays[0].status == RayStatus.ENDED)
     atol = 1e-13 if precision == "double" else 1e-5
     np.testing.assert_allclose(rays[0].position, rays[1].position, rtol=0, atol=atol)
+
+
+def test_rays_through_such_air_carry_their_derivatives():
+    """Rationale: loops took the slope along x for a constant: an error of Dr.Jit's, no ray."""
+    profile = -2e-4 * np.random.default_rng(3).random((12, 11))
+    field = IndexField.from_arrays(
+        np.repeat(profile[None], 9, axis=0), [-40.0, -25.0, -25.0], [10.0, 5.0, 5.0], ambient=0.0
+    )
+
+    def carried(air):
+        """Derivatives (2, N, 3) of rays' ends by a start along x, and by a direction along y."""
+        march = March(1.0, "leapfrog", "double")
+        starts = to_vectors(np.array([[-12.0, 3.0, -20.0], [-10.0, -4.0, -20.0]]))
+        line = Straight.through(starts, to_vectors(unit([[0.1, 0.2, 1.0], [-0.2, 0, 1.0]])), march)
+        none = dr.zeros(march.vector, 2)
+        by = (none + march.vector(1, 0, 0), none), (none, none + march.vector(0, 1, 0))
+        ends = in_plane(line.direction, line.start + 40.0)
+        ray = bend(air, NoSurface(), line, march, remaining=ends, tangents=by)
+        return np.array([to_numpy(w) for w in ray.offset[1:]])
+
+    whole, flat = (carried(air) for air in (field, field.simplified(dimensions=2)))
+    assert np.abs(whole - carried(None)).max() > 1e-4
+    np.testing.assert_allclose(flat, whole, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("interpolation", ["cubic", "linear"])

@@ -91,6 +91,8 @@ class GridLookup:
         self._last = [dr.opaque(mi.UInt32, count - spline.count) for count in shape]
         self._end = self._opaque(np.array(shape) - spline.count + 1)
         self._first = self._opaque(np.array(before))
+        # Of axes that it does not vary along: no literal, which loops would take for a constant.
+        self._zero = dr.opaque(self._scalar, 0.0)
         self._put(origin, spacing)
 
     def _put(self, origin: np.ndarray, spacing: np.ndarray) -> None:
@@ -179,13 +181,13 @@ class GridLookup:
 
     def _in_world(self, p: Any, gradient: Any, scale: Any) -> Any:
         """Gradient by world coordinates, in a vector of `p`'s type."""
-        world = [self._scalar(0.0)] * 3
+        world = [self._zero] * 3
         for i, axis in enumerate(self._axes):
             world[axis] = gradient[i] * scale[i]
         return type(p)(*world)
 
     def _matrix_in_world(self, hessian: Any, scale: Any) -> Any:
-        rows = [[self._scalar(0.0)] * 3 for _ in range(3)]
+        rows = [[self._zero] * 3 for _ in range(3)]
         for (i, row), (j, column) in product(enumerate(self._axes), repeat=2):
             rows[row][column] = hessian[i, j] * scale[i] * scale[j]
         return self._matrix(rows)
