@@ -54,6 +54,27 @@ def test_a_folder_of_results_holds_what_the_dictionary_lists(both, folder, fault
         reporting.save(both, folder, AGAIN)
 
 
+def test_frames_that_are_not_kept_are_drawn_small_and_not_written(both, monkeypatch, tmp_path):
+    """Rationale: frames in full are most of what a measurement of 2048 px keeps in memory."""
+    monkeypatch.setattr(measure, "SHRUNK_PX", SIZE // 4)
+    images = both.hot.images
+    quarter = images.reshape(-1, SIZE // 4, 4, SIZE // 4, 4).mean(axis=(2, 4))
+    np.testing.assert_allclose(measure.shrunk(images), quarter, rtol=1e-4, atol=1e-9)
+    small = replace(both, hot=replace(both.hot, images=quarter))
+    window = reporting.window_of(both.hot.decoded.column)
+    sheets = []
+    for result in (small, both):
+        figure = Figure()
+        reporting._frames_panel(result, result.hot, "the part", window).draw(figure)
+        sheets.append(figure.axes[0].images[0].get_array())
+    few, many = sheets
+    assert few.shape[1] < many.shape[1] // 3
+    assert np.nanmean(few) == pytest.approx(np.nanmean(many), rel=0.1)
+    with pytest.raises(InputError, match=r"were not kept; measure with Settings\(frames=True\)"):
+        reporting.save(small, tmp_path / "results", AGAIN, frames=True)
+    assert not (tmp_path / "results").exists()
+
+
 def test_decoded_pixels_are_read_back(both, folder):
     again = read_decoded(folder / "hot.exr")
     np.testing.assert_allclose(again.column, both.hot.decoded.column, rtol=1e-6)

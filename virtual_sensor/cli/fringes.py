@@ -114,7 +114,7 @@ def fringes(
     shared.check_folder(output, overwrite)
     if tolerance is not None and (codec != CODEC or spp is not None):
         raise InputError("--tolerance chooses codec and samples; leave out --codec and --spp")
-    settings = Settings(codec, spp, Recording(electrons, bits, seed), medium, cold)
+    settings = Settings(codec, spp, Recording(electrons, bits, seed), medium, cold, frames)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
         if tolerance is not None:

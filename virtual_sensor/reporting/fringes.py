@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.image_files import save_png
 from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
@@ -25,6 +26,7 @@ from virtual_sensor.reporting.maps import (
     scale_of,
     status_panel,
     window_of,
+    within,
 )
 from virtual_sensor.reporting.page import LIMITS, PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import (
@@ -116,9 +118,14 @@ def save(
     Raises
     ------
     InputError
-        If the folder exists (and `overwrite` is not set) or can't be written.
+        If the folder exists (and `overwrite` is not set) or can't be written; or frames are asked
+        for that were not kept.
     """
     figures = result.summary
+    if frames and any(s.images.shape[1:] != s.decoded.status.shape for s in result.states.values()):
+        raise InputError(
+            f"{folder}: the frames were not kept; measure with Settings(frames=True) to write them"
+        )
     with folder_written_whole(folder, overwrite) as place, ThreadPoolExecutor() as aside:
         written: list[Future[Any]] = []
         contents: dict[str, Any] = {}
@@ -616,7 +623,7 @@ def _frames_panel(
     images = state.images[:_FRAMES]
     more = len(state.images) - len(images)
     first = f", the first {len(images)}" if more else ""
-
+    window = within(window, images.shape[1:], state.decoded.status.shape)
     alt = f"Frames of {where}, each with the pattern that is shown."
     return frames_panel(f"Frames of {where}{first}", images, names, window, alt)
 

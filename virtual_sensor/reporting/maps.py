@@ -107,6 +107,15 @@ def window_of(*maps: NDArray[Any]) -> Window:
     return found[0], found[1]
 
 
+def within(window: Window, shape: tuple[int, ...], whole: tuple[int, ...]) -> Window:
+    """A window of whole images (H, W) in images of the same that are shrunk to a shape."""
+    rows, columns = (
+        slice(each.start * few // many, -(-each.stop * few // many))
+        for each, few, many in zip(window, shape, whole, strict=True)
+    )
+    return rows, columns
+
+
 def map_panel(
     title: str,
     values: NDArray[Any],

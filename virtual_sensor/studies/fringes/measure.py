@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,6 +59,8 @@ Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 """Called with what is being done, and the fraction of the whole that is done."""
 
+SHRUNK_PX = 512
+"""Along the longer side of frames that are not kept in full."""
 SEARCHED = 2500
 """Pixels of the camera, at most, that are searched for, on a grid over the whole frame."""
 
@@ -86,6 +89,9 @@ class Settings(Displayed):
         Through which points of the hot part are found; by default the scene's own.
     cold : bool
         Whether the cold part alone is measured.
+    frames : bool
+        Whether the frames are kept in full, which of 2048 x 2048 px take 0.4 GB a state; if not,
+        small ones are, as a report shows them.
     """
 
     codec: str | Codec = "phase 4"
@@ -93,6 +99,7 @@ class Settings(Displayed):
     recording: Recording = field(default_factory=Recording)
     medium: IndexField | str | Path | None = None
     cold: bool = False
+    frames: bool = True
 
 
 def measure_fringes(
@@ -179,10 +186,14 @@ def _measure_state(
         frames = render_sequence(
             scene, codec.patterns, spp=settings.spp, progress=part, source=name
         )
+    made = frames.report
     with doing("decoding"):
         images = settings.recording.recorded(frames.radiance)
+        del frames
         border_px = scene.projector.blurred_border_px
         decoded = settings.recording.decoded(codec, images, border_px=border_px)
+        if not settings.frames:
+            images = shrunk(images)
     with doing("searching"):
         grid = searched_grid(alone, decoded)
     with doing("finding the points"):
@@ -193,7 +204,7 @@ def _measure_state(
             frames=len(images),
             size_px=scene.camera.size,
             samples_per_pixel=settings.spp or int(scene.mitsuba_camera.sampler().sample_count()),
-            report=frames.report,
+            report=made,
             electrons=settings.recording.electrons,
             bits=settings.recording.resolved_bits,
             seed=settings.recording.seed,
@@ -212,6 +223,14 @@ def _measure_state(
         times_s=times,
     )
     return FringeState(scene, images, decoded, straight, bent, grid, facts)
+
+
+def shrunk(images: NDArray[Any]) -> NDArray[Any]:
+    """Images (K, H, W) whose longer side has `SHRUNK_PX` at most, of means over their pixels."""
+    high, wide = images.shape[1:]
+    share = min(SHRUNK_PX / max(high, wide), 1.0)
+    size = max(round(wide * share), 1), max(round(high * share), 1)
+    return np.stack([cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in images])
 
 
 # From light to projector pixels.

@@ -95,7 +95,7 @@ class FringeState(Displayed):
     scene : Scene
     images : ndarray of shape (K, H, W)
         What was decoded, a frame for each of the codec's patterns: radiance, or a camera's grey
-        values.
+        values.  Where frames are not kept in full (`Settings.frames`), H and W are smaller.
     decoded : DecodedFringes
     straight : Surface
         Found as if light ran straight.
