@@ -41,6 +41,18 @@ def test_gray_code_is_that_of_opencv() -> None:
         assert np.array_equal(255 * pattern.image(size), image), pattern
 
 
+def test_fields_and_stripes_begin_and_end_at_the_pixels_that_are_counted() -> None:
+    """Of whole pixels by repeating them; a stripe's middle is a pixel's centre, or a border."""
+    fields = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    assert np.array_equal(Checker(4.0).image((12, 8)), np.kron(fields, np.ones((4, 4))))
+    for middle, lit in ((5.0, [4, 5, 6]), (6.5, [5, 6, 7, 8])):
+        for axis in ("u", "v"):
+            image = Stripe(axis, middle, float(len(lit))).image((12, 12))
+            line = image[3] if axis == "u" else image[:, 3]
+            assert np.flatnonzero(line).tolist() == lit
+            assert image.sum() == 12 * len(lit)
+
+
 def test_a_period_as_wide_as_the_image_spans_it_once() -> None:
     width = 64
     fringe = Sine("u", width, mean=0.5, amplitude=0.25)

@@ -119,6 +119,19 @@ def test_progress_is_told_from_nothing_to_all():
     assert 0.3 < told[0] < 0.4
 
 
+def test_of_several_traces_the_worst_is_reported():
+    """Rationale: one frame that was made otherwise than asked makes the sequence so."""
+    report = vs.render_sequence(load(width=32, height=32).cold(), ["white"]).report
+    traced = [
+        replace(report, samples=3, reason=None, map_error_px=np.nan, march_px=0.3),
+        replace(report, samples=5, reason="one", transport="marched", map_error_px=0.2),
+        replace(report, samples=7, reason="two", map_error_px=0.1, march_px=0.1),
+    ]
+    found = sequence._of_all(traced)
+    assert (found.samples, found.reason, found.transport) == (15, "one; two", "marched")
+    assert (found.map_error_px, found.march_px) == (0.2, 0.3)
+
+
 def test_what_can_not_be_shown_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(sequence, "physical_memory", lambda: 2e6)
     scene = load(width=32, height=32).cold()

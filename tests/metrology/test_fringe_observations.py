@@ -37,7 +37,8 @@ def image(seed=0, wrong=0.0):
     column = column + 16.0 * (rng.random(column.shape) < wrong)
     status = np.zeros(column.shape, np.uint8)
     status[:80, :64] = 2
-    column[status > 0] = np.nan
+    column[:40, :64] = np.nan  # where there is none; below, a value that is not to be used
+    column[40:80, :64] = 0.3 * u[40:80, :64]
     sigma = np.full(column.shape, SIGMA_PX)
     return decoded_as(column, row, sigma, status)
 

@@ -1,6 +1,7 @@
 """What a tolerance chooses for fringes: formulas beside decoders and recorded images."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
 from virtual_sensor.studies.fringes import measure, tolerance
 from virtual_sensor.studies.fringes.tolerance import (
+    _candidates,
     choose_fringes,
     contrast_of,
     gamma_ripple,
@@ -60,6 +62,40 @@ def test_defocus_and_contrast_take_amplitude_off():
     weight = np.exp(-0.5 * (at / 2.0) ** 2)
     sine = np.convolve(np.cos(2 * np.pi * x / 16), weight / weight.sum(), "valid")
     assert contrast_of(blurred, 16.0) == pytest.approx(0.8 * sine.max(), rel=1e-3)
+    within = np.cos(2 * np.pi * (np.arange(500) + 0.5 - 250) * 5.0 / 500 / 16)  # of 5 px
+    assert contrast_of(Projector(family), 16.0, 5.0) == pytest.approx(within.mean(), rel=1e-3)
+
+
+def test_bits_and_gamma_err_as_decoded_steps_do(scene):
+    """Rationale: what is estimated is rms, in px; by rounding and bending the steps themselves."""
+    u, finest = np.linspace(100.0, 800.0, 20_000), 64.0
+    for steps, changed in ((3, {"gamma": 1.5}), (4, {"bits": 8}), (5, {"bits": 8})):
+        projector = replace(scene.projector, **changed)
+        told = next(
+            each.estimate_px
+            for each in _candidates(
+                replace(scene, sources={"projector": projector}), np.ones(1), None, "u"
+            )
+            if each.codec.startswith(f"phase {steps} {finest:g},")
+        )
+        angle = 2 * np.pi * np.arange(steps)[:, None] / steps
+        grey = 0.5 + 0.5 * np.cos(2 * np.pi * u / finest - angle)
+        grey = np.rint(255.0 * grey) if "bits" in changed else grey**1.5
+        error = np.angle(np.sum(grey * np.exp(1j * (angle - 2 * np.pi * u / finest)), axis=0))
+        (name,) = changed
+        observed = np.sqrt(np.mean(error**2)) * finest / (2 * np.pi)
+        assert told[name] == pytest.approx(observed, rel=0.15), name
+
+
+def test_orders_stay_sure_and_periods_span_the_axis(scene, monkeypatch):
+    """Rationale: at 300 electrons 64 and 1280 px would do for the noise, with 2 % of wrong orders.
+
+    By erfc(pi/(sqrt(2) sigma sqrt(1 + 20^2))), sigma = sqrt(2/3)/sqrt(150) rad.
+    """
+    monkeypatch.setattr(tolerance, "_rendered_px", lambda *now: 1e-3)
+    assert choose_fringes(scene, 0.05, axes="v").codec == "phase 3 64,800 v"
+    found = choose_fringes(scene, 3.0, electrons=300, axes="u")
+    assert found.codec != "phase 3 64,1280 u"
 
 
 def test_a_tolerance_takes_the_fewest_images_that_do(scene, monkeypatch):

@@ -235,10 +235,14 @@ def phase_noise(codec: PhaseShift, light: Array, contrast: float, electrons: flo
 
 
 def _rounding(codec: PhaseShift, bits: int) -> float:
-    """Phase noise in rad of grey values that are rounded to so many bits; 0: of none."""
+    """Phase noise in rad of grey values that are rounded to so many bits; 0: of none.
+
+    Opposite steps, which an even number has, are rounded the opposite way: half of them count.
+    """
     if not bits:
         return 0.0
-    return float(codec.sigma_phase(1.0 / math.sqrt(12.0) / (2.0**bits - 1.0), 0.5))
+    white = float(codec.sigma_phase(1.0 / math.sqrt(12.0) / (2.0**bits - 1.0), 0.5))
+    return white if codec.steps % 2 else math.sqrt(2.0) * white
 
 
 def gamma_ripple(steps: int, gamma: float) -> float:
