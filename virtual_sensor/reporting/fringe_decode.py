@@ -220,8 +220,7 @@ def draw(result: DecodedSequence) -> Picture:
     names = result.codec.names
     alt = f"The images in the order of the patterns: {', '.join(names)}."
     title = f"The {len(result.images)} images in their order"
-    brief = [_brief(name) for name in names]
-    panels.append(replace(frames_panel(title, result.images, brief, None, alt), width=2))
+    panels.append(replace(frames_panel(title, result.images, names, None, alt), width=2))
     alt = f"What became of each pixel: {_statuses(result.summary)}."
     panels.append(status_panel("Status of each pixel", decoded.status, FringeStatus, alt))
     for axis, values in found.items():
@@ -240,18 +239,6 @@ def draw(result: DecodedSequence) -> Picture:
             panels.append(map_panel(title, sigma, words, "size", window))
     panels.append(_modulation(decoded))
     return draw_picture(drawable(result.codec.text), panels, columns=2)
-
-
-def _brief(name: str) -> str:
-    """A pattern's name above a small picture: "u 16 px 2/4"."""
-    for words, short in (
-        (", step ", " "),
-        (" of ", "/"),
-        ("Gray bit", "bit"),
-        ("inverted", "inv."),
-    ):
-        name = name.replace(words, short)
-    return name
 
 
 def _modulation(decoded: DecodedFringes) -> Panel:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
@@ -39,7 +38,7 @@ _NARROWEST = 0.5  # side of what is shown, by the other
 _LEFT_IN, _LOW_IN, _BAR_IN = 0.75, 0.55, 1.2  # beside a map: its numbers, and the bar with its own
 _BESIDE_BAR = 0.87  # of the width of axes, where the bar's words need the rest
 _KEY_IN = 2.1  # beside a map of statuses
-_STEP = re.compile(r", step (\d+) of (\d+)")
+_BRIEF = (", step ", " "), (" of ", "/"), ("Gray bit", "bit"), ("inverted", "inv.")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _THUMB_PX = 150
 _LABEL_PX = 0.16  # strip above a thumbnail, of its height
@@ -252,7 +251,7 @@ def draw_frames(
     rows, label = ceil(count / columns), max(round(_LABEL_PX * size[1]), 1)
     step_x, step_y = size[0] + 4, size[1] + label
     white = max((float(np.nanmax(each[::8, ::8], initial=0.0)) for each in images), default=0.0)
-    names = [_STEP.sub(r" \1/\2", name) for name in names]
+    names = [_brief(name) for name in names]
     across, up = columns * step_x - 4, rows * step_y
     place = axes.get_position(original=True)
     wide_pt, high_pt = (72.0 / axes.figure.dpi * size for size in axes.figure.bbox.size)
@@ -269,6 +268,13 @@ def draw_frames(
     colours = colormaps["gray"].with_extremes(bad=(1.0, 1.0, 1.0, 0.0))
     axes.imshow(sheet, colours, vmin=0.0, vmax=1.0, interpolation="nearest")
     axes.set_axis_off()
+
+
+def _brief(name: str) -> str:
+    """A pattern's name above a small picture: "u 16 px 2/4", "u bit 3 inv."."""
+    for words, short in _BRIEF:
+        name = name.replace(words, short)
+    return name
 
 
 def _columns(count: int, shape: float) -> int:

@@ -141,7 +141,7 @@ class Codec(Displayed, ABC):
         """The projector's columns, or rows: its size along an axis."""
         return self.size_px[AXES.index(axis)]
 
-    def _images_of(self, axis: str) -> slice:
+    def images_of(self, axis: str) -> slice:
         """Which images show an axis."""
         counts = [sum(1 for _ in self._patterns_of(each)) for each in self.axes]
         number = self.axes.index(axis)
@@ -226,7 +226,7 @@ class Codec(Displayed, ABC):
         def work(first: int) -> None:
             here = slice(first, min(first + rows, shape[0]))
             for axis in self.axes:
-                images = stack[self._images_of(axis), here]
+                images = stack[self.images_of(axis), here]
                 block = images.reshape(len(images), -1)
                 with np.errstate(all="ignore"):
                     part = self._decode_axis(axis, block, light)
@@ -292,14 +292,15 @@ class Codec(Displayed, ABC):
             phase=found.phase if self._has_phase else {},
             status=status,
             size_px=self.size_px,
-            absolute=self._absolute,
+            absolute=self.absolute,
             wrong_orders=wrong,
             noise=light.read,
             notes=notes,
         )
 
     @property
-    def _absolute(self) -> bool:
+    def absolute(self) -> bool:
+        """Whether coordinates are the projector's own, not lacking whole periods."""
         return True
 
     @property

@@ -195,7 +195,7 @@ def _of_phases(codec: PhaseShift, grey: Grey, order: Order) -> Iterator[float]:
         by_chance = np.sqrt(free / max(len(sines) - 1, 1))
         yield float(np.median(left / np.maximum(whole, 1e-300)) / by_chance)
     yield float(np.mean(strength.min(axis=0) < 0.1 * strength.max(axis=0)))
-    if not codec._absolute:
+    if not codec.absolute:
         return
     turns = (np.arctan2(fitted[2::2], fitted[1::2]) / (2.0 * np.pi) % 1.0).astype(np.float32)
     for axis in codec.axes:
@@ -204,23 +204,23 @@ def _of_phases(codec: PhaseShift, grey: Grey, order: Order) -> Iterator[float]:
         here = [turns[n] for _, n in mine]
         if codec.unwrap == "gray":
             bits = [n for p, n in there if isinstance(p, GrayBit) and p.axis == axis]
-            if len(bits) < len(codec._bits(axis)):
+            if len(bits) < len(codec.bits_of(axis)):
                 yield np.nan
                 continue
-            place, _ = position(grey[bits] > fitted[0], codec._bits(axis))
+            place, _ = position(grey[bits] > fitted[0], codec.bits_of(axis))
             off = place / np.float32(mine[0][0]) - here[0]
             off -= np.rint(off)
             yield float(np.mean(2.0 * np.abs(off) > _APART) / _BY_CHANCE)
             yield _offset(off)
-            yield _beyond(place, size, 2.0 ** (codec._bits(axis)[0] + 1))
+            yield _beyond(place, size, 2.0 ** (codec.bits_of(axis)[0] + 1))
         elif len(here) > 1:
-            length, disagreement = codec._chains[axis].orders(here, size)
+            length, disagreement = codec.chains[axis].orders(here, size)
             yield float(np.mean(disagreement > _APART) / _BY_CHANCE)
             periods = [period for period, _ in mine]
             pairs = pairwise(zip(periods, here, strict=True))
             for (fine, phase), (coarse, place) in pairs:
                 yield _offset(place * np.float32(coarse / fine) - phase)
-            yield _beyond(mine[0][0] * length, size, codec._chains[axis].range_px)
+            yield _beyond(mine[0][0] * length, size, codec.chains[axis].range_px)
 
 
 def _offset(off: NDArray[Any]) -> float:
@@ -242,10 +242,10 @@ def _of_bits(codec: GrayCode, grey: Grey, order: Order) -> Iterator[float]:
     if len(pairs) < len(order) // 2:
         return
     for axis in codec.axes:
-        mine = order[codec._images_of(axis)]
+        mine = order[codec.images_of(axis)]
         bright = grey[list(mine[::2])] > grey[list(mine[1::2])]
-        place, _ = position(bright, codec._bits(axis))
-        yield _beyond(place, codec.axis_px(axis), 2.0 ** len(codec._bits(axis)))
+        place, _ = position(bright, codec.bits_of(axis))
+        yield _beyond(place, codec.axis_px(axis), 2.0 ** len(codec.bits_of(axis)))
 
 
 def _beyond(place: NDArray[Any], size: int, range_px: float) -> float:

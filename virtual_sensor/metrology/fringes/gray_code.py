@@ -94,14 +94,15 @@ class GrayCode(Codec):
         """The codec as `codec_of` takes it."""
         return f"gray {self.axes}{'' if self.inverted else ' single'}"
 
-    def _bits(self, axis: str) -> range:
+    def bits_of(self, axis: str) -> range:
+        """Of an axis, the coarsest first."""
         return range(max((self.axis_px(axis) - 1).bit_length(), 1) - 1, -1, -1)
 
     def _patterns_of(self, axis: Any) -> Iterator[tuple[str, Pattern]]:
         if not self.inverted:
             yield f"{axis} white", Uniform(1.0)
             yield f"{axis} black", Uniform(0.0)
-        for bit in self._bits(axis):
+        for bit in self.bits_of(axis):
             for inverted in (False, True)[: 1 + self.inverted]:
                 yield (
                     f"{axis} Gray bit {bit}{' inverted' * inverted}",
@@ -135,7 +136,7 @@ class GrayCode(Codec):
     def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
         lit, other = self._pairs(block)
         apart = np.abs(lit - other)
-        middle, _ = position(lit > other, self._bits(axis))
+        middle, _ = position(lit > other, self.bits_of(axis))
         # One bit may be split between two stripes, at their border: the next to lowest counts.
         contrast = np.partition(apart, min(1, len(apart) - 1), axis=0)[min(1, len(apart) - 1)]
         contrast = contrast + 0.0 * apart.sum(axis=0)

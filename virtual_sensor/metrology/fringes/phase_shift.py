@@ -91,7 +91,7 @@ class PhaseShift(Codec):
         for name, value in given.items():
             object.__setattr__(self, name, value)
         if self.unwrap not in SPATIAL:
-            self._chains  # noqa: B018  refuse what can't be unwrapped
+            self.chains  # noqa: B018  refuse what can't be unwrapped
 
     def _checked_periods(self, size: int) -> tuple[float, ...]:
         given: Any = self.periods_px
@@ -115,7 +115,7 @@ class PhaseShift(Codec):
         return periods
 
     @cached_property
-    def _chains(self) -> dict[str, Chain]:
+    def chains(self) -> dict[str, Chain]:
         """How each axis is unwrapped in time.
 
         Raises
@@ -170,10 +170,10 @@ class PhaseShift(Codec):
             for k in range(self.steps):
                 name = f"{axis} {period:g} px, step {k + 1} of {self.steps}"
                 yield name, Sine(axis, period, _TURN * k / self.steps - self._first_rad)
-        for bit in self._bits(axis):
+        for bit in self.bits_of(axis):
             yield f"{axis} Gray bit {bit}", GrayBit(axis, bit)
 
-    def _bits(self, axis: str) -> range:
+    def bits_of(self, axis: str) -> range:
         """Of the Gray code of an axis, the coarsest first: stripes of half a period at most."""
         if self.unwrap != "gray":
             return range(0)
@@ -215,7 +215,7 @@ class PhaseShift(Codec):
         axis = self.axes[0]
         if self.unwrap in ("gray", *SPATIAL):
             return np.zeros(np.shape(sigma_phase))
-        return self._chains[axis].wrong_order(sigma_phase)
+        return self.chains[axis].wrong_order(sigma_phase)
 
     def _decode_axis(self, axis: str, block: Block, noise: GreyNoise) -> AxisBlock:
         size = self.axis_px(axis)
@@ -235,14 +235,14 @@ class PhaseShift(Codec):
             length = turns[0].astype(float) * periods[0]
             weights = np.ones(1)
         elif self.unwrap == "gray":
-            coarse, _ = position(grey[fringes:] > average, self._bits(axis))
+            coarse, _ = position(grey[fringes:] > average, self.bits_of(axis))
             expected = coarse / periods[0] - turns[0]
             order = np.rint(expected)
             disagreement = 2.0 * np.abs(expected - order)
             length = (turns[0] + order.astype(float)) * periods[0]
             weights = np.ones(1)
         else:
-            chain = self._chains[axis]
+            chain = self.chains[axis]
             finest, disagreement = chain.orders(list(turns), size)
             length = chain.mean_length(list(turns), finest)
             weights = chain.weights
@@ -294,7 +294,7 @@ class PhaseShift(Codec):
         squares: list[NDArray[Any]] = []
         for axis in self.axes:
             fringes = len(self._periods) * self.steps
-            images = stack[self._images_of(axis)][:fringes]
+            images = stack[self.images_of(axis)][:fringes]
             grey = images.reshape(fringes, -1)[:, some].astype(float)
             whole = np.kron(np.eye(len(self._periods)), self._model)
             design = np.concatenate([np.ones((fringes, 1)), whole], axis=1)
@@ -320,7 +320,8 @@ class PhaseShift(Codec):
         return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
     @property
-    def _absolute(self) -> bool:
+    def absolute(self) -> bool:
+        """Whether coordinates are the projector's own, not lacking whole periods."""
         return self.unwrap not in SPATIAL
 
     def _unwrap_space(self, found: Found, status: NDArray[np.uint8]) -> None:
@@ -332,7 +333,7 @@ class PhaseShift(Codec):
             return 0.0, ()
         share = 0.0
         for axis, sigma in found.sigma.items():
-            chain = self._chains[axis]
+            chain = self.chains[axis]
             per_rad = float(np.sqrt(np.sum((chain.weights * chain.periods_px) ** 2))) / _TURN
             # Each pixel's own modulation is as noisy as its phase: its neighbours' counts.
             usual = cv2.medianBlur(np.where(ok, sigma, np.float32(1e9)), 5)[ok]

@@ -80,7 +80,8 @@ class SingleShot(Codec):
         yield f"{axis} {self.period_px:g} px", Sine(axis, self.period_px)
 
     @property
-    def _absolute(self) -> bool:
+    def absolute(self) -> bool:
+        """Whether coordinates are the projector's own, not lacking whole periods."""
         return False
 
     def _all_blocks(self, stack: NDArray[Any], light: GreyNoise, clipped: float) -> Found:
@@ -88,7 +89,7 @@ class SingleShot(Codec):
         shape = stack.shape[1:]
         found, all_rows = Found.empty(shape, self.axes), slice(0, shape[0])
         for axis in self.axes:
-            image = stack[self._images_of(axis)][0]
+            image = stack[self.images_of(axis)][0]
             if clipped < np.inf:
                 found.clipped |= image >= clipped
             found.put(axis, all_rows, self._decode_image(axis, image, light))

@@ -124,7 +124,7 @@ def measure_fringes(
     settings = settings or Settings()
     report("checking the scene", 0.0)
     codec = codec_of(settings.codec, scene.projector.size)
-    if not codec._absolute:
+    if not codec.absolute:
         raise InputError(
             f"--codec '{codec.text}': knows the projector's pixels but for whole periods, which"
             " give no points; project a second period, or Gray code: 'phase 4 16,128,1280'"
