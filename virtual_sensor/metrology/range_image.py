@@ -199,11 +199,31 @@ def _rows_tell_depth(camera: Pinhole, projector: PixelFamily, decoded: Any) -> b
     """Whether rows were decoded, and tell the depth far better than columns."""
     if decoded.row is None:
         return False
-    row, column = np.nonzero(np.isfinite(decoded.column) & np.isfinite(decoded.row))
-    lit = np.column_stack([decoded.column[row, column], decoded.row[row, column]])
-    pixel = np.column_stack([column, row]).astype(float)
-    by_column, by_row = depth_in_axes(camera, projector, pixel, lit)
+    known = np.flatnonzero(np.isfinite(decoded.column) & np.isfinite(decoded.row))
+    some = known[:: max(1, known.size // _SAMPLE)]
+    v, u = np.divmod(some, decoded.row.shape[1])
+    lit = np.column_stack([decoded.column[v, u], decoded.row[v, u]])
+    by_column, by_row = depth_in_axes(camera, projector, np.column_stack([u, v]).astype(float), lit)
     return bool(by_row > FAR_BETTER * by_column)
+
+
+def check_columns(
+    task: str, camera: Pinhole, projector: PixelFamily, pixel: Array, projector_pixel: Array
+) -> None:
+    """Check that the projector's columns tell the depth, where a task finds points by them alone.
+
+    Raises
+    ------
+    InputError
+        If its rows tell it far better: `pixel` and `projector_pixel` as of `depth_in_axes`.
+    """
+    by_column, by_row = depth_in_axes(camera, projector, pixel, projector_pixel)
+    if by_row > FAR_BETTER * by_column:
+        raise InputError(
+            f"{task}: the projector's rows tell the depth, {by_row:.2g} px/mm along a line of"
+            f" sight, its columns {by_column:.2g}, and points are found by columns here; turn the"
+            " projector by 90 degrees (to_world)"
+        )
 
 
 def _devices(

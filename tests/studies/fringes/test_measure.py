@@ -10,6 +10,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.metrology.fringes.decoded import FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
+from virtual_sensor.studies.correct.measured import of_fringes
 from virtual_sensor.studies.fringes import measure
 from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
 from virtual_sensor.studies.fringes.poses import pose_maps
@@ -138,8 +139,10 @@ def test_a_projector_that_is_turned_is_measured_by_its_rows(tmp_path):
     assert result.summary.caveats == ()
     assert any("points are found by rows" in note for note in result.summary.notes)
     assert result.summary.states["hot"].bent.rms_um < 0.2
-    with pytest.raises(InputError, match=r"rows tell the depth.*turn it by 90 degrees"):
+    with pytest.raises(InputError, match=r"rows tell the depth.*turn the projector by 90 degrees"):
         pose_maps(scene, "turned", {})
+    with pytest.raises(InputError, match="rows tell the depth"):
+        of_fringes("turned", scene, result.hot.decoded)
 
 
 def test_the_blurred_border_of_the_projectors_image_is_left_out(monkeypatch):

@@ -48,7 +48,7 @@ from virtual_sensor.metrology.fringes.decoded import DecodedFringes
 from virtual_sensor.metrology.fringes.observations import fringe_observation
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.observations import SIGMA_PX
-from virtual_sensor.metrology.range_image import reconstruct
+from virtual_sensor.metrology.range_image import check_columns, reconstruct
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.poses import Pose
 from virtual_sensor.studies.fringes.decoded_files import holds_decoded, read_decoded
@@ -338,10 +338,16 @@ def of_fringes(name: str, scene: Scene, decoded: DecodedFringes) -> Measured:
     Raises
     ------
     InputError
-        If they are of another camera or projector, or nothing is decoded.
+        If they are of another camera or projector, nothing is decoded, or the projector's columns
+        don't tell the depth.
     """
-    _ = scene.projector  # or it says what to do
+    family = scene.projector.family  # or it says what to do
     seen = fringe_observation(scene, decoded)
+    if decoded.row is not None:
+        u, v = np.rint(seen.pixel).astype(int).T
+        check_columns(
+            f"{name}, {scene.path}", scene.camera, family, seen.pixel, decoded.pixel[v, u]
+        )
     count = len(seen.pixel)
     normal = seen.normal_deg if seen.normal_deg is not None else np.full(count, np.nan)
     return Measured(

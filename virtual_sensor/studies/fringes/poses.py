@@ -29,7 +29,7 @@ from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.imaging.scene import Scene, find_scene, load_scene, scene_parameters
 from virtual_sensor.metrology.cylinder_fit import FitStatus, fit_cylinder
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
-from virtual_sensor.metrology.range_image import FAR_BETTER, depth_in_axes
+from virtual_sensor.metrology.range_image import check_columns
 from virtual_sensor.metrology.shapes import PartShape
 from virtual_sensor.metrology.triangulation import triangulated_points
 from virtual_sensor.metrology.truth import farthest, mean, rms
@@ -432,13 +432,7 @@ def pose_maps(scene: Scene, name: str, parameters: Mapping[str, str], grid: int 
         )
     points, lit_px = seen.point_mm[known], seen.projector_pixel[known]
     at = pixel.reshape(-1, 2)[known]
-    by_column, by_row = depth_in_axes(camera, family, at, lit_px)
-    if by_row > FAR_BETTER * by_column:
-        raise InputError(
-            f"{scene.path} ({name}): the projector's rows tell the depth, {by_row:.2g} px/mm along"
-            f" a line of sight, its columns {by_column:.2g}, and poses are compared by columns;"
-            " turn it by 90 degrees (to_world)"
-        )
+    check_columns(f"{scene.path} ({name})", camera, family, at, lit_px)
     s, _ = family.of_pixels(lit_px)
     part = PartShape.of(scene)
     normal = part.distance(points).by_point
