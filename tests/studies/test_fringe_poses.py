@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -15,6 +16,7 @@ from virtual_sensor.studies.fringes.poses import (
     DeviationFigures,
     PoseFigures,
     compare_poses,
+    pose_maps,
     scored,
     weights_of,
 )
@@ -58,6 +60,53 @@ def test_the_figures_of_a_pose_are_those_of_its_geometry(compared):
     assert pixel_um < figures.resolution_um < 1.6 * pixel_um
     # By the cylinder's own area: of the width that is seen at half its length.
     assert 0.5 * 45.0 * 27.0 < figures.area_mm2 < 1.5 * 45.0 * np.pi * 13.5
+
+
+def test_the_figures_of_a_wide_view_are_those_of_its_solid_angles():
+    """By hand, cold: lines of sight to the cylinder by its formula, the light by OpenCV.
+
+    A pixel sees its solid angle (Van Oosterom and Strackee 1983) times r^2 over the cosine.
+    """
+    scene = vs.load_scene("fringe_cylinder", width=64, height=48, fov=24.0, beta=15).cold()
+    figures = pose_maps(scene, "cold", {}, grid=32).figures
+    camera, projector = scene.camera, scene.projector.family
+    centre, focal = camera.pose.origin_mm, 32.0 / np.tan(np.radians(12.0))
+
+    def toward(u, v):
+        along = np.stack([u - 31.5, v - 23.5, np.full_like(u, focal)], axis=-1)
+        return along @ camera.pose.rotation.T / np.linalg.norm(along, axis=-1, keepdims=True)
+
+    u, v = (each.ravel() for each in np.meshgrid(np.arange(0.5, 64, 2), np.arange(0.5, 48, 2)))
+    sight = toward(u, v)
+    y, z = centre[1], centre[2] + 13.5
+    a, b = sight[:, 1] ** 2 + sight[:, 2] ** 2, y * sight[:, 1] + z * sight[:, 2]
+    with np.errstate(invalid="ignore"):
+        length = (-b - np.sqrt(b**2 - a * (y**2 + z**2 - 13.5**2))) / a
+    hit = np.flatnonzero(length > 0.0)
+    point = centre + length[hit, None] * sight[hit]
+    normal = (point - [0.0, 0.0, -13.5]) / 13.5 * [0.0, 1.0, 1.0]
+    light = projector.pose.origin_mm - point
+    turn, shift = projector.pose.rotation.T, -projector.pose.rotation.T @ projector.pose.origin_mm
+    pixel = cv2.projectPoints(point, cv2.Rodrigues(turn)[0], shift, projector.matrix, None)[0]
+    lit = (np.sum(light * normal, axis=1) > 0.0) & projector.inside(pixel[:, 0])
+    lit &= np.abs(point[:, 0]) < 85.0
+    hit, normal = hit[lit], normal[lit]
+    assert figures.points == len(hit) > 30
+    assert figures.coverage == pytest.approx(len(hit) / len(u))
+    assert figures.mean_distance_mm == pytest.approx(length[hit].mean())
+    cosine = -np.sum(sight[hit] * normal, axis=1)
+    assert figures.incidence_deg == pytest.approx(np.degrees(np.arccos(cosine)).mean())
+    one, two, three, four = (
+        toward(u[hit] + x, v[hit] + y)
+        for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+    )
+    area = np.zeros(len(hit))
+    for e, f, g in ((one, two, three), (one, three, four)):
+        volume = np.sum(e * np.cross(f, g), axis=1)
+        edges = 1.0 + np.sum(e * f, axis=1) + np.sum(f * g, axis=1) + np.sum(g * e, axis=1)
+        area += 2.0 * np.arctan2(np.abs(volume), edges) * length[hit] ** 2 / cosine
+    assert figures.resolution_um == pytest.approx(1e3 * np.sqrt(area.mean()), rel=1e-4)
+    assert figures.area_mm2 == pytest.approx(4.0 * area.sum(), rel=2e-4)
 
 
 def test_line_and_fringes_agree_through_the_air_and_differ_without(compared):

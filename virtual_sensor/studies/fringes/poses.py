@@ -446,7 +446,8 @@ def pose_maps(scene: Scene, name: str, parameters: Mapping[str, str], grid: int 
     sight = camera.pose.origin_mm - points
     light = family.origins(points) - points
     cosines, lit = (np.abs(np.sum(normal * to, axis=1)) / euclidean(to) for to in (sight, light))
-    area_px = camera.pixel_mm(points) ** 2 / np.maximum(cosines, 1e-3)
+    aside = np.abs(sight @ camera.pose.rotation[:, 2]) / euclidean(sight)  # a cosine
+    area_px = camera.pixel_mm(points) ** 2 * aside / np.maximum(cosines, 1e-3)
     incidence, light_incidence = (
         float(np.degrees(np.arccos(each.clip(0.0, 1.0))).mean()) for each in (cosines, lit)
     )
