@@ -14,6 +14,7 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.render import lit_pixels
 from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.optics.ray_families import Pinhole, Telecentric
+from virtual_sensor.optics.rays import March
 
 SIZE = W, H = 24, 16
 FOV = 12.0
@@ -271,6 +272,36 @@ def test_distorted_and_parallel_light_through_hot_air(tmp_path):
         assert np.isfinite(apart).all(axis=1).sum() > 55
         assert np.nanmedian(apart) < 2e-3
         assert np.nanmax(apart) < 0.05  # a coarse camera's pixels are 0.5 mm
+
+
+def test_brightness_through_hot_air_is_a_pixels_power_over_the_area_that_it_lights():
+    """Rationale: air concentrates light, and loses none.
+
+    A camera pixel's corners, by the search, lie on so much of the projector's image and of the
+    cylinder, unrolled; 0.1 W are spread evenly over 1280 x 800 px, and steel reflects half.
+    """
+    scene = vs.load_scene("fringe_cylinder", width=128, height=128)
+    pixel = np.array([[u, v] for u in (48, 64, 75) for v in (20, 41, 63, 84, 100)])
+    around = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+    corners = (pixel[:, None] + around).reshape(-1, 2)
+    march = March(1.0, "leapfrog", "double")
+    found = {
+        each: vs.projector_pixels(each, corners, march=march) for each in (scene, scene.cold())
+    }
+
+    def areas(places):
+        x, y = np.moveaxis(places.reshape(-1, 4, 2), -1, 0)
+        return 0.5 * np.abs(np.sum(x * np.roll(y, -1, 1) - np.roll(x, -1, 1) * y, axis=1))
+
+    expected = []
+    for each, lit in found.items():
+        x, y, z = lit.point_mm.T
+        unrolled = np.stack([x, 13.5 * np.arctan2(y, z + 13.5)], axis=1)
+        per_mm2 = areas(lit.projector_pixel) / areas(unrolled)
+        expected.append(0.1 / (1280 * 800) * per_mm2 * 0.5 / np.pi)
+        image = vs.render(each)
+        np.testing.assert_allclose(image[pixel[:, 1], pixel[:, 0]], expected[-1], rtol=3e-4)
+    assert np.abs(expected[0] / expected[1] - 1.0).max() > 3e-3  # or air does nothing to it
 
 
 @pytest.mark.slow
