@@ -183,6 +183,20 @@ def test_steps_of_a_part_are_edges_by_both():
     assert state.summary.straight.fit is None
 
 
+def test_what_the_memory_does_not_hold_is_refused_beforehand(monkeypatch):
+    """Rationale: frames of 8192 px fit in 16 GB, but not what is found of them."""
+    scene = vs.load_scene("fringe_cylinder", **{**FINE, "width": 64, "height": 64})
+    monkeypatch.setattr(measure, "render_sequence", lambda *a, **b: pytest.fail("was begun"))
+    monkeypatch.setattr(measure, "physical_memory", lambda: 64 * 64 * (24 * 4 + 2 * 250) - 1)
+    with pytest.raises(InputError, match=r"24 frames of 64 x 64 px .* 0.00244 GB .*-D width"):
+        measure_fringes(scene, Settings("phase 4", frames=False))
+    monkeypatch.setattr(measure, "physical_memory", lambda: 64 * 64 * (24 * 4 + 2 * 250))
+    with pytest.raises(InputError, match=r"0\.00283 GB"):  # of both states
+        measure_fringes(scene, Settings("phase 4", frames=True))
+    with pytest.raises(pytest.fail.Exception, match="was begun"):
+        measure_fringes(scene, Settings("phase 4", frames=False))
+
+
 def test_wrong_requests_are_refused():
     scene = vs.load_scene("fringe_cylinder", **FINE)
     for settings, words in (

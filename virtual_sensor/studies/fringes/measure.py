@@ -13,7 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.child import physical_memory
 from virtual_sensor.display import Displayed
+from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene import Scene
@@ -58,6 +60,9 @@ from virtual_sensor.studies.provenance import scene_facts
 Array = NDArray[np.float64]
 Report = Callable[[str, float], None]
 """Called with what is being done, and the fraction of the whole that is done."""
+
+_FRAME_BYTES = 4  # a pixel, in each frame
+_STATE_BYTES = 250  # a pixel, of what is decoded and found: half of the film lit, that is measured
 
 SHRUNK_PX = 512
 """Along the longer side of frames that are not kept in full."""
@@ -118,7 +123,8 @@ def measure_fringes(
     Raises
     ------
     InputError
-        If the scene can't be measured, or its projector can't show the patterns.
+        If the scene can't be measured, its projector can't show the patterns, or the results don't
+        fit in the memory.
     """
     started = time.perf_counter()
     settings = settings or Settings()
@@ -141,6 +147,7 @@ def measure_fringes(
         medium = scene.medium
         if settings.medium is not None:
             medium = scene.with_medium(settings.medium).medium
+    _check_memory(scene, len(codec), settings, 2 if medium else 1)
     share = 0.4 if medium else 1.0
 
     def state(name: str, scene: Scene, low: float, high: float) -> FringeState:
@@ -168,6 +175,19 @@ def measure_fringes(
     return FringeMeasurement(states["cold"], states.get("hot"), codec, summary)
 
 
+def _check_memory(scene: Scene, frames: int, settings: Settings, states: int) -> None:
+    """Refuse what would end a process without a word, an hour after it began."""
+    width, height = scene.camera.size
+    kept = states if settings.frames else 1
+    needed = width * height * (kept * frames * _FRAME_BYTES + states * _STATE_BYTES)
+    if needed > physical_memory():
+        raise InputError(
+            f"{scene.path}: {frames} frames of {width} x {height} px and what is found of them take"
+            f" {needed / 1e9:.3g} GB or more, and this machine has {physical_memory() / 1e9:.3g};"
+            " give a smaller film (-D width, height)"
+        )
+
+
 def _measure_state(
     scene: Scene, codec: Codec, settings: Settings, medium: IndexField | None, report: Report
 ) -> FringeState:
@@ -187,6 +207,7 @@ def _measure_state(
             scene, codec.patterns, spp=settings.spp, progress=part, source=name
         )
     made = frames.report
+    dr.flush_malloc_cache()  # samples' memory, of which nothing is asked again until the next state
     with doing("decoding"):
         images = settings.recording.recorded(frames.radiance)
         del frames
