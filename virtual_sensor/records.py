@@ -333,3 +333,32 @@ def _write_ply(
     parts = [f"{header}end_header\n".encode("ascii"), vertex.tobytes()]
     with written_whole(path) as temporary:
         temporary.write_bytes(b"".join(parts + ([face.tobytes()] if face is not None else [])))
+
+
+def write_layers(
+    path: Path,
+    layers: Mapping[str, NDArray[Any] | None],
+    header: Mapping[str, str] | None = None,
+) -> None:
+    """Write images (H, W) as float32 layers of OpenEXR, with attributes; None is left out."""
+    import OpenEXR
+
+    attributes = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        **(header or {}),
+    }
+    pixels = {
+        name: np.ascontiguousarray(image, np.float32)
+        for name, image in layers.items()
+        if image is not None
+    }
+    with written_whole(path) as temporary:
+        OpenEXR.File(attributes, pixels).write(str(temporary))
+
+
+def write_arrays(path: Path, arrays: Mapping[str, Any], *, compressed: bool = True) -> None:
+    """Write arrays as an npz file of NumPy's."""
+    write = np.savez_compressed if compressed else np.savez
+    with written_whole(path) as temporary, temporary.open("wb") as file:
+        write(file, allow_pickle=False, **arrays)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import OpenEXR
 from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Columns
@@ -25,12 +24,11 @@ from virtual_sensor.devices.patterns import Uniform
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import written_whole
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.sight import check_progress, scene_of
-from virtual_sensor.records import Described, status_names, vectors
+from virtual_sensor.records import Described, status_names, vectors, write_layers
 
 Image = NDArray[np.float32]
 
@@ -369,17 +367,14 @@ EXR_LAYERS = (
 
 def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
     """Write radiance and ground truth as float32 layers (`EXR_LAYERS`), with a header."""
-    channels = {
+    channels: dict[str, NDArray[Any]] = {
         "Y": frame.radiance,
         "point.X": frame.point_mm[:, :, 0],
         "point.Y": frame.point_mm[:, :, 1],
         "point.Z": frame.point_mm[:, :, 2],
         "depth.Z": frame.depth_mm,
-        "lit": frame.lit.astype(np.float32),
+        "lit": frame.lit,
     }
     for name, coordinates in frame.source_coordinates.items():
         channels |= {f"{name}.a": coordinates[:, :, 0], f"{name}.b": coordinates[:, :, 1]}
-    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    pixels = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    with written_whole(path) as temporary:
-        OpenEXR.File(attributes, pixels).write(str(temporary))
+    write_layers(path, channels, header)

@@ -6,13 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import OpenEXR
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from virtual_sensor.files import written_whole
-from virtual_sensor.records import Described
+from virtual_sensor.records import Described, write_layers
 from virtual_sensor.reporting.maps import Scale, draw_map, scale_of
 from virtual_sensor.reporting.pictures import Panel
 from virtual_sensor.reporting.style import drawable
@@ -47,7 +44,7 @@ def write_surface(path: Path, surface: CorrectedSurface) -> None:
     InputError
         If the file can't be written.
     """
-    layers: dict[str, NDArray[Any]] = {
+    layers: dict[str, NDArray[Any] | None] = {
         f"{name}.{axis}": image.point_mm[..., i]
         for name, image in (("point", surface.corrected), ("uncorrected", surface.uncorrected))
         for i, axis in enumerate("XYZ")
@@ -56,13 +53,9 @@ def write_surface(path: Path, surface: CorrectedSurface) -> None:
         "distance": surface.corrected_um,
         "distance_uncorrected": surface.uncorrected_um,
         "sigma": surface.corrected.sigma_um,
+        "epipolar": surface.uncorrected.epipolar_px,
     }
-    if surface.uncorrected.epipolar_px is not None:
-        layers["epipolar"] = surface.uncorrected.epipolar_px
-    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    pixels = {name: np.ascontiguousarray(image, np.float32) for name, image in layers.items()}
-    with written_whole(path) as temporary:
-        OpenEXR.File(attributes, pixels).write(str(temporary))
+    write_layers(path, layers)
 
 
 def surface_table(measurements: dict[str, CorrectedSummary]) -> TextTable | None:

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.fringes.decoded import COORDINATES, DecodedFringes, FringeStatus
-from virtual_sensor.records import Described, Record, plain, write_csv
+from virtual_sensor.records import Described, Record, plain, write_arrays, write_csv
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.maps import frames_panel, map_panel, status_panel, window_of
 from virtual_sensor.reporting.page import PAGE, Page, Section
@@ -98,8 +98,7 @@ def save(
         if "exr" in formats:
             write_decoded(place / "decoded.exr", result.decoded)
         if "npz" in formats:
-            with written_whole(place / "decoded.npz") as file, file.open("wb") as opened:
-                np.savez(opened, **_arrays(result.decoded))
+            write_arrays(place / "decoded.npz", _arrays(result.decoded), compressed=False)
         if "csv" in formats:
             write_csv(place / "decoded.csv", _rows(result.decoded))
         picture = draw(result)

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from virtual_sensor.files import RESULTS_SIGN, folder_written_whole, written_whole
-from virtual_sensor.records import Described
+from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
+from virtual_sensor.records import Described, write_arrays
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.maps import Scale, draw_map, scale_of
 from virtual_sensor.reporting.page import PAGE, Content, Page, Section
@@ -64,8 +64,7 @@ def save(
             for each in _LAYERS[1:]
         }
         names = np.array([each.figures.name for each in result.poses])
-        with written_whole(place / MAPS) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, name=names, **layers)
+        write_arrays(place / MAPS, {"name": names, **layers})
         drawn = picture(result)
         contents = {
             "poses.csv": result.table,

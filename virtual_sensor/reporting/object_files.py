@@ -18,6 +18,7 @@ from virtual_sensor.records import (
     Table,
     plain,
     status_names,
+    write_arrays,
     write_csv,
     write_json,
     write_ply,
@@ -198,8 +199,7 @@ _NO_DATA = object()
 
 def _write_npz(path: Path, thing: Displayed) -> None:
     arrays: dict[str, Any] = dict(_arrays(thing, ""))
-    with written_whole(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+    write_arrays(path, arrays)
 
 
 def _arrays(value: Any, name: str) -> Iterator[tuple[str, NDArray[Any]]]:

@@ -12,9 +12,9 @@ import OpenEXR
 from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.files import readable, written_whole
+from virtual_sensor.files import readable
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes
-from virtual_sensor.records import Described, plain
+from virtual_sensor.records import Described, plain, write_layers
 
 Image = NDArray[np.float32]
 
@@ -61,19 +61,7 @@ def write_decoded(
         **(more or {}),
     }
     facts = {name: getattr(decoded, name) for name in _NO_IMAGES}
-    attributes = {
-        "compression": OpenEXR.ZIP_COMPRESSION,
-        "type": OpenEXR.scanlineimage,
-        _FACTS: json.dumps(plain(facts)),
-        **(header or {}),
-    }
-    pixels = {
-        name: np.ascontiguousarray(image, np.float32)
-        for name, image in layers.items()
-        if image is not None
-    }
-    with written_whole(path) as temporary:
-        OpenEXR.File(attributes, pixels).write(str(temporary))
+    write_layers(path, layers, {_FACTS: json.dumps(plain(facts)), **(header or {})})
 
 
 _NO_IMAGES = ("size_px", "absolute", "wrong_orders", "noise", "notes")
