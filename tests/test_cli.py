@@ -117,8 +117,8 @@ def test_the_doctor_finds_this_machine_fit():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ("measure nope", "nope: .*cold_cylinder, hot_cylinder, stepped_shaft"),
-        ("search nope.xml", r"nope\.xml: .*cold_cylinder, hot_cylinder, stepped_shaft"),
+        ("measure nope", "nope: .*cold_cylinder, .*hot_cylinder, stepped_shaft"),
+        ("search nope.xml", r"nope\.xml: .*cold_cylinder, .*hot_cylinder, stepped_shaft"),
         ("measure hot_cylinder -D beta", "-D beta: write it as NAME=VALUE, such as -D beta=15"),
         ("measure hot_cylinder -D =15", "-D =15: write it as NAME=VALUE"),
         (
