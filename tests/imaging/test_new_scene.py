@@ -16,6 +16,7 @@ from virtual_sensor.imaging.new_scene.write import write_scene
 from virtual_sensor.imaging.parts import find_part
 from virtual_sensor.imaging.scene_file import parameter_words
 from virtual_sensor.optics.surfaces import Cylinder
+from virtual_sensor.reporting.new_scene import next_steps
 from virtual_sensor.studies.lines_by_source import expected_light
 
 SMALL = {
@@ -305,6 +306,9 @@ def test_a_projector_in_the_lasers_place_lights_what_the_camera_sees(tmp_path):
     for name, options in cases.items():
         written = write_scene(tmp_path / name, NewScene(**options, **film))
         assert written.projects
+        (asked,) = next_steps(written, NewScene(**options, **film))
+        assert ("--camera camera_1" in asked) == (name == "cylinder")
+        assert ("--source projector_1" in asked) == (name == "two")
         whole = vs.load_scene(written.path, spp=1).cold()
         assert len(whole.sources) == len(options.get("tilt", (0.0,)))
         for camera, source in itertools.product(whole.cameras, whole.sources):

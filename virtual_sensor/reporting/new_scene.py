@@ -89,16 +89,19 @@ def _unseen(line: SeenLine) -> list[str]:
 def next_steps(written: WrittenScene, said: NewScene) -> list[str]:
     """Commands to go on with."""
     scene = _quoted(written.path.with_suffix(""))
-    command = "virtual-sensor fringes" if written.projects else "virtual-sensor measure"
+    command = f"virtual-sensor {'fringes' if written.projects else 'measure'} {scene}"
+    if written.projects:  # by one camera and one projector
+        first = {"alpha_1": " --camera camera_1", "tilt_1": " --source projector_1"}
+        command += "".join(option for name, option in first.items() if name in written.parameters)
     if said.temperature_c is None or written.parameters.get("field"):
-        return [f"{command} {scene}"]
+        return [command]
     stem = written.path.stem
     air = _quoted(written.path.with_name(f"{stem}_air.nc"))
     cold, hot = (_quoted(Path(f"{stem}_{state}")) for state in ("cold", "hot"))
     return [
-        f"{command} {scene} -o {cold}    # as long as there is no air",
+        f"{command} -o {cold}    # as long as there is no air",
         f"virtual-sensor field simulate --scene {scene} --quick",
-        f"{command} {scene} -D field={air} -o {hot}",
+        f"{command} -D field={air} -o {hot}",
     ]
 
 
