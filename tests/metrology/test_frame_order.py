@@ -11,6 +11,7 @@ from virtual_sensor.metrology.fringes.frame_order import (
     missing_patterns,
     order_named,
     orders_of,
+    same_images,
     spare_images,
     witnesses,
 )
@@ -62,6 +63,7 @@ def test_what_is_missing_or_spare_is_named():
     white = np.full_like(images[0], 255.0)
     assert spare_images(codec, [*images[:3], white, *images[3:]]) == (3,)
     assert spare_images(codec, [white, 0.0 * white, *images]) == (0, 1)
+    assert spare_images(codec, images[:1]) == ()
     codec, images = shots("gray u")
     assert missing_patterns(codec, images[:5] + images[6:]) == codec.names[4:6]
 
@@ -75,6 +77,47 @@ def test_another_first_phase_is_found():
             found = check_order(vs.codec_of(text), images)
             assert found.codec == codec
             assert f"they fit '{codec.text}'" in found.words
+
+
+def test_steps_may_run_the_other_way():
+    """Rationale: the literature writes cos(phi + theta) as often; columns would be mirrored."""
+    for steps, first, said in (
+        (4, 0.0, "steps-backwards"),
+        (3, -120.0, "uv -120deg' with --order steps-backwards"),
+        (3, 120.0, "uv 120deg' with --order steps-backwards"),
+        (5, -90.0, "uv -90deg' with --order steps-backwards"),
+    ):
+        codec = vs.PhaseShift(steps=steps, periods_px=(16.0, 128.0, 1280.0))
+        v, u = np.mgrid[:60, :80] * np.array([13.1, 15.9])[:, None, None] + 2.0
+        images = [
+            90.0 + 70.0 * np.cos(2.0 * np.pi * ((x + 0.5) / period + k / steps) + start)
+            for x in (u, v)
+            for period in (16.0, 128.0, 1280.0)
+            for k in range(steps)
+            for start in [np.radians(first)]
+        ]
+        found = check_order(codec, images)
+        assert said in found.words, (steps, first)
+        fitting = found.codec or codec
+        assert found.order is not None
+        decoded = fitting.decode([images[n] for n in found.order], edges=False)
+        np.testing.assert_allclose(decoded.column, u, atol=1e-3)
+        np.testing.assert_allclose(decoded.row, v, atol=1e-3)
+
+
+def test_images_that_show_the_same_are_found():
+    images = shots("phase 8 80,1280 u")[1]
+    assert same_images(images) is None
+    again = images[3] + np.random.default_rng(7).normal(0.0, 2.0, images[3].shape)
+    assert same_images([*images[:4], again, *images[5:]]) == (3, 4)
+    assert same_images([images[0], images[1], images[0]]) == (0, 2)
+
+
+def test_clipped_pixels_are_no_witnesses():
+    codec, images = shots("phase 4 80,1280 u")
+    clipped = [np.minimum(1.5 * image, 160.0) for image in images]
+    assert check_order(codec, clipped).disorder > RIGHT
+    assert check_order(codec, clipped, 160.0).disorder < RIGHT
 
 
 def test_where_images_cannot_tell_nothing_is_said():

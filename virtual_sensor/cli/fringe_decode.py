@@ -34,9 +34,10 @@ def decode(
             help="Of the patterns: `phase STEPS [PERIODS] [AXES] [UNWRAPPING] [FIRSTdeg]`, periods"
             " in projector px with commas, axes u (columns), v (rows) or uv, unwrapping"
             " hierarchical, heterodyne, gray, spatial or none, and the phase at the image's border"
-            " in the first step (-90deg of sines); `gray [AXES] [single]`; `single [PERIOD]"
-            " [AXES]`. Axis by axis, period by period, step by step; Gray bits follow, the coarsest"
-            " first.",
+            " in the first step (-90deg of sines); `gray [AXES] [single]`: of single bits, without"
+            " inverses, white and black stand before each axis's; `single [PERIOD] [AXES]`. Axis by"
+            " axis, period by period, step by step, of which k shows A + B cos(phi - 2 pi k/STEPS);"
+            " Gray bits follow, the coarsest first.",
         ),
     ] = "phase 4 16,128,1280 uv",
     size: Annotated[
@@ -46,7 +47,8 @@ def decode(
         str,
         typer.Option(
             help="Of the images: usual, the codec's; coarse-first, fine-first, steps-first,"
-            " rows-first, gray-first, fine-bits-first, each also with ' backwards'; by-text (1, 10,"
+            " rows-first, gray-first, fine-bits-first, each also with ' backwards';"
+            " steps-backwards, of cos(phi + 2 pi k/STEPS), alone or after another; by-text (1, 10,"
             " 2); of each pattern the number of its image, with commas; auto: what the images tell."
         ),
     ] = "usual",

@@ -95,6 +95,16 @@ def test_a_wrong_number_of_files_is_told_with_what_is_missing_or_spare(shots, tm
     shutil.copy(twice / "shot 3.png", twice / "shot 3 copy.png")
     with pytest.raises(InputError, match="are the same image"):
         decoded(twice)
+    again = vs.read_image(more / "shot 3.png").pixels
+    (more / "all white.png").unlink()
+    noise = np.random.default_rng(9).normal(0.0, NOISE, again.shape)
+    again = np.clip(again + np.rint(noise), 0, 255).astype(np.uint8)
+    vs.save_png(again, more / "shot 4.png", bits=8)
+    same = r"shot 3\.png \('u 16 px, step 3 of 8'\) and shot 4\.png .* are the same image"
+    with pytest.raises(InputError, match=same):
+        decoded(more)
+    with pytest.raises(InputError, match=r"1 images, but .* has 16 patterns"):
+        decode_sequence([shots / "shot 1.png"], DecodeSettings(CODEC))
     with pytest.raises(InputError, match=r"4 images.*16 patterns: .* and 12 more; give one image"):
         decoded(copied(shots, tmp_path / "few", range(5, 17)))
 
@@ -130,6 +140,9 @@ def test_other_slips_are_told(shots, tmp_path):
     vs.save_png(np.zeros((90, 100), np.uint8), other / "shot 16.png", bits=8)
     with pytest.raises(InputError, match=r"shot 16\.png: is 100 x 90 px, but shot 1\.png is 120"):
         decoded(other)
+    vs.save_png(np.zeros((90, 120), np.uint16), other / "shot 16.png", bits=16)
+    with pytest.raises(InputError, match=r"shot 16\.png: holds uint16, but shot 1\.png uint8"):
+        decoded(other)
     for options, words in (
         (["--size", "1280"], "--size 1280: write it as WIDTHxHEIGHT"),
         (["--codec", "phase 8 16,128 u"], "is shorter than the image's 1280 columns"),
@@ -153,5 +166,8 @@ def test_doubts_are_noted(shots, truth, tmp_path):
     assert "No pixel has a projector pixel" in said
     clipped = decoded(shots, saturation=150.0)
     assert any("of the lit pixels are saturated" in note for note in clipped.notes)
+    turned = decoded(shots, order="steps-backwards")
+    assert any("Columns fall from pixel to pixel" in note for note in turned.notes)
+    assert not any("fall from" in note for note in decoded(shots).notes)
     alone = decode_sequence([shots / "shot 1.png"], DecodeSettings("single 16 u"))
     assert any("lack whole periods" in note for note in alone.notes)

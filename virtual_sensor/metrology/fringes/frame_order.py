@@ -2,8 +2,8 @@
 
 In the right order the steps of each period lie on a cosine about one mean, the periods agree on the
 fringe order, and each bit of Gray code and its inverse add up to the same.  In another order they
-do not.  What a mirrored or turned projector would show as well, they can't tell: all steps the
-other way round, or columns and rows exchanged.
+do not.  What a mirrored or turned projector would show as well, they can't always tell: all steps
+the other way round, or columns and rows exchanged.
 """
 
 from __future__ import annotations
@@ -29,14 +29,18 @@ Order = tuple[int, ...]
 RIGHT, WRONG = 0.25, 0.45
 """Disorder up to which an order is right, and from which on it is wrong."""
 
+STEPS_BACKWARDS = "steps-backwards"
+"""The order of sequences whose step k shows A + B cos(phi + theta_k): their first steps agree."""
+
 _PIXELS = 1000
 _LIT = 0.3  # of the strongest change from image to image: pixels that change less are no witnesses
 _FEWEST_PIXELS = 30
 _APART = 0.6  # half periods by which orders disagree
 _BY_CHANCE = 1.0 - _APART
-_FIRST_DEG = (180.0, -90.0, 90.0)  # phases that sequences start with, other than 0
+_FIRST_DEG = (180.0, -90.0, 90.0)  # phases that sequences start with, other than 0 and a step
 _TOGETHER = 0.7  # mean of unit vectors of the differences from which on they are much the same
 _EVEN = 0.02  # disorders that differ by no more are equal
+_ALIKE = 0.25  # of the next least difference: images that differ by less show the same
 _ROOM = 1.1  # of codes, or of the periods' range, over the image: then places may lie beyond it
 
 
@@ -53,7 +57,8 @@ class OrderCheck(Displayed):
     words : str
         What is wrong, and the better order or codec; empty if all is right.
     codec : PhaseShift or None
-        Whose fringes start with another phase, and which they fit; None if there is none.
+        Whose fringes start with another phase, and which they fit, in `order` where there is one;
+        None if there is none.
     """
 
     disorder: float
@@ -62,7 +67,9 @@ class OrderCheck(Displayed):
     codec: PhaseShift | None = None
 
 
-def check_order(codec: Codec, images: Sequence[NDArray[Any]]) -> OrderCheck:
+def check_order(
+    codec: Codec, images: Sequence[NDArray[Any]], saturation: float = np.inf
+) -> OrderCheck:
     """Check images' order, and look for a better one among those that are usual.
 
     Parameters
@@ -70,18 +77,25 @@ def check_order(codec: Codec, images: Sequence[NDArray[Any]]) -> OrderCheck:
     codec : Codec
     images : sequence of ndarrays of shape (H, W)
         As many as the codec has patterns.
+    saturation : float
+        Grey value from which on pixels are clipped: they are no witnesses.
     """
-    grey = witnesses(images)
+    grey = witnesses(images, saturation)
     usual = tuple(range(len(codec)))
     disorder = disorder_of(codec, grey, usual)
     if not disorder > RIGHT:
         return OrderCheck(disorder, None, "")
     if isinstance(codec, PhaseShift):
-        for first in _FIRST_DEG:
-            other = replace(codec, first_phase_deg=first)
-            if disorder_of(other, grey, usual) <= RIGHT:
-                words = f"their fringes start with another phase: they fit '{other.text}'"
-                return OrderCheck(disorder, None, words, other)
+        step = 360.0 / codec.steps
+        turned = _steps_backwards(codec)
+        # The other way round, steps that start with cosines are an order of their own: see below.
+        for order, extra in ((usual, ""), (turned, f" with --order {STEPS_BACKWARDS}")):
+            for first in dict.fromkeys((*_FIRST_DEG, -step, step)):
+                other = replace(codec, first_phase_deg=first)
+                if disorder_of(other, grey, order) <= RIGHT:
+                    words = f"their fringes start with another phase: they fit '{other.text}'"
+                    better = order if extra else None
+                    return OrderCheck(disorder, better, words + extra, other)
     scored = [(disorder_of(codec, grey, order), name, order) for name, order in orders_of(codec)]
     if all(each[0] > RIGHT for each in scored):
         scored += [(disorder_of(codec, grey, order), name, order) for name, order in _swaps(codec)]
@@ -97,8 +111,8 @@ def check_order(codec: Codec, images: Sequence[NDArray[Any]]) -> OrderCheck:
     return OrderCheck(
         disorder,
         None,
-        "they contradict it in any order that is usual: are they of other steps or periods, or did"
-        " something move?",
+        "they contradict it in any order that is usual: are they of other steps, periods or another"
+        " size of the projector, did something move, or drown in noise?",
     )
 
 
@@ -122,10 +136,10 @@ def spare_images(codec: Codec, images: Sequence[NDArray[Any]]) -> Order:
     One may be anywhere, two are at the ends.
     """
     grey, spare = witnesses(images), len(images) - len(codec)
-    count = range(len(images))
+    count, last = range(len(images)), len(images) - 1
     ends: dict[int, list[Order]] = {
         1: [(n,) for n in count],
-        2: [(0, 1), (count[-2], count[-1]), (0, count[-1])],
+        2: [(0, 1), (last - 1, last), (0, last)],
     }
     scored = []
     for others in ends.get(spare, []):
@@ -133,6 +147,17 @@ def spare_images(codec: Codec, images: Sequence[NDArray[Any]]) -> Order:
         scored.append((disorder_of(codec, grey, order), others))
     scored.sort()
     return next(iter(_clear(scored, 1)), ())
+
+
+def same_images(images: Sequence[NDArray[Any]]) -> tuple[int, int] | None:
+    """Numbers of two images that show the same, but for noise; None if there are none."""
+    grey = witnesses(images)
+    pairs = combinations(range(len(images)), 2)
+    apart = sorted((float(np.sqrt(np.mean((grey[a] - grey[b]) ** 2))), (a, b)) for a, b in pairs)
+    if grey.shape[1] < _FEWEST_PIXELS or len(apart) < 2:
+        return None
+    (least, same), (others, _) = apart[:2]
+    return same if least == 0.0 or least < _ALIKE * others else None
 
 
 def _clear(scored: list[tuple[float, Any]], most: int) -> tuple[Any, ...]:
@@ -144,12 +169,12 @@ def _clear(scored: list[tuple[float, Any]], most: int) -> tuple[Any, ...]:
     return tuple(each for _, each in good)
 
 
-def witnesses(images: Sequence[NDArray[Any]]) -> Grey:
-    """Grey values (K, P) of pixels that change much from image to image."""
+def witnesses(images: Sequence[NDArray[Any]], saturation: float = np.inf) -> Grey:
+    """Grey values (K, P) of pixels that change much from image to image, and are never clipped."""
     height, width = images[0].shape
     step = max(1, int(np.sqrt(height * width / (20.0 * _PIXELS))))
     grey = np.stack([np.asarray(each[::step, ::step], float).ravel() for each in images])
-    grey = grey[:, np.isfinite(grey).all(axis=0)]
+    grey = grey[:, (np.isfinite(grey) & (grey < saturation)).all(axis=0)]
     change = np.ptp(grey, axis=0)
     seen = change > _LIT * np.percentile(change, 99.0) if change.size else np.zeros(0, bool)
     grey = grey[:, seen & (change > 0.0)]
@@ -259,7 +284,6 @@ def orders_of(codec: Codec) -> Iterator[tuple[str, Order]]:
     """Orders that sequences have, by their names: which image is of each pattern."""
     count = len(codec)
     patterns, usual = codec.patterns, tuple(range(count))
-    seen = {usual}
     keys = {
         "coarse-first": lambda p: (_axis(p), _is_bit(p), -_period(p), _phase(p)),
         "fine-first": lambda p: (_axis(p), _is_bit(p), _period(p), _phase(p)),
@@ -272,21 +296,38 @@ def orders_of(codec: Codec) -> Iterator[tuple[str, Order]]:
     def usual_of(pattern: Pattern) -> int:
         return patterns.index(pattern)
 
+    named = [("", usual)]
     for name, key in keys.items():
         shot = sorted(range(count), key=lambda n, key=key: key(patterns[n]))  # type: ignore[misc]
         for label, sequence in ((name, shot), (f"{name} backwards", shot[::-1])):
-            order = tuple(sequence.index(n) for n in range(count))
-            if order not in seen:
-                seen.add(order)
-                yield label, order
-    if (backwards := usual[::-1]) not in seen:
-        yield "backwards", backwards
+            named.append((label, tuple(sequence.index(n) for n in range(count))))
+    named.append(("backwards", usual[::-1]))
     by_text = sorted(range(1, count + 1), key=str)
-    if (order := tuple(by_text.index(n) for n in range(1, count + 1))) not in seen:
-        yield "by-text", order
-    by_number = tuple(n - 1 for n in by_text)
-    if by_number not in seen and by_number != order:
-        yield "by-number", by_number
+    named.append(("by-text", tuple(by_text.index(n) for n in range(1, count + 1))))
+    named.append(("by-number", tuple(n - 1 for n in by_text)))
+    turned = _steps_backwards(codec)
+    named += [
+        (f"{name} {STEPS_BACKWARDS}".strip(), tuple(order[n] for n in turned))
+        for name, order in named
+        if "backwards" not in name
+    ]
+    seen = {usual}
+    for name, order in named:
+        if order not in seen:
+            seen.add(order)
+            yield name, order
+
+
+def _steps_backwards(codec: Codec) -> Order:
+    """The first step of all fringes, then the others in falling order, as of cos(phi + theta)."""
+    found = list(range(len(codec)))
+    of: dict[tuple[str, float], list[int]] = {}
+    for n, pattern in enumerate(codec.patterns):
+        if isinstance(pattern, Sine):
+            of.setdefault((pattern.axis, pattern.period_px), []).append(n)
+    for first, *others in of.values():
+        found[first : first + 1 + len(others)] = [first, *reversed(others)]
+    return tuple(found)
 
 
 def _swaps(codec: Codec) -> Iterator[tuple[str, Order]]:

@@ -19,13 +19,16 @@ from virtual_sensor.metrology.fringes.codec import LEAST_MODULATION, Codec
 from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
 from virtual_sensor.metrology.fringes.frame_order import (
+    STEPS_BACKWARDS,
     Order,
     check_order,
     missing_patterns,
     order_named,
     orders_of,
+    same_images,
     spare_images,
 )
+from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.detect import joined_notes
 from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
@@ -36,6 +39,7 @@ Report = Callable[[str, float], None]
 AUTO, USUAL = "auto", "usual"
 
 _MOST_NAMED = 4  # files in a message
+_DOUBTFUL = 0.125  # disorder from which on two images that are alike are a slip
 _MUCH = 0.01  # of the lit pixels, from which on a status is noted
 
 
@@ -211,32 +215,39 @@ def decode_sequence(
     """
     codec = codec_of(settings.codec, settings.size_px)
     images, largest, remarks = _read(paths, settings, report)
+    saturation = largest if settings.saturation is None else min(settings.saturation, largest)
     if len(images) != len(codec):
         raise InputError(_wrong_number(codec, paths, images))
     order = _asked_order(codec, settings.order)
     report("checking the order", 0.6)
     in_order = [images[n] for n in order]
-    check = check_order(codec, in_order)
+    check = check_order(codec, in_order, saturation)
     names = [paths[n].name for n in order]
     notes = list(joined_notes(remarks))
-    if check.order is not None:
-        words = _better_order(codec, check.order, names)
-        if settings.order != AUTO:
-            raise InputError(f"the images are not in the order of '{codec.text}': {words[0]}")
-        order = tuple(order[n] for n in check.order)
-        notes.append(f"The images are in another order than the codec's: {words[1]}.")
-    elif check.codec is not None:
+    if check.codec is not None:
         if settings.order != AUTO:
             raise InputError(f"the images are not those of '{codec.text}': {check.words}")
         notes.append(f"The images are of another codec: {check.words}.")
         codec = check.codec
+    elif check.order is not None:
+        words = _better_order(codec, check.order, names)
+        if settings.order != AUTO:
+            raise InputError(f"the images are not in the order of '{codec.text}': {words[0]}")
+        notes.append(f"The images are in another order than the codec's: {words[1]}.")
+    elif check.disorder > _DOUBTFUL and (same := same_images(in_order)):
+        first, second = (f"{names[n]} ('{codec.names[n]}')" for n in same)
+        said = f"{first} and {second} are the same image, but for noise"
+        if settings.order != AUTO:
+            raise InputError(f"{said}: take one of them again; --order auto decodes them all")
+        notes.append(f"{said}: take one of them again.")
     elif check.words:
         notes.append(
             f"The images contradict '{codec.text}' (disorder {check.disorder:.2f}): {check.words}"
         )
+    if check.order is not None:
+        order = tuple(order[n] for n in check.order)
     stack = np.stack([images[n] for n in order])
     report("decoding", 0.7)
-    saturation = largest if settings.saturation is None else min(settings.saturation, largest)
     began = time.perf_counter()
     decoded = codec.decode(
         stack,
@@ -273,6 +284,12 @@ def _read(
                 f"{path}: is {here}, but {paths[0].name} is {there}; give the images of one"
                 " sequence alone"
             )
+        if images and read.pixels.dtype != images[0].dtype:
+            (here, there) = (f"{each.dtype}" for each in (read.pixels, images[0]))
+            raise InputError(
+                f"{path}: holds {here}, but {paths[0].name} {there}; save the images of one"
+                " sequence alike"
+            )
         images.append(read.pixels)
         levels.append(np.inf if read.largest is None else read.largest)
         remarks.append((path, [note.removeprefix(f"{path}: ") for note in read.notes]))
@@ -284,8 +301,7 @@ def _wrong_number(codec: Codec, paths: Sequence[Path], images: Sequence[NDArray[
     names = [path.name for path in paths]
     said = f"{len(images)} images, but '{codec.text}' has {len(codec)} patterns"
     remedy = "give one image of each, in its order, or another --codec"
-    same = _twice(images)
-    if len(images) > len(codec) and same:
+    if len(images) > len(codec) and (same := same_images(images)):
         first, second = (names[n] for n in same)
         return f"{said}: {first} and {second} are the same image; leave one out"
     missing = missing_patterns(codec, images) if len(images) == len(codec) - 1 else ()
@@ -300,16 +316,6 @@ def _wrong_number(codec: Codec, paths: Sequence[Path], images: Sequence[NDArray[
         which = "it" if len(spare) == 1 else "them"
         return f"{said}: {' and '.join(spare)} fit none of them; leave {which} out"
     return f"{said}: {few(list(codec.names), _MOST_NAMED)}; {remedy}"
-
-
-def _twice(images: Sequence[NDArray[Any]]) -> tuple[int, int] | None:
-    """Numbers of two images that are the same."""
-    seen: dict[bytes, int] = {}
-    for number, image in enumerate(images):
-        first = seen.setdefault(image.tobytes(), number)
-        if first != number:
-            return first, number
-    return None
 
 
 def _asked_order(codec: Codec, text: str) -> Order:
@@ -363,6 +369,12 @@ def _doubts(codec: Codec, table: SequenceTable, decoded: DecodedFringes) -> list
             "Columns grow along the images' v, rows along u: is the camera turned by 90 degrees, or"
             " are columns and rows exchanged?"
         )
+    elif isinstance(codec, PhaseShift) and (falling := _falling(decoded)):
+        notes.append(
+            f"{falling} fall from pixel to pixel: is the projector or the camera upside down, or"
+            " seen in a mirror? If not, the steps run the other way, as A + B cos(phi + theta):"
+            f" see --order, {STEPS_BACKWARDS}."
+        )
     if not decoded.absolute:
         notes.append(
             "Coordinates may lack whole periods, as many for each connected region: project longer"
@@ -371,16 +383,24 @@ def _doubts(codec: Codec, table: SequenceTable, decoded: DecodedFringes) -> list
     return notes
 
 
+def _growth(coordinate: Array | None, axis: int) -> float:
+    """From pixel to pixel: the median."""
+    steps = np.zeros(0) if coordinate is None else np.diff(coordinate, axis=axis)
+    known = steps[np.isfinite(steps)]
+    return float(np.median(known)) if known.size else 0.0
+
+
 def _turned(decoded: DecodedFringes) -> bool:
     """Whether columns change along v more than along u."""
-    if decoded.column is None:
-        return False
-    along, across = (np.diff(decoded.column, axis=axis) for axis in (1, 0))
-    known = [each[np.isfinite(each)] for each in (along, across)]
-    if not all(each.size for each in known):
-        return False
-    u, v = (float(np.median(np.abs(each))) for each in known)
+    u, v = (abs(_growth(decoded.column, axis)) for axis in (1, 0))
     return v > 3.0 * u
+
+
+def _falling(decoded: DecodedFringes) -> str:
+    """What falls along the images' own axis: columns, rows or both."""
+    each = (("Columns", decoded.column, 1), ("Rows", decoded.row, 0))
+    names = [name for name, coordinate, axis in each if _growth(coordinate, axis) < 0.0]
+    return " and ".join(names).capitalize()
 
 
 def _summary(
