@@ -162,6 +162,28 @@ def test_noise_is_seen_in_the_images():
         images = images + rng.normal(0.0, 1.5, images.shape)
         images = images if kind is float else np.rint(images).astype(kind)
         assert codec.decode(images).noise == pytest.approx(1.5, rel=0.03), text
+    dim = 1.0 + 5.0 * seen(codec, column, row, 0.5, 0.5) + rng.normal(0.0, 1.5, images.shape)
+    dim = np.clip(np.rint(dim), 0, 255).astype(np.uint8)
+    assert codec.decode(dim).noise == pytest.approx(1.5, rel=0.15)
+
+
+def test_gammas_harmonics_are_no_noise():
+    """Rationale: they were, and of a projector with gamma a third of the pixels was lost to noise.
+
+    Of ((1 + cos phi)/2)^2 what four steps leave over is cos(2 phi)/8.
+    """
+    rng = np.random.default_rng(3)
+    v, u = np.mgrid[:120, :160].astype(float)
+    column, row = 200.0 + 2.7 * u + 0.05 * v, 100.0 + 2.3 * v
+    codec = vs.codec_of("phase 4 u")
+    images = 20.0 + 200.0 * seen(codec, column, row, 0.5, 0.5) ** 2
+    decoded = codec.decode(images + rng.normal(0.0, 1.5, images.shape), edges=False)
+    assert decoded.noise == pytest.approx(1.5, rel=0.05)
+    assert decoded.ok.mean() > 0.99
+    assert any("by the projector's gamma" in note for note in decoded.notes)
+    linear = 20.0 + 200.0 * seen(codec, column, row, 0.5, 0.5)
+    decoded = codec.decode(linear + rng.normal(0.0, 1.5, images.shape), edges=False)
+    assert not decoded.notes
 
 
 def test_shot_noise_of_three_steps_depends_on_the_phase():

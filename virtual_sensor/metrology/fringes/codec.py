@@ -59,12 +59,15 @@ class GreyNoise(Displayed):
         Grey value of a pixel without light.
     step : float
         Of the rounding; 0: none.
+    misfit : float
+        Standard deviation of what a sequence's steps leave over, noise and all; 0: unknown.
     """
 
     read: float = 0.0
     gain: float = 0.0
     black: float = 0.0
     step: float = 0.0
+    misfit: float = 0.0
 
     def variance(self, mean: NDArray[Any]) -> NDArray[Any]:
         """Of a grey value, where images have such means."""
@@ -281,7 +284,7 @@ class Codec(Displayed, ABC):
             coordinate[bad] = np.nan
         for sigma in found.sigma.values():
             sigma[bad] = np.nan
-        wrong, notes = self._doubts(found, ~bad)
+        wrong, notes = self._doubts(found, ~bad, light)
         return DecodedFringes(
             column=found.coordinate.get("u"),
             row=found.coordinate.get("v"),
@@ -310,7 +313,9 @@ class Codec(Displayed, ABC):
     def _unwrap_space(self, found: Found, status: NDArray[np.uint8]) -> None:
         """Make wrapped coordinates continuous over the image, where time does not tell them."""
 
-    def _doubts(self, found: Found, ok: NDArray[np.bool_]) -> tuple[float, tuple[str, ...]]:
+    def _doubts(
+        self, found: Found, ok: NDArray[np.bool_], light: GreyNoise
+    ) -> tuple[float, tuple[str, ...]]:
         """Share of wrong fringe orders that is expected, and notes."""
         return 0.0, ()
 

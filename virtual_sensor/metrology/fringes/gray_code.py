@@ -152,7 +152,9 @@ class GrayCode(Codec):
             drowned=contrast < _CLEAR * spread,
         )
 
-    def _doubts(self, found: Found, ok: NDArray[np.bool_]) -> tuple[float, tuple[str, ...]]:
+    def _doubts(
+        self, found: Found, ok: NDArray[np.bool_], light: GreyNoise
+    ) -> tuple[float, tuple[str, ...]]:
         notes = []
         for axis, coordinate in found.coordinate.items():
             steps = (np.abs(np.diff(coordinate, axis=along)) for along in (0, 1))
