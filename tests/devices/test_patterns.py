@@ -45,6 +45,8 @@ def test_fields_and_stripes_begin_and_end_at_the_pixels_that_are_counted() -> No
     """Of whole pixels by repeating them; a stripe's middle is a pixel's centre, or a border."""
     fields = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
     assert np.array_equal(Checker(4.0).image((12, 8)), np.kron(fields, np.ones((4, 4))))
+    border = Checker(4.0).grey(np.array([-0.4, 3.4, 3.6]), np.zeros(3))
+    assert border.tolist() == [1.0, 1.0, 0.0]
     for middle, lit in ((5.0, [4, 5, 6]), (6.5, [5, 6, 7, 8])):
         for axis in ("u", "v"):
             image = Stripe(axis, middle, float(len(lit))).image((12, 12))

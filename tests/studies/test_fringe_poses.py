@@ -20,7 +20,7 @@ from virtual_sensor.studies.fringes.poses import (
     scored,
     weights_of,
 )
-from virtual_sensor.studies.fringes.sections import line_sensor, sections
+from virtual_sensor.studies.fringes.sections import line_sensor, off_part_um, sections
 
 SMALL = {"temperature": ["1250"], "width": ["256"], "height": ["256"]}
 GRID = 6
@@ -53,8 +53,15 @@ def test_the_figures_of_a_pose_are_those_of_its_geometry(compared):
     top = np.unravel_index(np.nanargmax(pose.point_mm[..., 2]), (GRID, GRID))
     y, z = pose.point_mm[top][1:]
     assert abs(np.hypot(y, z + 13.5) - 13.5) < 1e-6  # on the part
-    assert 30.0 < figures.incidence_deg < 60.0
-    assert 30.0 < figures.light_incidence_deg < 60.0
+    points = pose.point_mm[np.isfinite(pose.point_mm[..., 0])]
+    normal = (points - np.array([0.0, 0.0, -13.5])) * [0.0, 1.0, 1.0] / 13.5
+    devices = pose.scene.camera, pose.scene.projector
+    told = figures.incidence_deg, figures.light_incidence_deg
+    for device, mean_deg in zip(devices, told, strict=True):
+        towards = device.pose.origin_mm - points
+        cosine = np.sum(towards * normal, axis=1) / np.linalg.norm(towards, axis=1)
+        assert np.degrees(np.arccos(cosine)).mean() == pytest.approx(mean_deg, abs=1e-3)
+        assert 30.0 < mean_deg < 60.0
     assert 300.0 < figures.mean_distance_mm < 306.0
     pixel_um = 45.056e3 / 256
     assert pixel_um < figures.resolution_um < 1.6 * pixel_um
@@ -210,6 +217,20 @@ def test_a_step_of_the_part_has_the_distance_of_the_face_that_is_seen():
     assert abs(pose.figures.bent.largest_um) < 20.0
     assert pose.figures.straight.radius_error_um is None
     assert np.isnan(there.table.bent_fit_std_um).all()
+
+
+def test_points_before_the_part_are_outside():
+    """Of all faces that the camera sees: 50 um towards it, and beyond."""
+    scene = vs.load_scene("fringe_stepped_shaft", width=64, height=64).cold()
+    pixel = np.column_stack([np.full(20, 32.0), np.linspace(4.0, 60.0, 20)])
+    points = vs.projector_pixels(scene, pixel).point_mm
+    towards = scene.camera.pose.origin_mm - points
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    off_um = off_part_um(scene, points + 0.05 * towards, points)
+    assert np.isfinite(off_um).sum() > 10
+    assert np.nanmin(off_um) > 0.0
+    assert np.nanmax(off_um) < 50.001
+    assert np.nanmax(off_part_um(scene, points - 0.05 * towards, points)) < 0.0
 
 
 @pytest.mark.slow

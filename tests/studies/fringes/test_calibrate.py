@@ -95,6 +95,11 @@ def test_the_command_writes_what_is_documented(tmp_path):
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     assert read.projector_rms_px == pytest.approx(summary["projector_rms_px"])
     assert summary["electrons"] == 9000
+    found = {each["name"]: each["value"] - each["truth"] for each in summary["estimated"]}
+    place = [1e3 * found[f"projector_{axis}_mm"] for axis in "xyz"]
+    turns = [1e6 * found[f"projector_turn_{axis}_rad"] for axis in "xyz"]
+    assert summary["position_error_um"] == pytest.approx(place, abs=1e-6)
+    assert summary["turn_error_urad"] == pytest.approx(turns, abs=1e-6)
     assert read.camera.size == (128, 128)
     assert read.projector.size == (1280, 800)
 

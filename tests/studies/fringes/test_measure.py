@@ -166,6 +166,7 @@ def test_a_part_that_nobody_lights_or_sees_has_statuses_and_no_points():
     assert (grid.found.status == ProjectorPixelStatus.OUTSIDE).any()
     assert (grid.found.status == ProjectorPixelStatus.MISSED).any()
     assert np.isnan(grid.difference_px[~grid.compared]).all()
+    assert (grid.found.status[grid.compared] == ProjectorPixelStatus.OK).all()
     ok = result.cold.straight.range_image.ok
     assert np.array_equal(np.isfinite(result.cold.straight.deviation_um), ok)
     assert ok.sum() == result.cold.summary.straight.points <= decoded.ok.sum()
@@ -179,6 +180,7 @@ def test_steps_of_a_part_are_edges_by_both():
     found = state.summary.decoded_minus_search
     assert found.column.compared > 20
     assert found.column.largest_px < 0.01
+    assert (state.grid.found.status[state.grid.compared] == ProjectorPixelStatus.OK).all()
     assert set(found.only_searched) <= {"edge", "low_modulation", "order"}
     assert state.summary.straight.fit is None
 
