@@ -1,5 +1,6 @@
 """Maps are read off as they are: a number's colour, the pixels shown, and what is counted."""
 
+import cv2
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -14,7 +15,7 @@ from virtual_sensor.reporting.maps import (
     scale_of,
     window_of,
 )
-from virtual_sensor.reporting.pictures import write_vector
+from virtual_sensor.reporting.pictures import Panel, draw_picture, write_vector
 
 
 @pytest.fixture
@@ -144,3 +145,14 @@ def test_frames_of_any_number_are_drawn(axes):
         axes.clear()
         draw_frames(axes, np.zeros((count, 8, 8), np.float32), ["x"] * count)
         assert len(axes.texts) == count
+
+
+def test_titles_of_narrow_maps_are_whole():
+    """Rationale: that of a tall map began at its axes, and was cut off at the picture's border."""
+    image = np.arange(60.0).reshape(20, 3)
+    title = "beta=30 temperature=1250: 2.11 µm rms"
+    panel = Panel(title, lambda axes: draw_map(axes, image, "µm"), "")
+    picture = draw_picture("", [panel])
+    grey = cv2.imdecode(np.frombuffer(picture.png, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert grey[:, -3:].min() == 255
+    assert grey[:3].min() == 255

@@ -277,7 +277,7 @@ def _draw_in(figure: FigureBase, panel: Panel, axes: Axes | None = None) -> None
     """Draw a panel in its figure, or in axes of it."""
     if panel.axes:
         axes = axes or figure.add_subplot()
-        axes.set_title(panel.title)
+        axes.set_title(panel.title, wrap=panel.layout is not None)  # its lines find their room
         panel.draw(axes)
     else:
         figure.suptitle(panel.title, x=0.02, ha="left", fontsize=11, fontweight="bold")
