@@ -20,8 +20,8 @@ def all_statuses():
     """Every status of the inner rooms."""
     for room in ("metrology", "optics"):
         package = importlib.import_module(f"{virtual_sensor.__name__}.{room}")
-        for each in pkgutil.iter_modules(package.__path__):
-            importlib.import_module(f"{package.__name__}.{each.name}")
+        for each in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            importlib.import_module(each.name)
     return StatusEnum.__subclasses__()
 
 

@@ -43,15 +43,22 @@ class MarkStatus(StatusEnum):
     """Whether a mark of a target takes part in a calibration, and if not, why."""
 
     FOUND = 0, "The mark has its pixel, and the projector's pixel where that was asked for."
-    OUTSIDE = 1, "The mark lies outside the image, or so near its border that it is cut."
-    NOT_FOUND = 2, "No mark was found where the others expect it: something hides it, or glares."
+    OUTSIDE = 1, "The mark lies outside the image, or its border cuts it: move the target."
+    NOT_FOUND = (
+        2,
+        "No mark was found where the others expect it: look for what hides it or glares.",
+    )
     DARK = 3, "The mark has little contrast: give it more light, or expose longer."
     NO_PHASE = (
         4,
-        "The projector's phases are not known around the mark, which it may not reach: the camera's"
-        " pixel alone takes part.",
+        "The projector's phases are not known around the mark; its camera pixel takes part: "
+        "move the target to where the projector lights it.",
     )
-    OUTLIER = 5, "The mark is far from where the fit has it, and was left out."
+    OUTLIER = (
+        5,
+        "The mark is far from where the fit has it, and was left out: where many are, look for a "
+        "target that moved or is not flat.",
+    )
 
 
 @public
