@@ -131,7 +131,8 @@ def reconstruct(
     Parameters
     ----------
     sensor : Scene, FringeCalibration, str or Path
-        What has a camera and a projector: a scene, its name or path, or a calibration.
+        What has a camera and a projector: a scene, its name or path; or a calibration, or the path
+        of its file, .yaml or .json.
     decoded : DecodedFringes
         Of an image of the camera's size: the projector's `column` and `row`, with their sigmas.
     medium : IndexField, str or Path, optional
@@ -230,7 +231,11 @@ def _devices(
     sensor: Any, medium: Any, camera: str | None, source: str | None
 ) -> tuple[Pinhole, PixelFamily, Any]:
     """Camera, projector's rays and medium of a scene or a calibration."""
-    if isinstance(sensor, str | Path):
+    if isinstance(sensor, str | Path) and Path(sensor).suffix.lower() in (".yaml", ".yml", ".json"):
+        from virtual_sensor.metrology.fringes.calibration import FringeCalibration
+
+        sensor = FringeCalibration.read(sensor)
+    elif isinstance(sensor, str | Path):
         from virtual_sensor.optics.sight import scene_of
 
         sensor = scene_of("reconstruct", sensor)

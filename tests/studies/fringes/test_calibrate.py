@@ -142,5 +142,6 @@ def test_a_calibrations_file_serves_as_a_scenes_projector_and_in_a_scenes_place(
         *maps, phase={}, status=np.zeros((192, 192), np.uint8), size_px=(1280, 800)
     )
     by_file = vs.reconstruct(vs.FringeCalibration.read(file), decoded).point_mm
+    np.testing.assert_array_equal(vs.reconstruct(file, decoded).point_mm, by_file)
     np.testing.assert_allclose(by_file, vs.reconstruct(scene.cold(), decoded).point_mm, atol=1e-9)
     assert np.isfinite(by_file).mean() > 0.5
