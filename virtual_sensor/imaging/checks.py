@@ -183,12 +183,13 @@ def lit_line(scene: Scene) -> LitLine:
         line is in the picture, or the field does not hold all of it.
     """
     with naming(scene.path):
-        if isinstance(scene.source, Projector):
-            _check_baseline(scene.camera, scene.source)
+        camera, source = scene.camera, scene.source
+        if isinstance(source, Projector):
+            _check_baseline(camera, source)
         else:
             check_geometry(scene.sensor)
-        _check_place(scene, scene.camera_element, scene.camera.pose)
-        _check_place(scene, scene.source_element, scene.source.pose)
+        _check_place(scene, scene.camera_element, camera.pose)
+        _check_place(scene, scene.source_element, source.pose)
         line = _line_on_part(scene)
         if scene.medium:
             _check_cover(scene, scene.medium, line)

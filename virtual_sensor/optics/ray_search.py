@@ -201,6 +201,7 @@ def ray_search(
     check_progress("ray_search", progress)
     progress = progress or (lambda fraction: None)
     one_of("ray_search: method", method, METHODS)
+    seeing = scene.camera
     if laser_y_mm is not None:
         if hasattr(scene.source, "pixels_of"):
             raise InputError(
@@ -228,7 +229,7 @@ def ray_search(
     else:
         found = _found(scene, _tabulated(scene, s, t, march, tolerance_px))
     lit = scene.source.reaches(s, t)
-    return _checked(scene.camera, found, lit, r_max_um, z_max_mm)
+    return _checked(seeing, found, lit, r_max_um, z_max_mm)
 
 
 def _on_line(laser_y_mm: ArrayLike) -> tuple[Array, Array]:
