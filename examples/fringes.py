@@ -55,4 +55,5 @@ for ax, words, image in zip(
     ax.set(title=words, xlabel="u, px", ylabel="v, px")
     figure.colorbar(drawn, ax=ax, shrink=0.85)
 figure.savefig("fringes.png")
-print(f"epipolar residual: {np.sqrt(np.nanmean(straight.epipolar_px**2)):.2f} px rms")
+epipolar_px = np.asarray(straight.epipolar_px)
+print(f"epipolar residual: {np.sqrt(np.nanmean(epipolar_px**2)):.2f} px rms")
