@@ -144,8 +144,12 @@ def lead(result: PosesCompared) -> str:
     rms = result.table.straight_rms_um
     worst, least = int(np.nanargmax(rms)), int(np.nanargmin(rms))
     names = result.table.name
-    best = f"The best score has {result.best.name}." if len(names) > 1 else ""
-    if not np.nanmax(rms) > 1e-3:
+    hot = np.nanmax(rms) > 1e-3
+    criteria = listed([name for name in CRITERIA if result.weights[name]])
+    without = "" if result.weights["air"] or not hot else ", which leaves the air out (--weights)"
+    chosen = f"By {criteria}{without}, {result.best.name} is the best."
+    best = chosen if len(names) > 1 else ""
+    if not hot:
         return best or "Light runs straight, and the points lie on the part."
     spread = (
         f"Measured as if light ran straight, the surface is off by {micrometres(rms[least])} rms"
