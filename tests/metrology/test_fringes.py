@@ -217,7 +217,7 @@ def test_rounding_to_8_bits_is_not_white():
 
 
 def test_gamma_makes_ripples_as_its_harmonics_say():
-    """Largest error in rad of ((1 + cos phi)/2)^g, computed from its Fourier series elsewhere."""
+    """Largest error in rad of ((1 + cos phi)/2)^g: a table from its Fourier series."""
     phase = np.linspace(0.0, 2 * np.pi, 4000)[None]
     table = {
         1.1: {3: 0.030, 4: 0.0058, 5: 0.0019, 8: 0.0002},
