@@ -15,7 +15,7 @@ from typing import Any
 
 import typer
 from make_data_dictionary import dictionary, files
-from virtual_sensor_plugins import glow, laser_line, pattern_projector, refractive
+from virtual_sensor_plugins import glow, laser_line, lens_camera, pattern_projector, refractive
 
 import virtual_sensor as vs
 from virtual_sensor import cli
@@ -39,6 +39,7 @@ ROOMS = {
 ELEMENTS = (
     ("integrator", "refractive", refractive.Refractive),
     ("emitter", "laser_line", laser_line.LaserLineEmitter),
+    ("sensor", "lens_camera", lens_camera.LensCameraSensor),
     ("emitter", "pattern_projector", pattern_projector.PatternProjector),
     ("emitter", "glow", glow.Glow),
 )

@@ -1,4 +1,4 @@
-"""The Mitsuba plugins: the refractive integrator, laser line, projector and glow of a hot part.
+"""The Mitsuba plugins: refractive integrator, laser line, projector, camera, glow of a hot part.
 
 Importing this package registers them for the variant that is set, and again whenever Mitsuba
 changes its variant: registration is per variant, and a class can only derive from Mitsuba's once
@@ -11,7 +11,7 @@ from typing import Any
 
 from virtual_sensor.engine import mi
 
-_NAMES = "laser_line", "glow", "refractive", "pattern_projector"
+_NAMES = "laser_line", "glow", "refractive", "pattern_projector", "lens_camera"
 _PLUGINS = tuple(f"virtual_sensor_plugins.{name}" for name in _NAMES)
 
 

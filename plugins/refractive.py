@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of, steady
-from virtual_sensor_plugins.views import pinhole_of
+from virtual_sensor_plugins.views import camera_of
 
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
@@ -92,7 +92,7 @@ class Refractive(mi.SamplingIntegrator):
         medium, transport = self.medium, self.transport
         with naming("refractive"):
             transport.check(medium)
-        camera, sources = pinhole_of(sensor), devices_of(scene)
+        camera, sources = camera_of(sensor), devices_of(scene)
         return Arrangement(scene, sensor, camera, sources, medium, transport)
 
     def sample(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import in_own_memory, to_numpy
+from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Pinhole
@@ -20,8 +21,10 @@ OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 Array = NDArray[np.float64]
 
 
-def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
-    """K and pose of Mitsuba's pinhole camera; None of any other."""
+def camera_of(sensor: mi.Sensor) -> LensCamera | None:
+    """The camera of a sensor, with K and pose of Mitsuba's `perspective`; None of any other."""
+    if hasattr(sensor, "camera"):  # of a plugin over one
+        return sensor.camera
     if sensor.class_name() != "PerspectiveCamera":
         return None
     held = mi.traverse(sensor)
@@ -35,7 +38,7 @@ def pinhole_of(sensor: mi.Sensor) -> Pinhole | None:
     to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     pose = Pose.from_matrix(to_world)
     turned = Pose(pose.rotation @ OURS_FROM_MITSUBAS, pose.origin_mm)
-    return Pinhole(matrix, turned, (width, height))
+    return LensCamera(matrix, turned, (width, height))
 
 
 class View:

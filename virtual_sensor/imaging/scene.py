@@ -6,8 +6,9 @@ The sensor model is read *from* the loaded Mitsuba scene, so the two can't disag
 Element of a scene               What becomes of it
 ===============================  ==================================================================
 integrator                       `refractive`, and no other
-sensor                           a camera, if it is a `perspective`, a pinhole; others are left out,
-                                 with a note; a mirrored one is heeded, with a note
+sensor                           a camera, if it is a `lens_camera`, or a `perspective`, a pinhole;
+                                 others are left out, with a note; a mirrored one is heeded, with a
+                                 note
 film                             the whole one, no crop; one beyond the memory is refused
 emitter                          a source, if it is a `laser_line` or a `pattern_projector`; others
                                  light the part too
@@ -44,11 +45,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins import refractive
-from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, pinhole_of
+from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, camera_of
 
 from virtual_sensor import engine
 from virtual_sensor.arrays import LARGEST, number_within, to_vectors
 from virtual_sensor.calls import public
+from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.devices.sensor import SensorModel
@@ -80,7 +82,6 @@ from virtual_sensor.imaging.scene_file import (
 from virtual_sensor.medium.description import MediumDescription
 from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField, field_of
-from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface, own_variant
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.poses import Pose
@@ -162,7 +163,7 @@ class _Stage:
     parameters: dict[str, str]
     loaded: Loaded
     surface: Surface
-    cameras: dict[str, Pinhole]
+    cameras: dict[str, LensCamera]
     sources: dict[str, LaserLine | Projector]
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
@@ -210,7 +211,7 @@ class Scene(Displayed):
     air : MediumDescription
         The medium's file, if it has one, and what is made of it.
     cameras : Mapping
-        `Pinhole` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
+        `LensCamera` by name: its element's `id`, or "camera", "camera_2", ... where it has none.
     sources : Mapping
         `LaserLine` or `Projector` by name: likewise, or "laser", "laser_2", "projector", ...
     transport : Transport
@@ -223,7 +224,7 @@ class Scene(Displayed):
     parameters: Mapping[str, str]
     medium: IndexField | None
     air: MediumDescription
-    cameras: Mapping[str, Pinhole]
+    cameras: Mapping[str, LensCamera]
     sources: Mapping[str, LaserLine | Projector]
     transport: Transport
     hot: bool = dataclasses.field(
@@ -324,7 +325,7 @@ class Scene(Displayed):
         return self.medium
 
     @property
-    def camera(self) -> Pinhole:
+    def camera(self) -> LensCamera:
         """The only camera; an InputError where there are several."""
         return self.cameras[self.camera_name]
 
@@ -840,7 +841,7 @@ def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str
     return list(found)
 
 
-def _places(path: Path, loaded: Any, cameras: dict[str, Pinhole]) -> list[str]:
+def _places(path: Path, loaded: Any, cameras: dict[str, LensCamera]) -> list[str]:
     """Notes of a scene, or a part, whose lengths seem not to be in mm."""
     box = loaded.bbox()
     corners = np.array([box.min, box.max], float)
@@ -883,11 +884,11 @@ def _sensor(name: str) -> str:
     return f'<sensor id="{shortened(name)}">'
 
 
-def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, Pinhole], list[str]]:
+def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, LensCamera], list[str]]:
     """The cameras of a scene, at least one, and notes of its other sensors."""
     cameras, unfit = {}, []
     for name, sensor in sensors.items():
-        if camera := pinhole_of(sensor):
+        if camera := camera_of(sensor):
             _check_film(f"{path}: {_sensor(name)}", sensor.film())
             cameras[name] = camera
         else:

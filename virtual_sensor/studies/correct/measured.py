@@ -591,7 +591,8 @@ def calibrated(measured: Measured, calibration: Calibration) -> Measured:
         pose = pose.moved(Pose.turn(angle, axis, laser.target_mm))
     off_mm = plane.offset_mm * np.sign(plane.normal @ normal) - there @ laser.target_mm
     laser = laser.with_pose(pose.moved(Pose.shift(off_mm * there)))
-    same = replace(scene, cameras={scene.camera_name: camera}, sources={scene.source_name: laser})
+    seen = {scene.camera_name: scene.camera.with_chief(camera)}
+    same = replace(scene, cameras=seen, sources={scene.source_name: laser})
     nominal, real = (triangulate(each, measured.pixel) for each in (scene, same))
     apart = np.linalg.norm(real - nominal, axis=1)
     apart_mm = float(np.max(apart[np.isfinite(apart)], initial=0.0))
@@ -633,7 +634,7 @@ def fringes_calibrated(measured: Measured, path: Path) -> Measured:
             )
     same = replace(
         scene,
-        cameras={scene.camera_name: camera},
+        cameras={scene.camera_name: scene.camera.with_chief(camera)},
         sources={scene.source_name: replace(scene.projector, family=projector)},
     )
     apart = reconstruct(same, decoded).point_mm - reconstruct(scene, decoded).point_mm
