@@ -23,6 +23,7 @@ from virtual_sensor.metrology.calibration import calibration_of, read_calibratio
 from virtual_sensor.metrology.cylinder_fit import fit_cylinder
 from virtual_sensor.metrology.dot_peaks import DotCentres
 from virtual_sensor.metrology.triangulation import triangulated_points
+from virtual_sensor.optics.lens import Lens
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.reporting.objects import _silhouette, drawing_of
 from virtual_sensor.reporting.style import colour
@@ -55,6 +56,7 @@ def made():
         "pose": scene.camera.pose,
         "field": scene.medium,
         "rays": vs.trace(scene.medium, starts, down, 300.0),
+        "lens": Lens.of_f_number(75.0, 300.0, 8.0),
         "noise": vs.CameraNoise(),
         "calibration": calibration_of(scene.sensor),
         "fit": fit_cylinder(points.point_mm, direction=[1.0, 0.0, 0.0]),
@@ -195,6 +197,20 @@ def test_a_table_is_drawn_as_its_first_measured_column_over_its_first(made):
     assert axes.get_xlabel() == "y_mm"
     found = SearchTable(*[np.zeros(3)] * 6, status=np.array(["found", "unlit", "found"]))
     assert "2 found, 1 unlit" in found._repr_html_()
+
+
+def test_a_lens_is_drawn_by_scheimpflugs_rule():
+    """Sensor, lens and what is in focus meet in a line, and each point's light in its image."""
+    axes = Lens.of_f_number(75.0, 300.0, 8.0, (8.2, 0.0)).plot(Figure().add_subplot())
+    lines = [line.get_xydata() for line in axes.lines]
+    (sharp, sensor) = (each for each in lines if len(each) == 3 and np.ptp(each[:, 0]) < 50.0)
+    meet = []
+    for (x, y), (x_end, y_end) in (sharp[[0, -1]], sensor[[0, -1]]):
+        meet.append(y - x * (y_end - y) / (x_end - x))  # in the lens's plane, x = 0
+    assert meet[0] == pytest.approx(meet[1], rel=1e-9)
+    angle = [np.degrees(np.arctan2(*np.abs(np.ptp(each, axis=0)))) for each in (sensor, sharp)]
+    assert angle[0] == pytest.approx(8.2)
+    assert np.tan(np.radians(angle[0])) == pytest.approx(0.25 * np.tan(np.radians(angle[1])))
 
 
 def test_a_ball_is_drawn_round(tmp_path):

@@ -52,6 +52,7 @@ if TYPE_CHECKING:  # what they are, not what is imported
     from virtual_sensor.metrology.fringes.decoded import DecodedFringes
     from virtual_sensor.metrology.range_image import RangeImage
     from virtual_sensor.metrology.truth import DotErrors, LineErrors, TrueLine
+    from virtual_sensor.optics.lens import Lens
     from virtual_sensor.optics.ray_families import Pinhole, RayFamily
     from virtual_sensor.optics.sensitivity import Sensitivity
     from virtual_sensor.optics.trace import Rays
@@ -72,6 +73,8 @@ _MOST_TRIANGLES = 10_000
 _SILHOUETTE_PX = 300  # of a fine mesh, along its longer side
 _EDGE_ON = 0.95  # of a plane's normal that lies in the picture
 _MARGIN_PX = 20  # about what is lit
+_HALF_FIELD = 0.08  # slope of the rays that a lens is drawn with
+_LEAST_NEARNESS = 0.2  # of the depth in focus on the axis: what is in focus behind it is not drawn
 _TURN = np.linspace(0.0, 2.0 * np.pi, 60)
 _RING = np.stack([np.cos(_TURN), np.sin(_TURN), np.zeros(60)], axis=1)
 _ROUND_SHAPES = {  # of Mitsuba, in their own frame
@@ -619,6 +622,33 @@ def _hull_of(points: Array) -> Array:
 
 def _hull(axes: Axes, points: Array, **style: Any) -> None:
     axes.fill(*_hull_of(points).T, **style)
+
+
+@draws("optics.lens.Lens")
+def _lens(axes: Axes, lens: Lens) -> None:
+    """From the side: the pupil, the sensor behind it, what is in focus before it, and its light.
+
+    The side is the one in which the sensor is tilted the most.
+    """
+    b, g, r = lens.image_distance_mm, lens.focus_distance_mm, lens.pupil_radius_mm
+    lean = lens.lean[np.argmax(np.abs(lens.lean))]
+    p = _HALF_FIELD * np.array([-1.0, 0.0, 1.0])
+    nearness = np.maximum(1.0 / g - lean * p, _LEAST_NEARNESS / g)  # 1/z of what is in focus
+    sharp = np.stack([p, np.ones(3)]) / nearness
+    sensor = -np.stack([p, np.ones(3)]) * b / (1.0 + b * lean * p)
+    for rim in (-r, 0.0, r):
+        through = np.array([np.full(3, rim), np.zeros(3)])
+        light = np.stack([sharp, through, sensor])
+        axes.plot(light[:, 1], light[:, 0], color=VERMILION, lw=0.7, alpha=0.8)
+    for (height, along), words in ((sharp, "in focus"), (sensor, "sensor")):
+        axes.plot(along, height, color=BLUE, lw=2.0)
+        top = int(np.argmax(height))
+        write_beside(axes, words, (along[top], height[top]), (0.0, 8.0), ha="center", color=BLUE)
+    half = max(r, _HALF_FIELD * 0.1 * g)
+    axes.annotate("", (0.0, -half), (0.0, half), arrowprops={"arrowstyle": "<->", "lw": 1.5})
+    axes.axhline(0.0, color=GREY, lw=0.8, ls="-.")
+    axes.margins(y=0.15)
+    axes.set(xlabel="along the axis in mm", ylabel="from the axis in mm, enlarged")
 
 
 # -------------------------------------------------------------------------------------- fields
