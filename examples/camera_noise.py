@@ -3,8 +3,8 @@
 #
 # How well is the line found in an image with noise, and does the detector know how well?
 #
-# `render` gives the light that reaches each pixel; `record` makes of it what a camera would store:
-# shot noise, read noise, fixed pattern, 12 bits.
+# `render` gives the light that reaches each pixel; `grey_values` makes of it what a camera would
+# store: shot noise, read noise, fixed pattern, 12 bits.
 
 # %%
 import matplotlib.pyplot as plt
@@ -13,7 +13,7 @@ import numpy as np
 import virtual_sensor as vs
 
 frame = vs.render_frame(vs.load_scene("hot_cylinder", width=1024, height=1024, line_radius=0.2))
-camera = vs.CameraNoise(gain=0.37, dark_noise_e=2.4, bit_depth=12)  # by EMVA 1288
+sensor = vs.ImageSensor(gain=0.37, dark_noise_e=2.4, bit_depth=12)  # by EMVA 1288
 
 # %% [markdown]
 # The same line with 100 to 10,000 electrons in its brightest pixel. The predicted error is the
@@ -22,10 +22,10 @@ camera = vs.CameraNoise(gain=0.37, dark_noise_e=2.4, bit_depth=12)  # by EMVA 12
 
 # %%
 peaks_e = [100, 300, 1000, 3000, 10_000]
-images = [vs.record(frame.radiance, camera, seed=n, peak_e=n) for n in peaks_e]
+images = [vs.grey_values(frame.radiance, sensor, seed=n, peak_e=n) for n in peaks_e]
 true_px, predicted_px = [], []
 for peak_e, image in zip(peaks_e, images, strict=True):
-    line = vs.line_centres(image, "max_likelihood", camera=camera)
+    line = vs.line_centres(image, "max_likelihood", sensor=sensor)
     errors = vs.compare_line(line, frame)
     true_px.append(errors.rms_px)
     predicted_px.append(np.sqrt(np.mean(errors.sigma**2)))

@@ -30,12 +30,12 @@ def median(image):
 
 # %%
 frame = vs.render_frame(vs.load_scene("hot_cylinder", width=1024, height=1024, line_radius=0.2))
-camera = vs.CameraNoise()  # 12 bits
-image = vs.record(frame.radiance, camera, seed=1, peak_e=4000)
+sensor = vs.ImageSensor()  # 12 bits
+image = vs.grey_values(frame.radiance, sensor, seed=1, peak_e=4000)
 
 errors = {}
 for detector in (median, "gaussian", "centre_of_gravity", "max_likelihood"):
-    line = vs.line_centres(image, detector, camera=camera)
+    line = vs.line_centres(image, detector, sensor=sensor)
     name = getattr(detector, "__name__", detector)
     errors[name] = vs.compare_line(line, frame)
     print(f"{name}: {errors[name].count} centres, {errors[name].rms_px:.4f} px rms off the truth")

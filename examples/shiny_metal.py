@@ -22,13 +22,13 @@ for name, roughness in {"paint": None, "dull iron": 0.4, "shiny iron": 0.1}.item
 # Each image is so exposed that its brightest pixel just stays below what the camera can hold.
 
 # %%
-camera = vs.CameraNoise()
+sensor = vs.ImageSensor()
 figure, axes = plt.subplots(figsize=(7, 3.5), layout="constrained")
 for name, scene in scenes.items():
     frame = vs.render_frame(scene)
-    image = vs.record(frame.radiance, camera, seed=1, peak_e=9000)
+    image = vs.grey_values(frame.radiance, sensor, seed=1, peak_e=9000)
     for detector in ("parabola", "gaussian", "centre_of_gravity", "max_likelihood"):
-        errors = vs.compare_line(vs.line_centres(image, detector, camera=camera), frame)
+        errors = vs.compare_line(vs.line_centres(image, detector, sensor=sensor), frame)
         found = errors.count / errors.expected
         print(f"{name}, {detector}: {found:.0%} of the line found, {errors.rms_px:.3f} px rms off")
     y = vs.triangulate(scene, vs.TrueLine.of_frame(frame).centres().pixel)[:, 1]

@@ -32,8 +32,8 @@ for number in range(100):
     wide = scene.with_parameters(line_radius=rng.uniform(0.2, 0.6))
     frame = vs.render_frame(wide.with_sensor_moved(turned.moved(leaned).moved(moved)))
 
-    camera = vs.CameraNoise(dark_noise_e=rng.uniform(2, 20))
-    grey = vs.record(frame.radiance, camera, rng, peak_e=10 ** rng.uniform(2, 4))
+    sensor = vs.ImageSensor(dark_noise_e=rng.uniform(2, 20))
+    grey = vs.grey_values(frame.radiance, sensor, rng, peak_e=10 ** rng.uniform(2, 4))
     vs.save_png(grey, folder / f"{number:03}.png", bits=12)
     vs.save_png(255 * frame.lit, folder / f"{number:03}_mask.png", bits=8)
     row = vs.TrueLine.of_frame(frame).centres().row

@@ -18,8 +18,8 @@ import virtual_sensor as vs
 lines = {}
 for beta in (0, 15, 30):
     hot = vs.load_scene("hot_cylinder", temperature=1250, blur=2, beta=beta)
-    image = vs.record(vs.render(hot), seed=beta, peak_e=4000)
-    lines[beta] = vs.line_centres(image, "max_likelihood", camera=vs.CameraNoise())
+    image = vs.grey_values(vs.render(hot), seed=beta, peak_e=4000)
+    lines[beta] = vs.line_centres(image, "max_likelihood", sensor=vs.ImageSensor())
 
 # %% [markdown]
 # What is assumed: where the sensor stood, that the part is a cylinder of any radius in any place,

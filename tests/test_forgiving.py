@@ -35,6 +35,7 @@ LINE = np.repeat(np.exp(-((np.arange(24.0)[:, None] - 11.3) ** 2) / 8.0), 16, 1)
 CENTRES = vs.line_centres(LINE)
 FIELD = vs.IndexField.from_arrays(np.full((5, 5, 5), 2e-4), [-20, -20, -20], [10, 10, 10])
 POSE = vs.Pose(np.eye(3), np.zeros(3))
+SENSOR = vs.image_sensor("cmos_5um5")
 ARC = np.array([[x, np.sin(a), np.cos(a)] for x in (0, 1, 2) for a in (0.0, 0.4, 0.8)])
 ESTIMATE = {
     "observations": vs.Observation(SCENE, [[20.0, 30.0], [40.0, 30.0], [30.0, 31.0]]),
@@ -63,7 +64,7 @@ CALLS = {
     "render": (vs.render, {"scene": SCENE}),
     "render_frame": (vs.render_frame, {"scene": SCENE}),
     "render_sequence": (vs.render_sequence, {"scene": FRINGES, "patterns": ["white"]}),
-    "record": (vs.record, {"photons": 100.0 * LINE}),
+    "grey_values": (vs.grey_values, {"photons": 100.0 * LINE}),
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
     "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),
     "save_png": (vs.save_png, {"image": LINE, "path": "a.png"}),
@@ -152,7 +153,10 @@ CALLS = {
     "Pose.shift": (vs.Pose.shift, {"by_mm": [0, 0, 1]}),
     "Pose.to_world": (POSE.to_world, {"points_mm": [0, 0, 1]}),
     "Pose.to_local": (POSE.to_local, {"points_mm": [0, 0, 1]}),
-    "CameraNoise": (vs.CameraNoise, {}),
+    "ImageSensor": (vs.ImageSensor, {}),
+    "ImageSensor.at_wavelength": (SENSOR.at_wavelength, {"wavelength_nm": 532.0}),
+    "image_sensors": (vs.image_sensors, {}),
+    "image_sensor": (vs.image_sensor, {"name": "cmos_5um5"}),
     "Aperture": (vs.Aperture, {"f_number": 8.0}),
     "Scene.with_medium": (SCENE.with_medium, {"medium": FIELD}),
     "Scene.with_pose": (SCENE.with_pose, {"name": "camera", "pose": SCENE.camera.pose}),

@@ -3,7 +3,7 @@
 >>> import virtual_sensor as vs
 >>> scene = vs.load_scene("hot_cylinder", beta=15)  # a part, its air, a camera, a laser
 >>> image = vs.render(scene)                        # (H, W) radiance
->>> grey = vs.record(image, peak_e=4000)            # (H, W) grey values of a 12-bit camera
+>>> grey = vs.grey_values(image, peak_e=4000)       # (H, W) grey values of a 12-bit camera
 >>> vs.save_png(grey, "shot.png", bits=12)
 >>> line = vs.line_centres(grey, saturation=4095)   # .row .column .sigma .width .status
 >>> vs.Status.counts(line.status)                   # why columns have a centre, or none
@@ -29,10 +29,12 @@ Scenes, and what a camera sees of them
     PatternFrames        Frames of a sequence of K patterns.
 
 Images as a camera gives them
-    record               Take a frame: the grey values of a camera, with its noise, black level
-                         and clipping.
-    CameraNoise          A monochrome camera's parameters by EMVA 1288; the defaults are a
+    ImageSensor          A monochrome image sensor's parameters by EMVA 1288; the defaults are a
                          12-bit CMOS sensor's.
+    image_sensor         A sensor by its name, or by the path of its data sheet, a TOML file.
+    image_sensors        Names of the sensors that come with the program, each of a stated class.
+    grey_values          Grey values that a sensor makes of light: with noise, fixed pattern,
+                         black level, clipping.
     gaussian_blur        Blur an image (H, W) by a Gaussian of so many px; the light that leaves
                          it is lost.
     speckled             An image (H, W) as coherent light shows it: with speckle, in the same
@@ -156,6 +158,9 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from virtual_sensor.devices.image_sensor import ImageSensor as ImageSensor
+    from virtual_sensor.devices.image_sensor import image_sensor as image_sensor
+    from virtual_sensor.devices.image_sensor import image_sensors as image_sensors
     from virtual_sensor.devices.patterns import Checker as Checker
     from virtual_sensor.devices.patterns import GrayBit as GrayBit
     from virtual_sensor.devices.patterns import Picture as Picture
@@ -166,8 +171,7 @@ if TYPE_CHECKING:
     from virtual_sensor.devices.projector import Projector as Projector
     from virtual_sensor.errors import EngineError as EngineError
     from virtual_sensor.errors import InputError as InputError
-    from virtual_sensor.imaging.camera_noise import CameraNoise as CameraNoise
-    from virtual_sensor.imaging.camera_noise import record as record
+    from virtual_sensor.imaging.grey_values import grey_values as grey_values
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
     from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
@@ -251,7 +255,6 @@ _HOME = {
     "Aperture": "imaging.speckle",
     "Calibration": "metrology.calibration",
     "CalibrationTarget": "metrology.fringes.target",
-    "CameraNoise": "imaging.camera_noise",
     "Checker": "devices.patterns",
     "CrossingStatus": "optics.crossing_status",
     "CylinderShape": "metrology.shapes",
@@ -265,6 +268,7 @@ _HOME = {
     "FringeStatus": "metrology.fringes.decoded",
     "GrayBit": "devices.patterns",
     "GrayCode": "metrology.fringes.gray_code",
+    "ImageSensor": "devices.image_sensor",
     "IndexField": "medium.index_field",
     "InputError": "errors",
     "LineCentres": "metrology.centres",
@@ -307,7 +311,10 @@ _HOME = {
     "fit_shape": "metrology.shape_fits",
     "fringe_observation": "metrology.fringes.observations",
     "gaussian_blur": "imaging.lens",
+    "grey_values": "imaging.grey_values",
     "identifiability": "metrology.identifiability",
+    "image_sensor": "devices.image_sensor",
+    "image_sensors": "devices.image_sensor",
     "known_air_budget": "metrology.error_budget",
     "line_centres": "metrology.line_peaks",
     "lines_by_source": "studies.lines_by_source",
@@ -322,7 +329,6 @@ _HOME = {
     "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",
     "reconstruct": "metrology.range_image",
-    "record": "imaging.camera_noise",
     "render": "imaging.render",
     "render_frame": "imaging.render",
     "render_sequence": "imaging.sequence",

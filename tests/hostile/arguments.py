@@ -193,8 +193,8 @@ def ray_calls(draw):
 
 @st.composite
 def frame_calls(draw):
-    """`render`, `triangulate` and `record`."""
-    function = draw(st.sampled_from(("render", "triangulate", "record", "record")))
+    """`render`, `triangulate` and `grey_values`."""
+    function = draw(st.sampled_from(("render", "triangulate", "grey_values", "grey_values")))
     if function == "render":
         spp = st.sampled_from((None, 0, -1, 1, 4, 7, 2**31, 2**33, 2**63, 2**70, True))
         options: dict[str, Any] = {"spp": draw(spp)}

@@ -115,8 +115,8 @@ def call(_: Path, options: dict[str, Any]) -> dict[str, Any]:
         return {"value": vs.render(_small_scene(), **given)}
     if function == "triangulate":
         return {"value": vs.triangulate(_small_scene().sensor, **given)}
-    if function == "record":
-        return {"value": vs.record(given["irradiance"], vs.CameraNoise(**given["camera"]))}
+    if function == "grey_values":
+        return {"value": vs.grey_values(given["irradiance"], vs.ImageSensor(**given["camera"]))}
     return {"value": vs.air_refractivity(**given)}
 
 

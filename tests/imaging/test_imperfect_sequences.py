@@ -148,10 +148,10 @@ def test_noise_of_the_camera_errs_as_surrel_says(load):
         mean_e = scale * radiance.mean(axis=0)
         modulation_e = scale * 2.0 / number * np.abs(ideal)
         for camera, sigma_e in (
-            (vs.CameraNoise(gain=5.0, dark_noise_e=300.0, full_well_e=1e6, **clean), 300.0),
-            (vs.CameraNoise(gain=5.0, dark_noise_e=0.0, full_well_e=1e6, **clean), None),
+            (vs.ImageSensor(gain=5.0, dark_noise_e=300.0, full_well_e=1e6, **clean), 300.0),
+            (vs.ImageSensor(gain=5.0, dark_noise_e=0.0, full_well_e=1e6, **clean), None),
         ):
-            noisy = decoded(vs.record(radiance, camera, number, peak_e=4000.0))
+            noisy = decoded(vs.grey_values(radiance, camera, number, peak_e=4000.0))
             known = np.hypot(sigma_e, np.sqrt(mean_e)) if sigma_e else np.sqrt(mean_e)
             expected = np.sqrt(2.0 / number) * known / modulation_e
             assert rms(np.angle(noisy / ideal) / expected) == pytest.approx(1.0, rel=0.03)
@@ -163,7 +163,16 @@ def test_rounding_errs_by_more_than_white_noise_where_twice_the_mean_is_whole(lo
     Rationale: opposite steps, A + x and A - x, are rounded alike then, as they are where twice the
     mean is whole; where it is not, the errors are as good as independent.
     """
-    camera = vs.CameraNoise(1.0, 1e-9, 0.0, 1e12, 8, black_level=20.0, dsnu_e=0.0, prnu=0.0)
+    camera = vs.ImageSensor(
+        quantum_efficiency=1.0,
+        gain=1e-9,
+        dark_noise_e=0.0,
+        full_well_e=1e12,
+        bit_depth=8,
+        black_level=20.0,
+        dsnu_e=0.0,
+        prnu=0.0,
+    )
     for number, whole in ((4, 0.0029), (8, 0.0021)):
         frames = vs.render_sequence(load(turn=0.3), steps(number, 64.0)).radiance
         mean = frames.mean(axis=0)
@@ -172,7 +181,7 @@ def test_rounding_errs_by_more_than_white_noise_where_twice_the_mean_is_whole(lo
         shade = np.linspace(0.96, 1.0, 96)  # A and B between whole numbers
         white = float(np.sqrt(2.0 / number / 12.0) / 102.0)
         for light, known in ((even, whole), (even * shade, white)):
-            error = np.angle(decoded(vs.record(1e9 * light, camera)) / decoded(light))
+            error = np.angle(decoded(vs.grey_values(1e9 * light, camera)) / decoded(light))
             assert rms(error * light.mean(axis=0) / 107.5) == pytest.approx(known, rel=0.05)
 
 

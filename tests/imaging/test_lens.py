@@ -5,8 +5,9 @@ import pytest
 from artificial import line_image, paper_sensor
 from scipy.ndimage import map_coordinates
 
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
+from virtual_sensor.imaging.grey_values import exposed, grey_values
 from virtual_sensor.imaging.lens import defocus_blur, distorted, gaussian_blur
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.ray_families import Pinhole
@@ -103,7 +104,7 @@ def test_a_distorted_frame_can_be_recorded():
     """The spline swings below zero about a renderer's noise; a camera takes no negative light."""
     noise = np.random.default_rng(0).gamma(4.0, 0.25, SIZE[::-1])
     frame = distorted(line_image(np.full(SIZE[0], 70.3), 1.0, height=SIZE[1]) * noise, camera(MILD))
-    assert record(exposed(frame, 4000.0, CameraNoise()), CameraNoise()).max() > 1000
+    assert grey_values(exposed(frame, 4000.0, ImageSensor()), ImageSensor()).max() > 1000
 
 
 @pytest.mark.parametrize(

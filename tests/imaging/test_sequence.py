@@ -106,7 +106,7 @@ def test_patterns_are_texts_objects_and_pictures_of_the_projectors_size(tmp_path
     assert "3 of 96 x 80 px, traced once" in repr(frames)
     assert frames.frame(0).lit.sum() > 2500
     assert frames.to_dataframe()["pattern"][0] == "sine v 50 0"
-    grey = vs.record(frames, vs.CameraNoise(bit_depth=8), peak_e=5000.0)
+    grey = vs.grey_values(frames, vs.ImageSensor(bit_depth=8), peak_e=5000.0)
     assert grey.shape == (3, 80, 96)
 
 

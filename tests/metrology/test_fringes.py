@@ -406,10 +406,10 @@ def test_images_may_come_as_they_are():
         assert not codec.decode(blank).ok.any()
         assert not vs.codec_of("single 16 u").decode(blank[:1]).ok.any()
         assert not vs.codec_of("gray u").decode(np.repeat(blank[:1], 22, 0)).ok.any()
-    camera = vs.CameraNoise()
+    camera = vs.ImageSensor()
     grey = np.rint(images + camera.black_level).astype(np.uint16)
     grey[2, 3, 4] = camera.white
-    decoded = codec.decode(grey, camera=camera)
+    decoded = codec.decode(grey, sensor=camera)
     assert decoded.noise == pytest.approx(0.37 * 2.4)
     assert decoded.status[3, 4] == vs.FringeStatus.SATURATED
 

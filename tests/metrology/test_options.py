@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from artificial import dot_image, line_image
 
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
+from virtual_sensor.imaging.grey_values import exposed, grey_values
 from virtual_sensor.imaging.lens import defocus_blur, gaussian_blur
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.metrology.centres import Status
@@ -54,7 +55,7 @@ def test_a_camera_is_of_positive_finite_numbers():
     for name in ("quantum_efficiency", "gain", "full_well_e", "bit_depth"):
         for value in NOT_POSITIVE:
             with pytest.raises(InputError, match=name):
-                CameraNoise(**{name: value})
+                ImageSensor(**{name: value})
 
 
 def test_a_cameras_noise_is_not_negative():
@@ -62,8 +63,8 @@ def test_a_cameras_noise_is_not_negative():
     for name in ("dark_noise_e", "black_level", "dsnu_e", "prnu", "pattern_seed"):
         for value in (*NEGATIVE, None):
             with pytest.raises(InputError, match=name):
-                CameraNoise(**{name: value})
-        CameraNoise(**{name: 0})
+                ImageSensor(**{name: value})
+        ImageSensor(**{name: 0})
 
 
 def test_an_aperture_is_of_positive_finite_numbers():
@@ -76,9 +77,9 @@ def test_an_aperture_is_of_positive_finite_numbers():
 
 def test_what_is_no_image_of_light_is_refused():
     """Text, objects, complex numbers and empty images, by every step that makes images worse."""
-    camera = CameraNoise()
+    camera = ImageSensor()
     steps = (
-        lambda image: record(image, camera),
+        lambda image: grey_values(image, camera),
         lambda image: exposed(image, 100.0, camera),
         lambda image: gaussian_blur(image, 1.0),
         lambda image: defocus_blur(image, 1.0),

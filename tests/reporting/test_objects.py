@@ -57,7 +57,7 @@ def made():
         "field": scene.medium,
         "rays": vs.trace(scene.medium, starts, down, 300.0),
         "lens": Lens.of_f_number(75.0, 300.0, 8.0),
-        "noise": vs.CameraNoise(),
+        "noise": vs.ImageSensor(),
         "calibration": calibration_of(scene.sensor),
         "fit": fit_cylinder(points.point_mm, direction=[1.0, 0.0, 0.0]),
         "no fit": fit_cylinder(np.zeros((2, 3))),
@@ -167,13 +167,13 @@ def test_json_holds_a_scene_with_a_line_of_its_air_and_no_image(made, tmp_path):
 
 
 def test_the_noise_that_is_drawn_is_the_noise_of_recorded_frames(made):
-    camera = vs.CameraNoise(prnu=0.0, dsnu_e=0.0)
+    camera = vs.ImageSensor(prnu=0.0, dsnu_e=0.0)
     axes = camera.plot(Figure().add_subplot())
     signal, noise = axes.lines[0].get_data()
     rng = np.random.default_rng(1)
     for electrons in (10.0, 1000.0):
         photons = np.full((300, 300), electrons / camera.quantum_efficiency)
-        grey = vs.record(photons, camera, rng)
+        grey = vs.grey_values(photons, camera, rng)
         measured = grey.std() / camera.gain
         assert np.interp(electrons, signal, noise) == pytest.approx(measured, rel=0.02)
 

@@ -47,7 +47,7 @@ def test_the_noise_of_a_phase_is_that_of_recorded_steps():
     rng, phi = np.random.default_rng(5), np.linspace(0.0, 2 * np.pi, 20_000)
     angle = 2 * np.pi * np.arange(steps)[:, None] / steps
     mean = electrons * light * (0.5 + 0.5 * np.cos(phi - angle))
-    seen = rng.poisson(mean) + rng.normal(0.0, vs.CameraNoise().dark_noise_e, mean.shape)
+    seen = rng.poisson(mean) + rng.normal(0.0, vs.ImageSensor().dark_noise_e, mean.shape)
     found = np.angle(np.sum(seen * np.exp(1j * angle), axis=0))
     spread = np.std(np.angle(np.exp(1j * (found - phi))))
     codec = PhaseShift(steps=steps)
@@ -118,9 +118,9 @@ def test_what_is_chosen_keeps_the_tolerance(scene):
     chosen = choose_fringes(scene, 0.1, electrons=8000, axes="u")
     codec = vs.codec_of(chosen.codec, scene.projector.size)
     frames = vs.render_sequence(scene, codec.patterns, spp=chosen.spp)
-    camera = vs.CameraNoise(dsnu_e=0.0, prnu=0.0)
-    grey = vs.record(frames.radiance, camera, seed=3, peak_e=8000)
-    noisy, clean = codec.decode(grey, camera=camera), codec.decode(frames.radiance, noise=0.0)
+    camera = vs.ImageSensor(dsnu_e=0.0, prnu=0.0)
+    grey = vs.grey_values(frames.radiance, camera, seed=3, peak_e=8000)
+    noisy, clean = codec.decode(grey, sensor=camera), codec.decode(frames.radiance, noise=0.0)
     both = noisy.ok & clean.ok
     spread = np.std((noisy.column - clean.column)[both])
     told = chosen.estimate_px["noise"]  # of dim pixels at the limb too, of which here many are lost

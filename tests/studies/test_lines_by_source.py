@@ -8,8 +8,9 @@ from scipy.ndimage import distance_transform_edt
 from several import text_of
 
 import virtual_sensor as vs
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
+from virtual_sensor.imaging.grey_values import exposed, grey_values
 from virtual_sensor.imaging.lens import gaussian_blur
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.studies.lines_by_source import expected_light
@@ -70,11 +71,11 @@ def test_no_centre_is_of_both_lasers_light(scene, image, alone):
 
 def test_a_recorded_image_is_told_apart_too(scene, image, alone):
     """Rationale: blur and noise: errors are those of the one line recorded alone."""
-    camera = CameraNoise(gain=0.37, bit_depth=12)
+    camera = ImageSensor(gain=0.37, bit_depth=12)
     options = {"noise": camera.grey_noise, "gain": camera.gain, "saturation": camera.saturation}
 
     def recorded(radiance, seed):
-        return record(exposed(gaussian_blur(radiance, 0.5), 4000.0, camera), camera, seed=seed)
+        return grey_values(exposed(gaussian_blur(radiance, 0.5), 4000.0, camera), camera, seed=seed)
 
     found = vs.lines_by_source(scene, recorded(image, 1), margin_px=3.0, **options)
     for name, line in found.items():

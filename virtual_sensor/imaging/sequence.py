@@ -47,7 +47,7 @@ class PatternFrames(Displayed):
 
     >>> codec = vs.PhaseShift(steps=4)
     >>> frames = vs.render_sequence("fringe_cylinder", codec.patterns)
-    >>> grey = vs.record(frames, peak_e=8000)  # (K, H, W)
+    >>> grey = vs.grey_values(frames, peak_e=8000)  # (K, H, W)
     >>> decoded = codec.decode(grey)
 
     Attributes

@@ -70,7 +70,7 @@ def line_centres(
     max_sigma: float = 32.0,
     noise: float | None = None,
     gain: float = 0.0,
-    camera: Any = None,
+    sensor: Any = None,
 ) -> LineCentres:
     """Find the centres of a laser line in an image.
 
@@ -104,7 +104,7 @@ def line_centres(
     gain : float
         Growth of the noise's variance per unit of signal: EMVA 1288's K, in grey values per
         electron; 1 for an image in electrons; 0, none, where only read noise counts.
-    camera : CameraNoise, optional
+    sensor : ImageSensor, optional
         That took the image: it knows `noise`, `gain` and `saturation`, where they are not given.
 
     Returns
@@ -117,11 +117,11 @@ def line_centres(
     InputError
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
-    if camera is not None:
-        if not all(hasattr(camera, name) for name in ("grey_noise", "gain", "saturation")):
-            raise InputError(f"line_centres: camera is {short(camera)}; give a CameraNoise")
-        noise = camera.grey_noise if noise is None else noise
-        gain, saturation = gain or camera.gain, saturation or camera.saturation
+    if sensor is not None:
+        if not all(hasattr(sensor, name) for name in ("grey_noise", "gain", "saturation")):
+            raise InputError(f"line_centres: sensor is {short(sensor)}; give an ImageSensor")
+        noise = sensor.grey_noise if noise is None else noise
+        gain, saturation = gain or sensor.gain, saturation or sensor.saturation
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
     one_of("line_centres: along", along, ALONG)

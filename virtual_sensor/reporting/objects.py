@@ -40,9 +40,9 @@ from virtual_sensor.reporting.style import (
 )
 
 if TYPE_CHECKING:  # what they are, not what is imported
+    from virtual_sensor.devices.image_sensor import ImageSensor
     from virtual_sensor.devices.patterns import Pattern
     from virtual_sensor.devices.projector import Projector
-    from virtual_sensor.imaging.camera_noise import CameraNoise
     from virtual_sensor.imaging.render import Frame
     from virtual_sensor.imaging.sequence import PatternFrames
     from virtual_sensor.medium.index_field import IndexField
@@ -697,17 +697,17 @@ def _field_info(axes: Axes, info: Any) -> None:
 # ----------------------------------------------------------------------------------- quantities
 
 
-@draws("imaging.camera_noise.CameraNoise")
-def _camera_noise(axes: Axes, camera: CameraNoise) -> None:
+@draws("devices.image_sensor.ImageSensor")
+def _image_sensor(axes: Axes, sensor: ImageSensor) -> None:
     """Noise over signal, and what it is made of: EMVA 1288's photon transfer."""
-    signal = np.geomspace(1.0, camera.full_well_e, 200)
+    signal = np.geomspace(1.0, sensor.full_well_e, 200)
     flat = np.ones_like(signal)
     parts = {
-        "dark": camera.dark_noise_e * flat,
+        "dark": sensor.dark_noise_e * flat,
         "shot": np.sqrt(signal),
-        "PRNU": camera.prnu * signal,
-        "DSNU": camera.dsnu_e * flat,
-        "rounding": flat / np.sqrt(12.0) / camera.gain,
+        "PRNU": sensor.prnu * signal,
+        "DSNU": sensor.dsnu_e * flat,
+        "rounding": flat / np.sqrt(12.0) / sensor.gain,
     }
     whole = np.sqrt(sum(part**2 for part in parts.values()))
     axes.loglog(signal, whole, color=BLUE, lw=2.0, label="in all")

@@ -156,7 +156,7 @@ class Codec(Displayed, ABC):
         *,
         noise: float | None = None,
         gain: float = 0.0,
-        camera: Any = None,
+        sensor: Any = None,
         black: float | None = None,
         saturation: float | None = None,
         least_modulation: float = LEAST_MODULATION,
@@ -177,7 +177,7 @@ class Codec(Displayed, ABC):
         gain : float
             Growth of the noise's variance per unit of signal: EMVA 1288's K, in grey values per
             electron; 1 for images in electrons; 0, none.
-        camera : CameraNoise, optional
+        sensor : ImageSensor, optional
             That took the images: it knows `noise`, `gain`, `black` and `saturation`, where they are
             not given.
         black : float, optional
@@ -203,15 +203,15 @@ class Codec(Displayed, ABC):
             option is out of its range.
         """
         stack, clipped = _stack(images, saturation, self)
-        light = _noise_of(noise, gain, camera, black, stack)
-        if saturation is None and camera is not None:
-            clipped = min(clipped, float(camera.saturation))
+        light = _noise_of(noise, gain, sensor, black, stack)
+        if saturation is None and sensor is not None:
+            clipped = min(clipped, float(sensor.saturation))
         within = "a fraction from 0 to 1"
         least = number_within("least_modulation", least_modulation, 0.0, 1.0, within)
         most = number_within("most_disagreement", most_disagreement, 0.0, 1.0, within)
         truth_of("edges", edges)
         number_within("border_px", border_px, 0.0, _MOST_PX, "px >= 0")
-        if noise is None and camera is None:
+        if noise is None and sensor is None:
             light = self._seen_noise(stack, light, clipped)
         found = self._all_blocks(stack, light, clipped)
         return self._judged(found, light, stack.shape[1:], least, most, edges, border_px)
@@ -434,19 +434,19 @@ def _stack(images: Any, saturation: float | None, codec: Codec) -> tuple[NDArray
 
 
 def _noise_of(
-    noise: float | None, gain: float, camera: Any, black: float | None, stack: NDArray[Any]
+    noise: float | None, gain: float, sensor: Any, black: float | None, stack: NDArray[Any]
 ) -> GreyNoise:
     step = 1.0 if stack.dtype.kind in "iu" else 0.0
-    if camera is not None:
+    if sensor is not None:
         wanted = ("grey_noise", "gain", "saturation", "black_level")
-        if not all(hasattr(camera, name) for name in wanted):
-            raise InputError(f"camera is {short(camera)}; give a CameraNoise")
+        if not all(hasattr(sensor, name) for name in wanted):
+            raise InputError(f"sensor is {short(sensor)}; give an ImageSensor")
         if noise is None:
-            noise = float(np.sqrt(max(camera.grey_noise**2 - 1.0 / 12.0, 0.0)))
-        black = camera.black_level if black is None else black
+            noise = float(np.sqrt(max(sensor.grey_noise**2 - 1.0 / 12.0, 0.0)))
+        black = sensor.black_level if black is None else black
     read = 0.0 if noise is None else number_within("noise", noise, 0.0, LARGEST, "grey values >= 0")
     gain = number_within("gain", gain, 0.0, LARGEST, "grey values per electron >= 0")
-    gain = gain or getattr(camera, "gain", 0.0)
+    gain = gain or getattr(sensor, "gain", 0.0)
     black = 0.0 if black is None else black
     dark = number_within("black", black, -LARGEST, LARGEST, "a grey value")
     return GreyNoise(read, gain, dark, step)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import number_within, whole_number
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import Displayed
-from virtual_sensor.imaging.camera_noise import CameraNoise, record
+from virtual_sensor.imaging.grey_values import grey_values
 from virtual_sensor.metrology.fringes.codec import Codec
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes
 
@@ -44,17 +45,17 @@ class Recording(Displayed):
     @property
     def resolved_bits(self) -> int | None:
         """Of the grey values; None where they are not rounded."""
-        return self.bits or (None if self.electrons is None else CameraNoise().bit_depth)
+        return self.bits or (None if self.electrons is None else ImageSensor().bit_depth)
 
     @property
-    def camera(self) -> CameraNoise | None:
+    def camera(self) -> ImageSensor | None:
         """Of so many bits, whose largest grey values are those of a full well."""
-        bits, usual = self.resolved_bits, CameraNoise()
+        bits, usual = self.resolved_bits, ImageSensor()
         if self.electrons is None or bits is None:
             return None
         finer = (2**bits - 1) / usual.white
         gain, black = usual.gain * finer, usual.black_level * finer
-        return CameraNoise(gain=gain, black_level=black, bit_depth=bits)
+        return ImageSensor(gain=gain, black_level=black, bit_depth=bits)
 
     def recorded(self, radiance: NDArray[np.float32], seed: int | None = None) -> NDArray[Any]:
         """Grey values of frames (..., H, W) of one exposure; the radiance as it is without either.
@@ -63,13 +64,13 @@ class Recording(Displayed):
         """
         if self.electrons is not None:
             seed = self.seed if seed is None else seed
-            return record(radiance, self.camera, seed, peak_e=self.electrons)
+            return grey_values(radiance, self.camera, seed, peak_e=self.electrons)
         return radiance if self.bits is None else _rounded(radiance, self.bits)
 
     def decoded(self, codec: Codec, images: NDArray[Any], **options: Any) -> DecodedFringes:
         """Recorded frames (K, H, W), decoded with what is known of the camera."""
         if self.electrons is not None:
-            return codec.decode(images, camera=self.camera, **options)
+            return codec.decode(images, sensor=self.camera, **options)
         return codec.decode(images, noise=0.0, **options)
 
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.devices.patterns import Uniform
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import CameraNoise
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import render_sequence
@@ -50,7 +50,7 @@ _NEAR = 0.7  # of the image's size: a period so long is its last but one
 _LEAST_LIGHT = 0.04  # of the brightest pixel's: what is darker is not decoded
 _LEAST_CONTRAST = 0.3  # of the finest fringes: below it, what is left is no sine
 _SEARCHED = 900  # pixels, on a grid
-_USUAL_E = CameraNoise()
+_USUAL_E = ImageSensor()
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import Displayed, span
-from virtual_sensor.imaging.camera_noise import CameraNoise, exposed, record
+from virtual_sensor.imaging.grey_values import exposed, grey_values
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.metrology.drawn_lines import cramer_rao_px, line_shares
 from virtual_sensor.metrology.truth import TrueLine
@@ -64,11 +65,20 @@ class Condition(Record):
         return float(self.column_electrons / (np.sqrt(2.0 * np.pi) * self.width_px))
 
     @property
-    def camera(self) -> CameraNoise:
+    def camera(self) -> ImageSensor:
         """One grey value an electron and a well that no clean line fills: nothing but noise."""
         clipped = self.kind == "saturated"
         well = self.peak_electrons / CLIPPED if clipped else _FULL_WELL_ELECTRONS
-        return CameraNoise(1.0, 1.0, self.read_noise_electrons, well, 16, 100.0, 0.0, 0.0)
+        return ImageSensor(
+            quantum_efficiency=1.0,
+            gain=1.0,
+            dark_noise_e=self.read_noise_electrons,
+            full_well_e=well,
+            bit_depth=16,
+            black_level=100.0,
+            dsnu_e=0.0,
+            prnu=0.0,
+        )
 
 
 STATED = Condition.of_peak("task", 1.5, peak_electrons=5000.0, read_noise_electrons=2.0)
@@ -127,7 +137,7 @@ def drawn_line(
         mean = speckled(mean, SPECKLE, rng)
     if condition.kind in ("speckle", "saturated"):
         bound_px = np.full(columns, np.nan)
-    grey = record(mean, condition.camera, rng)
+    grey = grey_values(mean, condition.camera, rng)
     line = TrueLine.of_rows(truth)
     return TrialImage(grey.astype(np.uint16), line, bound_px, _known(condition))
 
@@ -141,7 +151,7 @@ def frame_line(
     lit = np.flatnonzero(frame.lit.any(axis=1))
     rows = slice(max(lit[0] - HEIGHT_PX // 2, 0), lit[-1] + HEIGHT_PX // 2)
     light = light[rows]
-    grey = record(light, camera, np.random.default_rng(seed))
+    grey = grey_values(light, camera, np.random.default_rng(seed))
     bound_px = cramer_rao_px(light, shifted(light), condition.read_noise_electrons)
     return TrialImage(grey.astype(np.uint16), truth.moved(-rows.start), bound_px, _known(condition))
 

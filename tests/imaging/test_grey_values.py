@@ -1,4 +1,4 @@
-"""The camera's frames as the public `emva1288` package analyses them, and closed forms."""
+"""The sensor's frames as the public `emva1288` package analyses them, and closed forms."""
 
 import logging
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.camera_noise import (
-    CameraNoise,
+from virtual_sensor.imaging.grey_values import (
     exposed,
+    grey_values,
     irradiance,
     photons,
-    record,
 )
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -20,18 +20,18 @@ from virtual_sensor.metrology.line_peaks import line_centres
 emva = pytest.importorskip("emva1288.process.routines", reason="pip install '.[test]'")
 
 
-def analysed(camera, shape=(300, 400), levels=50, stack=100):
+def analysed(sensor, shape=(300, 400), levels=50, stack=100):
     """What the package's own analysis recovers: it takes images and photon counts, nothing else."""
     from emva1288.process import Data1288, Results1288
 
-    saturating = camera.full_well_e / camera.quantum_efficiency
+    saturating = sensor.full_well_e / sensor.quantum_efficiency
     shares = np.concatenate([np.linspace(0.0, 0.9, levels), np.linspace(0.9, 1.1, 41)[1:]])
     counts = shares * saturating
     rng = np.random.default_rng(1)
 
     def images(count, number):
         return emva.get_int_imgs(
-            [record(np.full(shape, count), camera, rng) for _ in range(number)]
+            [grey_values(np.full(shape, count), sensor, rng) for _ in range(number)]
         )
 
     temporal = {}
@@ -42,7 +42,7 @@ def analysed(camera, shape=(300, 400), levels=50, stack=100):
             "pvar": np.sum(pair["pvar"]),
             "dmean": pair["dmean"],
         }
-    half = 0.5 * camera.full_well_e / camera.quantum_efficiency
+    half = 0.5 * sensor.full_well_e / sensor.quantum_efficiency
     spatial = {count: images(count, stack) for count in (0.0, half)}
     data = Data1288(
         {
@@ -56,18 +56,18 @@ def analysed(camera, shape=(300, 400), levels=50, stack=100):
     return Results1288(data.data, loglevel=logging.ERROR)
 
 
-def saturation_capacity(camera):
-    """Mean electrons at which the standard calls a camera saturated: its noise is largest there.
+def saturation_capacity(sensor):
+    """Mean electrons at which the standard calls a sensor saturated: its noise is largest there.
 
     Exact: the variance of a clipped normal variable, averaged over the pixels' responses.
     """
-    mean = np.linspace(0.85, 1.02, 3401) * camera.full_well_e
+    mean = np.linspace(0.85, 1.02, 3401) * sensor.full_well_e
     nodes, weights = np.polynomial.hermite_e.hermegauss(61)
     variance = np.zeros_like(mean)
     for node, weight in zip(nodes, weights / weights.sum(), strict=True):
-        electrons = mean * (1.0 + camera.prnu * node)
-        spread = np.sqrt(electrons + camera.dark_noise_e**2)
-        z = (camera.full_well_e - electrons) / spread
+        electrons = mean * (1.0 + sensor.prnu * node)
+        spread = np.sqrt(electrons + sensor.dark_noise_e**2)
+        z = (sensor.full_well_e - electrons) / spread
         # Of (x - full well)/spread, clipped at 0.
         density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
         first = -z * ndtr(z) - density
@@ -78,23 +78,40 @@ def saturation_capacity(camera):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "camera",
+    "sensor",
     [
-        CameraNoise(),
-        CameraNoise(0.4, 0.05, 12.0, 70_000, 12, 100.0, 6.0, 0.005),
-        CameraNoise(0.8, 0.02, 20.0, 11_000, 8, 12.0, 30.0, 0.02),
+        ImageSensor(),
+        ImageSensor(
+            quantum_efficiency=0.4,
+            gain=0.05,
+            dark_noise_e=12.0,
+            full_well_e=70_000,
+            black_level=100.0,
+            dsnu_e=6.0,
+            prnu=0.005,
+        ),
+        ImageSensor(
+            quantum_efficiency=0.8,
+            gain=0.02,
+            dark_noise_e=20.0,
+            full_well_e=11_000,
+            bit_depth=8,
+            black_level=12.0,
+            dsnu_e=30.0,
+            prnu=0.02,
+        ),
     ],
     ids=["default", "large pixels", "8 bits"],
 )
-def test_emva1288_recovers_what_was_put_in_within_2_percent(camera, monkeypatch):
+def test_emva1288_recovers_what_was_put_in_within_2_percent(sensor, monkeypatch):
     """Quantum efficiency, gain, dark noise, DSNU and PRNU as put in, by a public package.
 
-    The saturation capacity agrees with the exact one of a camera that clips at `full_well_e`, but
+    The saturation capacity agrees with the exact one of a sensor that clips at `full_well_e`, but
     lies 2.1, 3.9 and 6.0 % below that level itself: the standard takes the peak of the variance.
     """
     # emva1288 1.0.2 calls what NumPy 2 took away.
     monkeypatch.setattr(np, "asfarray", lambda a: np.asarray(a, float), raising=False)
-    found = analysed(camera)
+    found = analysed(sensor)
     recovered = {
         "quantum_efficiency": found.QE / 100.0,
         "gain": found.K,
@@ -103,19 +120,19 @@ def test_emva1288_recovers_what_was_put_in_within_2_percent(camera, monkeypatch)
         "prnu": found.PRNU1288 / 100.0,
     }
     for name, value in recovered.items():
-        assert value == pytest.approx(getattr(camera, name), rel=0.02), name
-    assert found.u_e_sat == pytest.approx(saturation_capacity(camera), rel=0.02)
+        assert value == pytest.approx(getattr(sensor, name), rel=0.02), name
+    assert found.u_e_sat == pytest.approx(saturation_capacity(sensor), rel=0.02)
 
 
 def test_noise_grows_with_the_signal_as_the_standard_says():
     """Equation 14: K^2 sigma_d^2 + 1/12 + K (mu_y - mu_dark), without any package."""
-    camera = CameraNoise(dsnu_e=0.0, prnu=0.0)
+    sensor = ImageSensor(dsnu_e=0.0, prnu=0.0)
     for mean_e in (0.0, 50.0, 1000.0, 5000.0):
-        light = np.full((500, 500), mean_e / camera.quantum_efficiency)
-        grey = record(light, camera, seed=3).astype(float)
-        expected = camera.grey_noise**2 + camera.gain**2 * mean_e
+        light = np.full((500, 500), mean_e / sensor.quantum_efficiency)
+        grey = grey_values(light, sensor, seed=3).astype(float)
+        expected = sensor.grey_noise**2 + sensor.gain**2 * mean_e
         assert grey.var() == pytest.approx(expected, rel=0.01)
-        assert grey.mean() == pytest.approx(camera.black_level + camera.gain * mean_e, rel=2e-3)
+        assert grey.mean() == pytest.approx(sensor.black_level + sensor.gain * mean_e, rel=2e-3)
 
 
 KINDS = [{"bit_depth": 8, "gain": 0.02, "dsnu_e": 60.0}, {"dsnu_e": 60.0}]
@@ -124,22 +141,22 @@ KINDS = [{"bit_depth": 8, "gain": 0.02, "dsnu_e": 60.0}, {"dsnu_e": 60.0}]
 @pytest.mark.parametrize("kind", KINDS, ids=["8 bits", "12 bits"])
 def test_seeds_repeat_to_the_bit(kind):
     """The same seed, the same frame; another seed, other noise."""
-    camera, light = CameraNoise(**kind), np.full((60, 70), 2000.0)
-    first, again, other = (record(light, camera, seed) for seed in (5, 5, 6))
-    assert first.dtype == (np.uint8 if camera.bit_depth == 8 else np.uint16)
+    sensor, light = ImageSensor(**kind), np.full((60, 70), 2000.0)
+    first, again, other = (grey_values(light, sensor, seed) for seed in (5, 5, 6))
+    assert first.dtype == (np.uint8 if sensor.bit_depth == 8 else np.uint16)
     assert first.tobytes() == again.tobytes()
     assert np.any(first != other)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=["8 bits", "12 bits"])
 def test_the_fixed_pattern_is_the_cameras_own(kind):
-    """What is left of the dark when noise is averaged out: equal in all frames of one camera."""
+    """What is left of the dark when noise is averaged out: equal in all frames of one sensor."""
 
     def pattern(seeds, pattern_seed=0):
-        camera = CameraNoise(**kind, pattern_seed=pattern_seed)
+        sensor = ImageSensor(**kind, pattern_seed=pattern_seed)
         dark = np.zeros((60, 70))
-        mean = np.mean([record(dark, camera, seed).astype(float) for seed in seeds], axis=0)
-        return (mean - camera.black_level).ravel() / camera.gain
+        mean = np.mean([grey_values(dark, sensor, seed).astype(float) for seed in seeds], axis=0)
+        return (mean - sensor.black_level).ravel() / sensor.gain
 
     early, late, others = pattern(range(200)), pattern(range(200, 400)), pattern(range(200), 1)
     assert np.corrcoef(early, late)[0, 1] > 0.95
@@ -154,20 +171,20 @@ def test_the_fixed_pattern_is_the_cameras_own(kind):
 def test_a_bright_pixel_is_clipped_and_the_detectors_are_told_where():
     """By the well or by the converter, whichever comes first."""
     light = np.full((20, 20), 1e9)
-    for camera in (CameraNoise(), CameraNoise(gain=0.1), CameraNoise(bit_depth=8, gain=0.1)):
-        grey = record(light, camera)
-        assert grey.min() >= camera.saturation - 1
-        assert grey.max() <= camera.white
-    assert CameraNoise().saturation == 64 + int(0.37 * 10_500)
-    assert CameraNoise(bit_depth=8, gain=0.1).saturation == 255
+    for sensor in (ImageSensor(), ImageSensor(gain=0.1), ImageSensor(bit_depth=8, gain=0.1)):
+        grey = grey_values(light, sensor)
+        assert grey.min() >= sensor.saturation - 1
+        assert grey.max() <= sensor.white
+    assert ImageSensor().saturation == 64 + int(0.37 * 10_500)
+    assert ImageSensor(bit_depth=8, gain=0.1).saturation == 255
 
 
 def test_no_light_is_too_much():
     """NumPy draws Poisson numbers up to 9e18 only; beyond the well they make no difference."""
     light = np.array([[1e3, 1e12, 1e300]])
-    np.testing.assert_array_equal(record(light, CameraNoise())[0, 1:], 3949)
-    bottomless = CameraNoise(full_well_e=1e30, gain=1e-9)
-    np.testing.assert_array_equal(record(light, bottomless)[0, 2], 4095)
+    np.testing.assert_array_equal(grey_values(light, ImageSensor())[0, 1:], 3949)
+    bottomless = ImageSensor(full_well_e=1e30, gain=1e-9)
+    np.testing.assert_array_equal(grey_values(light, bottomless)[0, 2], 4095)
 
 
 def test_photons_of_a_known_irradiance():
@@ -179,7 +196,7 @@ def test_photons_of_a_known_irradiance():
 
 
 def test_irradiance_of_a_lens():
-    """A camera at f/1 sees pi/4 of the radiance; twice the f-number, a quarter of it."""
+    """A sensor at f/1 sees pi/4 of the radiance; twice the f-number, a quarter of it."""
     assert irradiance(1.0, 1.0) == pytest.approx(np.pi / 4.0)
     assert irradiance(1.0, 2.0) == pytest.approx(np.pi / 16.0)
     assert irradiance(1.0, 1.0, magnification=1.0) == pytest.approx(np.pi / 16.0)
@@ -187,11 +204,11 @@ def test_irradiance_of_a_lens():
 
 def test_exposure_puts_the_brightest_pixel_where_it_is_asked():
     """So that a signal level can be named in electrons whatever the renderer's unit is."""
-    camera = CameraNoise()
-    light = exposed(np.array([[0.0, 1e-7, 2e-7]]), 4000.0, camera)
-    np.testing.assert_allclose(light * camera.quantum_efficiency, [[0.0, 2000.0, 4000.0]])
+    sensor = ImageSensor()
+    light = exposed(np.array([[0.0, 1e-7, 2e-7]]), 4000.0, sensor)
+    np.testing.assert_allclose(light * sensor.quantum_efficiency, [[0.0, 2000.0, 4000.0]])
     with pytest.raises(InputError, match="dark"):
-        exposed(np.zeros((3, 3)), 4000.0, camera)
+        exposed(np.zeros((3, 3)), 4000.0, sensor)
 
 
 @pytest.mark.parametrize(
@@ -208,7 +225,7 @@ def test_exposure_puts_the_brightest_pixel_where_it_is_asked():
 def test_a_camera_that_can_not_be_is_refused(bad, says):
     """The message names the parameter and what it may be."""
     with pytest.raises(InputError, match=says):
-        CameraNoise(**bad)
+        ImageSensor(**bad)
 
 
 @pytest.mark.parametrize(
@@ -218,48 +235,48 @@ def test_a_camera_that_can_not_be_is_refused(bad, says):
 def test_light_that_can_not_be_is_refused(light):
     """Rather than turned into grey values."""
     with pytest.raises(InputError, match="photons"):
-        record(light, CameraNoise())
+        grey_values(light, ImageSensor())
     with pytest.raises(InputError, match=r"photons: its values go down to -2; .* from 0 on"):
-        record(np.eye(3) - 2.0)
+        grey_values(np.eye(3) - 2.0)
 
 
 def test_what_a_camera_knows_need_not_be_said_again():
     """Rationale: what is asked for twice is once given wrong."""
     row = np.arange(40.0)[:, None]
     image = 1e-6 * np.exp(-((row - 20.3) ** 2) / 4.5) * np.ones(60)
-    camera = CameraNoise(full_well_e=3000.0)
-    grey = record(exposed(image, 2000.0, camera), camera, seed=3)
-    np.testing.assert_array_equal(record(image, camera, 3, peak_e=2000.0), grey)
+    sensor = ImageSensor(full_well_e=3000.0)
+    grey = grey_values(exposed(image, 2000.0, sensor), sensor, seed=3)
+    np.testing.assert_array_equal(grey_values(image, sensor, 3, peak_e=2000.0), grey)
     np.testing.assert_array_equal(
-        record(image, peak_e=2000.0), record(image, CameraNoise(), peak_e=2000.0)
+        grey_values(image, peak_e=2000.0), grey_values(image, ImageSensor(), peak_e=2000.0)
     )
     told = line_centres(
-        grey, noise=camera.grey_noise, gain=camera.gain, saturation=camera.saturation
+        grey, noise=sensor.grey_noise, gain=sensor.gain, saturation=sensor.saturation
     )
-    known = line_centres(grey, camera=camera)
+    known = line_centres(grey, sensor=sensor)
     np.testing.assert_array_equal(known.sigma, told.sigma)
     assert np.median(np.abs(known.sigma / line_centres(grey).sigma - 1.0)) > 0.01
-    clipped = record(image, camera, peak_e=9000.0)
-    assert np.all(line_centres(clipped, camera=camera).status == Status.SATURATED)
+    clipped = grey_values(image, sensor, peak_e=9000.0)
+    assert np.all(line_centres(clipped, sensor=sensor).status == Status.SATURATED)
 
 
 def test_frames_of_a_sequence_are_exposed_alike_and_have_noise_of_their_own():
     """A dark frame stays dark, and the fixed pattern is the same in all."""
-    camera = CameraNoise(bit_depth=8, gain=0.02, black_level=5.0, dsnu_e=40.0, prnu=0.0)
+    sensor = ImageSensor(bit_depth=8, gain=0.02, black_level=5.0, dsnu_e=40.0, prnu=0.0)
     frames = np.stack([np.full((40, 50), level) for level in (0.2, 0.1, 0.0, 0.2)])
-    grey = record(frames.astype(np.float32), camera, 3, peak_e=8000.0)
+    grey = grey_values(frames.astype(np.float32), sensor, 3, peak_e=8000.0)
     assert grey.dtype == np.uint8
     assert grey.shape == frames.shape
     np.testing.assert_allclose(grey.mean(axis=(1, 2)), [165.0, 85.0, 5.0, 165.0], atol=0.1)
     assert np.std(grey[0].astype(float) - grey[3]) == pytest.approx(
         np.sqrt(2.0 * (0.02**2 * 8000.0 + 1.0 / 12.0)), rel=0.05
     )
-    np.testing.assert_array_equal(record(frames, camera, 3, peak_e=8000.0), grey)
-    single = record(frames[1] * 8000.0 / 0.2 / 0.62, camera)
+    np.testing.assert_array_equal(grey_values(frames, sensor, 3, peak_e=8000.0), grey)
+    single = grey_values(frames[1] * 8000.0 / 0.2 / 0.62, sensor)
     assert abs(single.mean() - grey[1].mean()) < 0.1
     with pytest.raises(InputError, match="dark"):
-        record(np.full((2, 4, 4), np.nan), camera, peak_e=100.0)
+        grey_values(np.full((2, 4, 4), np.nan), sensor, peak_e=100.0)
     with pytest.raises(InputError, match="frame 1: 2000 of its 2000 values are not finite"):
-        record(np.stack([frames[0], frames[0] + np.nan]), camera, peak_e=100.0)
+        grey_values(np.stack([frames[0], frames[0] + np.nan]), sensor, peak_e=100.0)
     with pytest.raises(InputError, match="dark"):
-        record(np.zeros((2, 4, 4)), camera, peak_e=100.0)
+        grey_values(np.zeros((2, 4, 4)), sensor, peak_e=100.0)
