@@ -13,12 +13,15 @@ from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import SceneSurface
+from virtual_sensor.optics.undistortion import Undistortion
 from virtual_sensor.poses import Pose
 
 OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 """Mitsuba's camera has x to the left and y up; ours has x along u and y along v, with z forward."""
 
 Array = NDArray[np.float64]
+
+_ON_BORDER = 33  # places along a side of the film whose rays bound those of all
 
 
 def camera_of(sensor: mi.Sensor) -> LensCamera | None:
@@ -68,6 +71,7 @@ class View:
         inverse = np.linalg.inv(camera.matrix[:2, :2]).ravel()
         numbers = [*(camera.matrix[:2, 2] + 0.5), *inverse]  # Mitsuba's half pixel
         self._numbers = [dr.opaque(mi.Float, float(n)) for n in numbers]
+        self._undistortion = Undistortion(camera) if camera.distorts else None
 
     @property
     def pixels(self) -> int:
@@ -91,6 +95,9 @@ class View:
             return ray, weight
         u0, v0, a, b, c, d = self._numbers
         u, v = place.x - u0, place.y - v0
+        if self._undistortion:
+            by_u, by_v = self._undistortion.at(place)
+            u, v = u + by_u, v + by_v
         x, y, z = self._axes
         slope = x * (a * u + b * v) + y * (c * u + d * v) + z
         ray = mi.Ray3f(mi.Point3f(self._origin), mi.Vector3f(dr.normalize(slope)))
@@ -108,11 +115,12 @@ class View:
 
     @property
     def corners(self) -> tuple[Array, Array]:
-        """Lowest and highest (p, q) of a pinhole's pixels, each of shape (2,)."""
+        """Lowest and highest (p, q) of the film's border, each of shape (2,)."""
         first = np.array(self.sensor.film().crop_offset(), float) - 0.5
         last = first + np.array([self.width, self.height])
         assert self.camera is not None
-        sides = np.stack(np.meshgrid(*np.stack([first, last]).T), axis=-1)
+        count = _ON_BORDER if self.camera.distorts else 2
+        sides = np.stack(np.meshgrid(*np.linspace(first, last, count).T), axis=-1)
         p, q = self.camera.of_pixels(sides)
         return np.array([p.min(), q.min()]), np.array([p.max(), q.max()])
 
@@ -120,7 +128,9 @@ class View:
     def pitch(self) -> float:
         """Angle between rays of pixels side by side, in the middle of the film, rad."""
         if self.camera is not None:
-            return float(np.linalg.norm(np.linalg.inv(self.camera.matrix[:2, :2]), axis=0).max())
+            pq = self.camera.of_pixels(self.camera.matrix[:2, 2])
+            by_pq = np.linalg.inv(self.camera.pixel_slopes(*pq))
+            return float(np.linalg.norm(by_pq, axis=0).max())
         middle = self.pixels // 2 + self.width // 2
         one, other = to_numpy(self.centres(np.array([middle, middle + 1], np.uint32)).d)
         return float(np.linalg.norm(one - other))
