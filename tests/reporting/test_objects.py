@@ -178,6 +178,21 @@ def test_the_noise_that_is_drawn_is_the_noise_of_recorded_frames(made):
         assert np.interp(electrons, signal, noise) == pytest.approx(measured, rel=0.02)
 
 
+def test_beyond_a_knee_the_noise_that_is_drawn_is_that_of_the_light():
+    """From frames alone: the spread of the grey values over the slope of their mean."""
+    sensor = vs.ImageSensor(knee=(0.6, 6.0), prnu=0.01, dsnu_e=0.0, bit_depth=16)
+    signal, noise = sensor.plot(Figure().add_subplot()).lines[0].get_data()
+    assert signal[-1] == pytest.approx(6.0 * sensor.full_well_e)
+    for electrons in (3000.0, 20_000.0, 50_000.0):
+        grey = [
+            vs.grey_values(np.full((300, 300), e / sensor.quantum_efficiency), sensor, 1)
+            for e in (0.97 * electrons, electrons, 1.03 * electrons)
+        ]
+        slope = (grey[2].mean() - grey[0].mean()) / (0.06 * electrons)
+        measured = grey[1].std() / slope
+        assert np.interp(electrons, signal, noise) == pytest.approx(measured, rel=0.02)
+
+
 def test_what_cannot_be_drawn_or_saved_is_told(made, tmp_path):
     with pytest.raises(InputError, match=r"a March has no picture; to_dataframe\(\)"):
         made["scene"].transport.march.plot()

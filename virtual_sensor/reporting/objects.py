@@ -699,15 +699,20 @@ def _field_info(axes: Axes, info: Any) -> None:
 
 @draws("devices.image_sensor.ImageSensor")
 def _image_sensor(axes: Axes, sensor: ImageSensor) -> None:
-    """Noise over signal, and what it is made of: EMVA 1288's photon transfer."""
-    signal = np.geomspace(1.0, sensor.full_well_e, 200)
-    flat = np.ones_like(signal)
+    """Noise over signal, and what it is made of: EMVA 1288's photon transfer.
+
+    Of a sensor with a knee, both are those of the light: beyond it less of them is read.
+    """
+    share, times = sensor.knee or (1.0, 1.0)
+    signal = np.geomspace(1.0, times * sensor.full_well_e, 200)
+    last = (1.0 - share) / (times - share) if sensor.knee else 1.0
+    read = np.where(signal > share * sensor.full_well_e, last, 1.0)  # per electron of light
     parts = {
-        "dark": sensor.dark_noise_e * flat,
-        "shot": np.sqrt(signal),
+        "dark": sensor.dark_noise_e / read,
+        "shot": np.sqrt(signal / read),
         "PRNU": sensor.prnu * signal,
-        "DSNU": sensor.dsnu_e * flat,
-        "rounding": flat / np.sqrt(12.0) / sensor.gain,
+        "DSNU": sensor.dsnu_e / read,
+        "rounding": 1.0 / np.sqrt(12.0) / sensor.gain / read,
     }
     whole = np.sqrt(sum(part**2 for part in parts.values()))
     axes.loglog(signal, whole, color=BLUE, lw=2.0, label="in all")
