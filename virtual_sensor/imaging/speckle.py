@@ -7,20 +7,26 @@ the pixels integrate it.  Contrast and grain so follow from aperture and wavelen
 many frames is the ideal frame blurred by diffraction.  Goodman 2007, "Speckle phenomena in optics",
 chapters 3 to 5.
 
-Limits: fully developed speckle of a surface at rest, one wavelength, no aberration or defocus; a
-laser line's columns are as alike as the aperture makes them.  Light that the surface depolarises
-makes two patterns, which add: `polarisations`.  Light of other sources is added afterwards.
+Light is coherent only in part where the surface depolarises it, where its wavelengths see the
+surface's depth by different numbers of waves, or where the laser has several modes: patterns that
+differ add, and contrast falls by 1/sqrt(their number) while the grains stay as large (chapter 5
+there).
+
+Limits: fully developed speckle, no aberration but defocus.  Light of other sources is added
+afterwards.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft2, fftfreq, ifft2, next_fast_len
+from scipy.fft import fft, fftfreq, ifft, next_fast_len
 from scipy.integrate import quad
 from scipy.special import j1, struve
 
@@ -30,6 +36,7 @@ from virtual_sensor.arrays import (
     generator_of,
     image_of,
     number_within,
+    numbers_of,
     whole_number,
 )
 from virtual_sensor.calls import public
@@ -37,12 +44,18 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
+Box = tuple[slice, slice]
 
-_APRON_GRAINS = 8  # about what is lit, and about each strip; 1 % of the light is scattered farther
-_MOST_SAMPLES = 1 << 23  # of a strip
+_APRON_GRAINS = 8  # about what is lit, and about each window; 1 % of the light is scattered farther
+_WINDOW = 256  # px: width of the strips in which lit runs are looked for, and their most height
+_MOST_SAMPLES = 1 << 22  # of a window
 _MOST_FINE = 32  # samples per pixel's side
+_MOST_PATTERNS = 256
+_BLOCK = 16, 32  # px, rows and columns: of the surface, each with random numbers of its own
+_AT_ONCE = 4  # windows
 _DARK = 1e-30  # of the brightest pixel
 _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
+_FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # of a Gaussian, in standard deviations
 
 
 @public
@@ -60,6 +73,13 @@ class Aperture(Displayed):
         Image over object; the working f-number is N (1 + m).
     polarisations : int
         Patterns that add: 1, or 2 where the surface depolarises.
+    linewidth_nm : float
+        Full width of the laser's spectrum at half its height; 0: one wavelength.
+    roughness_um : float
+        Standard deviation of the depths from which light comes back: Rq of a rough surface, the
+        depth of penetration of paint, paper or ceramics.
+    modes : float
+        Of the laser, incoherent to each other, whose patterns differ; 1 of a single-mode one.
     """
 
     f_number: float
@@ -67,11 +87,16 @@ class Aperture(Displayed):
     pixel_um: float = 5.5
     magnification: float = 0.0
     polarisations: int = 1
+    linewidth_nm: float = 0.0
+    roughness_um: float = 0.0
+    modes: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("f_number", "wavelength_nm", "pixel_um"):
             number_within(f"aperture: {name}", getattr(self, name), SMALLEST, LARGEST, "it above 0")
-        number_within("aperture: magnification", self.magnification, 0.0, LARGEST, "it from 0 on")
+        for name in ("magnification", "linewidth_nm", "roughness_um"):
+            number_within(f"aperture: {name}", getattr(self, name), 0.0, LARGEST, "it from 0 on")
+        number_within("aperture: modes", self.modes, 1.0, LARGEST, "it from 1 on")
         whole_number("aperture: polarisations", self.polarisations, 1, 2)
 
     @property
@@ -85,8 +110,30 @@ class Aperture(Displayed):
         """Radius of a speckle: first zero of the intensity's correlation, 1.22 lambda N."""
         return _AIRY_ZERO * self.resolution_px
 
+    @property
+    def patterns(self) -> float:
+        """Number of equal patterns that would have this contrast: of polarisations, depth, modes.
+
+        Of a Gaussian spectrum and Gaussian depths, square to light and sight, the patterns of all
+        wavelengths together have a squared contrast of 1/sqrt(1 + (4 sigma_h sigma_k)^2), sigma_h
+        the spread of depths and sigma_k that of 2 pi/lambda: Parry 1974; Goodman 2007, 5.3.
+        """
+        spread = 2.0 * np.pi * self.linewidth_nm / _FWHM * 1e3 / self.wavelength_nm**2  # 1/um
+        of_depth = np.sqrt(1.0 + (4.0 * self.roughness_um * spread) ** 2)
+        return float(self.polarisations * self.modes * of_depth)
+
+    @property
+    def _weights(self) -> Array:
+        """Parts of the light of the fewest patterns with this contrast: all alike but the last."""
+        squares, many = 1.0 / self.patterns, int(np.ceil(self.patterns * (1.0 - 1e-12))) - 1
+        if not many:
+            return np.ones(1)
+        rest = max(1.0 - (1.0 + 1.0 / many) * (1.0 - squares), 0.0)
+        each = (1.0 + np.sqrt(rest)) / (1.0 + many)
+        return np.array([each] * many + [1.0 - many * each])
+
     def correlation(self, distance_px: ArrayLike) -> Array:
-        """Correlation of the intensity on the sensor, |2 J1(x)/x|^2: Goodman 2007, 5.2."""
+        """Correlation of the intensity on the sensor, |2 J1(x)/x|^2: Goodman 2007, 4.4."""
         x = np.pi * np.asarray(distance_px, float) / self.resolution_px
         small = np.abs(x) < 1e-6
         return np.where(small, 1.0, (2.0 * j1(x) / np.where(small, 1.0, x)) ** 2)
@@ -95,8 +142,9 @@ class Aperture(Displayed):
     def contrast(self) -> float:
         """Standard deviation over mean of the pixels' grey values where the light is even.
 
-        C^2 = integral of (1 - |x|)(1 - |y|) |2 J1/r|^2 over the pixel, over the polarisations:
-        Goodman 2007, 4.6.  The sum over directions is done first, so that one integral is left.
+        C^2 = integral of (1 - |x|)(1 - |y|) |2 J1/r|^2 over the pixel, over the number of
+        patterns: Goodman 2007, 4.6.  The sum over directions is done first, so that one integral
+        is left.
         """
 
         def ring(r: float) -> float:
@@ -113,7 +161,7 @@ class Aperture(Displayed):
         edges = np.clip(np.arange(0.0, 3.0, 0.5 * self.resolution_px), 0.0, np.sqrt(2.0))
         ends = [*edges, 1.0, np.sqrt(2.0)]
         total = _integral(lambda r: ring(r) * float(self.correlation(r)), ends)
-        return float(np.sqrt(total / self.polarisations))
+        return float(np.sqrt(total / self.patterns))
 
 
 def _integral(function: Callable[[float], float], edges: list[float]) -> float:
@@ -123,7 +171,12 @@ def _integral(function: Callable[[float], float], edges: list[float]) -> float:
 
 
 @public
-def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generator = 0) -> Array:
+def speckled(
+    image: ArrayLike,
+    aperture: Aperture,
+    seed: int | np.random.Generator = 0,
+    blur_px: ArrayLike = 0.0,
+) -> Array:
     """An image (H, W) as coherent light shows it: with speckle, in the same unit.
 
     What lies within 8 grains of lit pixels is computed, the rest is dark.  At the image's borders
@@ -135,67 +188,195 @@ def speckled(image: ArrayLike, aperture: Aperture, seed: int | np.random.Generat
         The ideal frame, of incoherent light: the laser's alone.
     aperture : Aperture
     seed : int or numpy.random.Generator
-        Of the surface: the same seed gives the same bits.
+        Of the surface: the same seed gives the same bits.  Each pixel has scatterers of its own,
+        whatever else is lit: light that moves on a surface at rest finds it as it was.
+    blur_px : float or array_like of shape (H, W)
+        Radius of the circle of confusion by which defocus is to blur a sharp image.  The grains of
+        a thin line are drawn out across it then.  An image of blurs is averaged over each window
+        of 256 px, by its light.
 
     Raises
     ------
     InputError
         Where the image has another shape, or holds what is negative or no number; where the grains
-        are finer than a 16th of a pixel.
+        are finer than a 16th of a pixel, or more patterns add than are worth simulating.
     """
     if not isinstance(aperture, Aperture):
         raise InputError(f"speckled: aperture is {short(aperture)}; give an Aperture")
     image = image_of("speckled: image", image, 0.0)
-    fine = max(3, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
+    blur = _blur_of(blur_px, image.shape)
+    fine = max(2, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
+    faint = f"their contrast is {aperture.contrast:.2g}; leave speckle out, or"
     if fine > _MOST_FINE:
         raise InputError(
-            f"speckled: {fine} grains to a pixel's side are too many to simulate, and their "
-            f"contrast is {aperture.contrast:.2g}; leave speckle out, or make f_number larger"
+            f"speckled: {fine} grains to a pixel's side are too many to simulate, and {faint} make"
+            " f_number larger"
         )
-    rng = generator_of("speckled: seed", seed)
+    if aperture.patterns > _MOST_PATTERNS:
+        raise InputError(
+            f"speckled: {aperture.patterns:.3g} patterns that add are too many to simulate, and"
+            f" {faint} make linewidth_nm, roughness_um or modes smaller"
+        )
+    key = int(generator_of("speckled: seed", seed).integers(2**63))
     seen = np.zeros_like(image)
     brightest = image.max(initial=0.0)
     if not brightest:
         return seen
-    light = image / brightest
-    light[light < _DARK] = 0.0
-    apron = int(np.ceil(_APRON_GRAINS * aperture.grain_px)) + 2
-    rows, columns = (np.flatnonzero(light.any(axis=axis)) for axis in (1, 0))
-    box = tuple(slice(max(lit[0] - apron, 0), lit[-1] + apron + 1) for lit in (rows, columns))
-    light, result = light[box], seen[box]
-    if light.shape[0] < light.shape[1]:  # strips go along the longer side
-        light, result = light.T, result.T
-    for _ in range(aperture.polarisations):
-        result += _pattern(light, aperture, fine, apron, rng) / aperture.polarisations
-    return seen * brightest
+    lit = image > _DARK * brightest
+    apron = int(np.ceil(_APRON_GRAINS * aperture.grain_px + blur[lit].max())) + 2
 
+    def fill(box: Box) -> None:
+        near = _lit_about(box, lit, apron)
+        light = _at(image, near, 1) / brightest
+        amplitude = np.sqrt(_finer(_finer(light, fine).T, fine).T).astype(np.float32)
+        radius = float(np.average(_at(blur, near), weights=_at(image, near)))
+        pupil = _Pupil.of(aperture, fine, radius, box, near, apron)
+        total = np.zeros([fine * (side.stop - side.start) + 2 for side in box], np.float32)
+        for number, part in enumerate(aperture._weights):
+            field = pupil.passes(amplitude * _scatterers(key, number, near, fine))
+            total += np.float32(part) * (field.real**2 + field.imag**2)
+        seen[box] = brightest * _integrated(_integrated(total, fine).T, fine).T
 
-def _pattern(
-    light: Array, aperture: Aperture, fine: int, apron: int, rng: np.random.Generator
-) -> Array:
-    """One polarisation's intensity, strip by strip; strips share the surface where they overlap."""
-    surface = np.pad(light, apron, mode="edge")
-    width = fine * surface.shape[1]
-    overlap = 2 * apron
-
-    def scatterers(rows: int) -> NDArray[np.complex64]:
-        pairs = rng.standard_normal((rows * fine, 2 * width), np.float32)
-        return pairs.view(np.complex64) * np.float32(np.sqrt(0.5))
-
-    most = max(_MOST_SAMPLES // (fine * width) - overlap, apron)
-    seen = np.empty_like(light)
-    noise = scatterers(overlap)
-    for top in range(0, len(light), most):
-        strip = surface[top : top + most + overlap]
-        noise = np.concatenate([noise[-overlap * fine :], scatterers(len(strip) - overlap)])
-        field = np.sqrt(_finer(_finer(strip, fine).T, fine).T).astype(np.float32) * noise
-        imaged = _integrated(_integrated(_intensity(field, aperture, fine), fine).T, fine).T
-        seen[top : top + most] = imaged[apron:-apron, apron:-apron]
+    with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy and SciPy run beside each other
+        deque(threads.map(fill, _windows(lit, apron, fine)), maxlen=0)
     return seen
 
 
+def _blur_of(blur_px: ArrayLike, shape: tuple[int, ...]) -> Array:
+    """Radius of each pixel's blur, (H, W), checked."""
+    blur = numbers_of("speckled: blur_px", blur_px)
+    most = min(shape, default=0) / 2.0 + 1.0
+    if blur.shape not in ((), shape) or not np.all((blur >= 0.0) & (blur <= most)):
+        raise InputError(
+            f"speckled: blur_px is {short(blur_px)}; give a radius in px, or an image of radii of"
+            f" shape {shape}, from 0 up to half the image"
+        )
+    return np.broadcast_to(blur, shape)
+
+
+def _windows(lit: NDArray[np.bool_], apron: int, fine: int) -> Iterator[Box]:
+    """Boxes that hold all pixels within an apron of lit ones: strips across the longer side."""
+    rows, columns = (np.flatnonzero(lit.any(axis=axis)) for axis in (1, 0))
+    if np.ptp(rows) > np.ptp(columns):
+        yield from ((rows, columns) for columns, rows in _windows(lit.T, apron, fine))
+        return
+    height, width = lit.shape
+    side = max(_WINDOW, 2 * apron)
+    most = max(_MOST_SAMPLES // (fine**2 * (side + 2 * apron)) - 2 * apron, _BLOCK[0])
+    first, last = max(columns[0] - apron, 0), min(columns[-1] + apron + 1, width)
+    for left in range(first - first % side, last, side):
+        strip = lit[rows[0] : rows[-1] + 1, max(left - apron, 0) : left + side + apron]
+        found = rows[0] + np.flatnonzero(strip.any(axis=1))
+        for run in np.split(found, np.flatnonzero(np.diff(found) > 2 * apron) + 1):
+            if run.size:
+                top, bottom = max(run[0] - apron, 0), min(run[-1] + apron + 1, height)
+                for high in range(top, bottom, min(most, side)):
+                    low = min(high + min(most, side), bottom)
+                    yield slice(high, low), slice(max(left, first), min(left + side, last))
+
+
+def _lit_about(box: Box, lit: NDArray[np.bool_], apron: int) -> Box:
+    """The box of what is lit within an apron of a window; beyond the image as on its borders."""
+    near = _at(lit, box, apron)
+    rows, columns = (
+        slice(side.start - apron + int(found[0]), side.start - apron + int(found[-1]) + 1)
+        for side, axis in zip(box, (1, 0), strict=True)
+        if (found := np.flatnonzero(near.any(axis=axis))).size
+    )
+    return rows, columns
+
+
+def _at(image: NDArray, box: Box, margin: int = 0) -> NDArray:
+    """An image in a box that may reach beyond it, where it goes on as on its borders."""
+    inside = (
+        np.clip(np.arange(side.start - margin, side.stop + margin), 0, size - 1)
+        for side, size in zip(box, image.shape, strict=True)
+    )
+    return image[np.ix_(*inside)]
+
+
+def _scatterers(key: int, number: int, box: Box, fine: int) -> NDArray[np.complex64]:
+    """Circular complex Gaussian numbers of a pattern's samples in a box of pixels.
+
+    By counters: each block of the surface has its own, whatever box is asked for.
+    """
+    blocks = [
+        range(side.start // size, (side.stop - 1) // size + 1)
+        for side, size in zip(box, _BLOCK, strict=True)
+    ]
+    shape = fine * _BLOCK[0], 2 * fine * _BLOCK[1]
+
+    def drawn(row: int, column: int) -> NDArray[np.float32]:
+        counter = np.array([0, 0, row % 2**64, column % 2**64], np.uint64)
+        bits = np.random.Philox(key=np.array([key, number], np.uint64), counter=counter)
+        return np.random.Generator(bits).standard_normal(shape, np.float32)
+
+    pairs = np.block([[drawn(row, column) for column in blocks[1]] for row in blocks[0]])
+    within = tuple(
+        slice(fine * (side.start - first[0] * size), fine * (side.stop - first[0] * size))
+        for side, first, size in zip(box, blocks, _BLOCK, strict=True)
+    )
+    return pairs.view(np.complex64)[within]
+
+
+@dataclass(frozen=True)
+class _Pupil:
+    """How the aperture passes a field from one box to another, by Fourier transforms.
+
+    Attributes
+    ----------
+    sizes : tuple of int
+        Samples of the transforms: nothing comes round from within an apron.
+    kept : tuple of ndarray
+        Numbers of the frequencies, of rows and of columns, that the aperture lets through.
+    factors : ndarray
+        What it makes of each of them, so that the light keeps its power.
+    wanted : tuple of ndarray
+        Numbers of the window's samples, and of one more on each side.
+    """
+
+    sizes: list[int]
+    kept: list[NDArray[np.intp]]
+    factors: NDArray[np.complex64]
+    wanted: list[NDArray[np.intp]]
+
+    @classmethod
+    def of(
+        cls, aperture: Aperture, fine: int, blur_px: float, box: Box, near: Box, apron: int
+    ) -> _Pupil:
+        """From the lit pixels near a window to the window; defocus is a phase on the pupil."""
+        both = list(zip(box, near, strict=True))
+        reach = (max(to.stop - by.start, by.stop - to.start) + apron for to, by in both)
+        sizes = [next_fast_len(fine * pixels) for pixels in reach]
+        wanted = [
+            np.arange(fine * (to.start - by.start) - 1, fine * (to.stop - by.start) + 1) % size
+            for (to, by), size in zip(both, sizes, strict=True)
+        ]
+        cutoff = 0.5 / aperture.resolution_px
+        frequencies = [fftfreq(size) * fine for size in sizes]
+        kept = [np.flatnonzero(np.abs(each) <= cutoff) for each in frequencies]
+        v, u = (each[of] ** 2 for each, of in zip(frequencies, kept, strict=True))
+        square = v[:, None] + u
+        factors = (square <= cutoff**2) * np.exp(1j * np.pi * blur_px / cutoff * square)
+        factors *= np.sqrt(0.5 * sizes[0] * sizes[1] / np.sum(square <= cutoff**2))
+        return cls(sizes, kept, factors.astype(np.complex64), wanted)
+
+    def passes(self, field: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """The field behind the aperture, at the window's samples.
+
+        Only frequencies that pass are transformed in both directions.
+        """
+        (height, width), (v, u), (rows, columns) = self.sizes, self.kept, self.wanted
+        spectrum = fft(fft(field, height, axis=0)[v], width, axis=1)[:, u] * self.factors
+        of_rows = np.zeros((v.size, width), np.complex64)
+        of_rows[:, u] = spectrum
+        of_columns = np.zeros((height, columns.size), np.complex64)
+        of_columns[v] = ifft(of_rows, axis=1, overwrite_x=True)[:, columns]
+        return ifft(of_columns, axis=0, overwrite_x=True)[rows]
+
+
 def _finer(image: Array, fine: int) -> Array:
-    """Split each row in `fine` whose mean it is, smoothly and without going below 0.
+    """Split each row but the outer ones in `fine` whose mean it is, smoothly and not below 0.
 
     The running sum is interpolated by monotone cubics (Fritsch and Butland 1984): between rows its
     slope is their harmonic mean. In closed form, as rows are as far apart as others.
@@ -205,30 +386,18 @@ def _finer(image: Array, fine: int) -> Array:
         fine * np.diff(basis, axis=0)
         for basis in (s**2 * (3.0 - 2.0 * s), s * (1.0 - s) ** 2, s**2 * (s - 1.0))
     )
-    around = np.pad(image, ((1, 1), (0, 0)), mode="edge")
-    both = around[:-1] + around[1:]
-    slope = 2.0 * around[:-1] * around[1:] / np.where(both > 0.0, both, 1.0)
-    row, before, after = image[:, None], slope[:-1, None], slope[1:, None]
+    both = image[:-1] + image[1:]
+    slope = 2.0 * image[:-1] * image[1:] / np.where(both > 0.0, both, 1.0)
+    row, before, after = image[1:-1, None], slope[:-1, None], slope[1:, None]
     parts = of_row * row + of_slope * before + of_next * after
-    return np.maximum(parts, 0.0).reshape(fine * len(image), -1)
-
-
-def _intensity(field: NDArray[np.complex64], aperture: Aperture, fine: int) -> NDArray[np.float32]:
-    """Intensity behind the aperture, which keeps the light's power."""
-    shape = [next_fast_len(n) for n in field.shape]
-    squared = [(fftfreq(n) * fine) ** 2 for n in shape]
-    passed = squared[0][:, None] + squared[1] <= (0.5 / aperture.resolution_px) ** 2
-    spectrum = fft2(field, shape, workers=-1)
-    spectrum *= passed / np.float32(np.sqrt(passed.mean()))
-    seen = ifft2(spectrum, workers=-1, overwrite_x=True)[: field.shape[0], : field.shape[1]]
-    return seen.real**2 + seen.imag**2
+    return np.maximum(parts, 0.0).reshape(fine * len(row), -1)
 
 
 def _integrated(samples: NDArray, fine: int) -> NDArray:
-    """Integrate each `fine` rows of samples: midpoint rule with its h^2 term, i + i''/24."""
-    curved = np.zeros_like(samples)
-    curved[1:-1] = samples[2:] - 2.0 * samples[1:-1] + samples[:-2]
-    return (samples + curved / 24.0).reshape(-1, fine, samples.shape[1]).mean(axis=1)
+    """Mean of each `fine` rows between the outer two: midpoint rule with its h^2 term, i''/24."""
+    inner = samples[1:-1].reshape(-1, fine, samples.shape[1])
+    slopes = np.diff(samples, axis=0)[::fine]  # at the pixels' borders
+    return np.maximum(inner.mean(axis=1) + np.diff(slopes, axis=0) / np.float32(24 * fine), 0.0)
 
 
 def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:
@@ -237,9 +406,9 @@ def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:
     `width_px` is the Gaussian line's standard deviation in the image.  A column holds independent
     grains of length S = integral of the intensity's correlation along v, averaged over the pixel's
     width: var = S w/(4 sqrt(pi)), from S integral of x^2 I^2 over (integral of I)^2 with
-    I = exp(-x^2/(2 w^2)), over the polarisations (the correlation: Goodman 2007, 5.2).  The noise
-    grows with the line's width.  Along v, |2 J1/r|^2 adds up to 4 H1(2x)/x^2, H1 Struve's: the
-    diffraction image of a line.
+    I = exp(-x^2/(2 w^2)), over the number of patterns (the correlation: Goodman 2007, 4.4).  The
+    noise grows with the line's width.  Along v, |2 J1/r|^2 adds up to 4 H1(2x)/x^2, H1 Struve's:
+    the diffraction image of a line.
     """
 
     def line_spread(u: float) -> float:
@@ -249,4 +418,4 @@ def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:
     edges = np.clip(np.array([0.0, 1.0, 4.0, 16.0]) * aperture.resolution_px, 0.0, 1.0)
     overlap = _integral(lambda u: 2.0 * (1.0 - u) * line_spread(u), [*edges, 1.0])
     length = aperture.resolution_px / np.pi * overlap
-    return float(np.sqrt(length * width_px / (4.0 * np.sqrt(np.pi)) / aperture.polarisations))
+    return float(np.sqrt(length * width_px / (4.0 * np.sqrt(np.pi)) / aperture.patterns))
