@@ -4,9 +4,16 @@ from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.properties import pose_of, positive
+from virtual_sensor_plugins.refractive import folders_of_files
 
 from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.laser_profile import (
+    Focus,
+    MeasuredProfile,
+    profile_of,
+    uniformity_of,
+)
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.optics.family_frames import FamilyFrame
@@ -51,7 +58,7 @@ class SourceEmitter(mi.Emitter):
         ds.delta = True
         ds.emitter = mi.EmitterPtr(self)
         lit = active & (spread > 0.0) & (ds.dist > 0.0)
-        return ds, mi.Spectrum(self.source.flux(s, t) / spread) & lit
+        return ds, mi.Spectrum(self.source.flux(s, t, depth) / spread) & lit
 
     def eval(self, si: mi.SurfaceInteraction3f, active: Any = True) -> Any:
         """Nothing: the device itself is not seen."""
@@ -72,28 +79,45 @@ class SourceEmitter(mi.Emitter):
 
 
 class LaserLineEmitter(SourceEmitter):
-    """Laser line generator: Gaussian across the sheet, even along the line.
+    """Laser line generator: by default Gaussian across the sheet, even along the line.
 
-    The sheet keeps its thickness (no focus).
+    The sheet keeps its thickness, unless it has a focus: a beam_quality or a rayleigh_length.
 
-    ============  ==========  ==================================================================
-    Property      Default     Meaning
-    ============  ==========  ==================================================================
-    to_world      (needed)    Exit of the generator: z forward, y along the line, x across
-    distance      300         From the exit to the reference plane, mm
-    length        (needed)    Length of the line in the reference plane, mm
-    radius        (needed)    1/e^2 radius across the sheet, mm
-    power         1           Total power, W
-    fan           0           Full fan angle in the laser plane, degrees; 0 is telecentric
-    dots          (none)      Positions along the line, mm, as "0, -1.25": round Gaussian beams of
-                              the same radius, sharing the power, in place of the line
-    ============  ==========  ==================================================================
+    ===============  ===========  ==============================================================
+    Property         Default      Meaning
+    ===============  ===========  ==============================================================
+    to_world         (needed)     Exit of the generator: z forward, y along the line, x across
+    distance         300          From the exit to the reference plane, mm
+    length           (needed)     Length of the line in the reference plane, mm
+    radius           (needed)     1/e^2 radius across the sheet, mm: with a focus, in its waist; of
+                                  a profile's table it can be left out
+    power            1            Total power, W
+    fan              0            Full fan angle in the laser plane, degrees; 0 is telecentric
+    dots             (none)       Positions along the line, mm, as "0, -1.25": round Gaussian beams
+                                  of the same radius, sharing the power, in place of the line
+    profile          "gaussian"   Across the sheet: "gaussian"; "tails POWER RADIUS", part of the
+                                  power in a wider Gaussian and its radius in radii of the core, as
+                                  "tails 0.12 2.5"; "super ORDER", exp(-2 abs(x/radius)^ORDER); or a
+                                  file whose rows are a distance in mm and an intensity
+    uniformity       1            Along the line: intensity at its ends over that in the middle, a
+                                  parabola between; or a file whose rows are a place and an
+                                  intensity, the first and the last of the line's ends
+    waist_distance   (distance)   Of a focus: from the exit to the sheet's waist, mm
+    beam_quality     (none)       Of a focus: M^2, 1 of an ideal beam; the Rayleigh length follows
+                                  from it, the radius and the wavelength; empty: no focus
+    wavelength       532          Of its light, nm: for the beam_quality
+    rayleigh_length  (none)       Of a focus: in place of the beam_quality, mm from the waist to
+                                  where the radius has grown by sqrt(2)
+    ===============  ===========  ==============================================================
     """
 
     def __init__(self, props: mi.Properties) -> None:
         with naming("laser_line"):
             source = _laser_of(props)
         super().__init__(props, source)
+        # Tables go to Dr.Jit's memory now: within a kernel that is being recorded none can.
+        zeros = dr.zeros(mi.Float, 2)
+        dr.eval(source.flux(zeros, zeros, zeros))
 
 
 def _laser_of(props: mi.Properties) -> LaserLine:
@@ -111,13 +135,58 @@ def _laser_of(props: mi.Properties) -> LaserLine:
             f"a 'fan' of {fan_deg:g} degrees would start in front of the exit; make 'fan' or"
             " 'distance' smaller, or 'length' larger"
         )
+    folders = tuple(folders_of_files())
+    profile = profile_of(str(props.get("profile", "")), folders)
+    measured_mm = profile.radius_mm if isinstance(profile, MeasuredProfile) else None
+    radius = _length(props, "radius", measured_mm)
     return LaserLine(
         sheet,
         length_mm=length,
-        radius_mm=_length(props, "radius"),
+        radius_mm=radius,
         power_w=positive(props, "power", 1.0),
         dots_mm=_positions(str(props.get("dots", ""))),
+        profile=profile,
+        uniformity=uniformity_of(str(props.get("uniformity", "")), folders),
+        focus=_focus(props, sheet.distance_mm, radius),
     )
+
+
+def _focus(props: mi.Properties, distance_mm: float, radius_mm: float) -> Focus | None:
+    """The focus that an element describes, if it has one."""
+    waist_mm = _number(props, "waist_distance", "a positive number of mm", distance_mm)
+    quality = _number(props, "beam_quality", "M^2, from 1 on, or leave it empty")
+    rayleigh_mm = _number(props, "rayleigh_length", "a positive number of mm, or leave it empty")
+    wavelength_nm = positive(props, "wavelength", 532.0)
+    if quality and rayleigh_mm:
+        raise InputError("has both 'beam_quality' and 'rayleigh_length'; give one")
+    if quality:
+        if quality < 1.0:
+            raise InputError(f"'beam_quality' is {quality:g}; give M^2, a number from 1 on")
+        return Focus.of_beam(waist_mm or distance_mm, radius_mm, wavelength_nm, quality)
+    if rayleigh_mm:
+        return Focus(waist_mm or distance_mm, rayleigh_mm)
+    if waist_mm != distance_mm:
+        raise InputError(
+            "has a 'waist_distance' and no 'beam_quality', 1 of an ideal beam, and no"
+            " 'rayleigh_length'; give one of them, as the focus depends on it"
+        )
+    return None
+
+
+def _number(
+    props: mi.Properties, name: str, advice: str, default: float | None = None
+) -> float | None:
+    """A number that may be left empty."""
+    text = str(props.get(name, "")).strip()
+    if not text:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not 0.0 < value <= _FARTHEST_MM:
+        raise InputError(f"'{name}' is {text[:40]}; give {advice}")
+    return value
 
 
 def _length(props: mi.Properties, name: str, default: float | None = None) -> float:

@@ -207,8 +207,8 @@ class _Beam:
 
     def near(self) -> "_Beam":
         """Those of its pixels that are within the margin; all, if none is."""
-        s, t, _ = self.own.T
-        near = np.asarray(self.source.reaches(s, t, tuple(self.margin)))
+        s, t, depth = self.own.T
+        near = np.asarray(self.source.reaches(s, t, tuple(self.margin), depth))
         if not near.any():
             return self
         return replace(self, index=self.index[near], seen=self.seen[near], own=self.own[near])
@@ -296,7 +296,7 @@ class _Region:
         lit, folded = mi.Mask(False), mi.Mask(False)
         for beam, light in zip(self.beams.values(), sight.lights, strict=True):
             margin = opaque(self.pixel_mm * beam.per_mm)
-            lit |= beam.source.reaches(light.s, light.t, margin)
+            lit |= beam.source.reaches(light.s, light.t, margin, light.depth)
             folded |= light.status == int(LightStatus.FOLDED)
         dr.eval(lit, folded)
         row, column = _places_in(self.window, self.candidates, self.view.width)
@@ -360,8 +360,9 @@ def _beams(
     point = mi.Array3f(view.centres()(distance))
     near = {}
     for name, source in sources.items():
-        s, t, _ = FamilyFrame.of(source.family, mi.Array3f).coordinates(point)
-        near[name] = dr.isfinite(distance) & source.reaches(s, t, opaque(margins[name]))
+        s, t, depth = FamilyFrame.of(source.family, mi.Array3f).coordinates(point)
+        lit = source.reaches(s, t, opaque(margins[name]), depth)
+        near[name] = dr.isfinite(distance) & lit
     dr.eval(*near.values())
     distances, beams = distance.numpy(), {}
     for name, mask in near.items():

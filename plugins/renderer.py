@@ -25,8 +25,8 @@ from virtual_sensor.optics.transports import Marched, Sight, Transport
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23}
 
-Fluxes = Callable[[Any, Any], Sequence[Any]]
-"""From a source's coordinates (s, t) to its flux in each frame; one alone is that of all."""
+Fluxes = Callable[[Any, Any, Any], Sequence[Any]]
+"""From a source's (s, t) and depth to its flux in each frame; one alone is that of all."""
 
 _FAR_MM = 20.0  # Mitsuba's float32 hits from nearer are good to 0.03 um
 _NEAR_MM = 1.0
@@ -40,7 +40,7 @@ def devices_of(scene: mi.Scene) -> dict[str, Device]:
 
 def steady(device: Device) -> Fluxes:
     """The flux of a device that is the same in each frame."""
-    return lambda s, t: [device.flux(s, t)]
+    return lambda s, t, depth: [device.flux(s, t, depth)]
 
 
 def is_source(emitter: mi.Emitter) -> bool:
@@ -192,7 +192,7 @@ class Arrangement:
         for fluxes, light in lights:
             value = bsdf.eval(context, si, si.to_local(-mi.Vector3f(light.heading)), valid)
             shed = []
-            for flux in fluxes(light.s, light.t):
+            for flux in fluxes(light.s, light.t, light.depth):
                 irradiance = mi.Spectrum(mi.Float(flux * light.concentration))
                 shed.append(dr.select(valid, value * irradiance, 0.0))
             radiances = _summed(radiances, shed)

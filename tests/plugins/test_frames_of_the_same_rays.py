@@ -22,7 +22,7 @@ def test_frames_of_the_same_rays_are_those_of_scenes_of_their_own(tmp_path, emis
     laser = scene.source
     lasers = [replace(laser, power_w=power) for power in (0.1, 3.0, 0.02)]
     prepared = Prepared.of(arrangement(scene))
-    fluxes = {"laser": lambda s, t: [each.flux(s, t) for each in lasers]}
+    fluxes = {"laser": lambda s, t, depth: [each.flux(s, t) for each in lasers]}
     exposure, report = prepared.exposed(0, 0, frames=3, fluxes=fluxes)
     images = exposure.images()
     assert images.shape == (3, 80, 96)

@@ -13,8 +13,11 @@ Array = NDArray[np.float64]
 class Device(Source, Protocol):
     """A source with its radiometry."""
 
-    def flux(self, s: Any, t: Any) -> Any:
-        """Power per unit of both coordinates, W; none for NaN."""
+    def flux(self, s: Any, t: Any, depth: Any = None) -> Any:
+        """Power per unit of both coordinates, W; none for NaN.
+
+        Of light with a focus it depends on the depth in the family's frame.
+        """
         ...
 
 
@@ -23,5 +26,5 @@ def irradiance(device: Device, points_mm: ArrayLike) -> Array:
     family = device.family
     s, t, depth = family.coordinates(points_mm).T
     cosine = family.rays(s, t)[1] @ family.pose.rotation[:, 2]
-    found: Array = device.flux(s, t) / (np.abs(family.spread(s, t, depth)) * cosine)
+    found: Array = device.flux(s, t, depth) / (np.abs(family.spread(s, t, depth)) * cosine)
     return found

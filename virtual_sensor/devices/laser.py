@@ -1,7 +1,6 @@
 """The laser line generator: which rays of a family are lit, and by how much."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import add, or_
 from typing import Any
@@ -9,21 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import exp, number_for, where
+from virtual_sensor.arrays import number_for, where
 from virtual_sensor.devices.device import irradiance
+from virtual_sensor.devices.laser_profile import Focus, Gaussian, Profile, Uniformity
 from virtual_sensor.display import Displayed, listed, place
+from virtual_sensor.errors import InputError
 from virtual_sensor.optics.ray_families import RayFamily
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
 
-_FAINT = 1e-6  # light below this fraction of the peak is taken as none: 2.6 radii out
-_REACH = float(np.sqrt(-np.log(_FAINT) / 2.0))  # the same in 1/e^2 radii
-
 
 @dataclass(frozen=True)
 class LaserLine(Displayed):
-    """A laser line whose intensity is Gaussian across and even along; or a row of laser dots.
+    """A laser line, by default Gaussian across and even along; or a row of laser dots.
 
     Its sizes are in the unit of the family's coordinates: mm of a sheet's reference plane.
 
@@ -34,10 +32,16 @@ class LaserLine(Displayed):
     length_mm : float
         Length of the line.
     radius_mm : float
-        Distance across the sheet at which the intensity falls to 1/e^2.
+        Distance across the sheet at which the intensity falls to 1/e^2; with a focus, in its waist.
     power_w : float
     dots_mm : ndarray of shape (M,)
         Where the light is a row of round Gaussian beams: their t; empty for a line.
+    profile : Profile
+        Across the sheet; of dots it is `Gaussian`.
+    uniformity : Uniformity or None
+        Along the line; None: even.
+    focus : Focus or None
+        How the sheet's thickness changes with the depth; None: not at all.
     """
 
     family: RayFamily
@@ -45,6 +49,16 @@ class LaserLine(Displayed):
     radius_mm: float
     power_w: float
     dots_mm: Array
+    profile: Profile = field(default_factory=Gaussian)
+    uniformity: Uniformity | None = None
+    focus: Focus | None = None
+
+    def __post_init__(self) -> None:
+        plain = self.profile == Gaussian() and self.uniformity is None
+        if np.size(self.dots_mm) and not plain:
+            raise InputError(
+                "'dots' are round Gaussian beams; leave out 'profile' and 'uniformity', or 'dots'"
+            )
 
     def _line(self) -> str:
         dots = self.dots_mm.size
@@ -52,7 +66,9 @@ class LaserLine(Displayed):
         kind = type(self.family).__name__.lower()
         radius = f"radius {self.radius_mm:g} mm"
         start = f"{kind} from {place(self.pose.origin_mm)} mm"
-        return listed(size, radius, f"{self.power_w:g} W", start)
+        profile = "" if self.profile == Gaussian() else f"{self.profile}"
+        focus = f"waist {self.focus.distance_mm:g} mm from its exit" if self.focus else ""
+        return listed(size, radius, profile, focus, f"{self.power_w:g} W", start)
 
     @property
     def pose(self) -> Pose:
@@ -77,8 +93,24 @@ class LaserLine(Displayed):
 
     @property
     def reach_mm(self) -> float:
-        """How far across the sheet, and round a dot, there is light that counts."""
-        return _REACH * self.radius_mm
+        """How far across the sheet, and round a dot, there is light that counts.
+
+        With a focus the farthest up to twice the working distance.
+        """
+        widest = 1.0
+        if self.focus:
+            far_mm = 2.0 * getattr(self.family, "distance_mm", self.focus.distance_mm)
+            widest = float(np.max(self.focus.widening(np.array([0.0, far_mm]))))
+        return self._waist_reach_mm * widest
+
+    @property
+    def _waist_reach_mm(self) -> float:
+        return self.profile.reach * self.radius_mm
+
+    @property
+    def working_radius_mm(self) -> float:
+        """The radius where things are measured, in the depth of `target_mm`."""
+        return float(self.radius_at(self.target_mm[None])[0])
 
     @property
     def extent(self) -> tuple[Array, Array]:
@@ -95,12 +127,21 @@ class LaserLine(Displayed):
             return self.dots_mm
         return np.linspace(-0.5, 0.5, count) * self.length_mm
 
-    def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
+    def reaches(
+        self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0), depth: Any = None
+    ) -> Any:
         """Mask of the coordinates with light that counts, or near it; NaN has none.
 
-        Of NumPy's arrays as of Dr.Jit's.
+        Of NumPy's arrays as of Dr.Jit's.  Without the depth, where there is any at some depth.
         """
-        reach = number_for(s, self.reach_mm)
+        wide = self.reach_mm / self._waist_reach_mm
+        if self.focus and depth is not None:
+            wide = self.focus.widening(depth)
+        return self._reaches(s, t, margin, wide)
+
+    def _reaches(self, s: Any, t: Any, margin: tuple[Any, Any], wide: Any) -> Any:
+        """Likewise where the sheet is so many times as wide as in its waist."""
+        reach = number_for(s, self._waist_reach_mm) * wide
         if self.dots_mm.size:
             near = reach + margin[1]
             along = reduce(or_, (abs(t - dot) <= near for dot in self.dots_mm.tolist()))
@@ -108,20 +149,26 @@ class LaserLine(Displayed):
             along = abs(t) <= number_for(t, self.length_mm / 2.0) + margin[1]
         return along & (abs(s) <= reach + margin[0])
 
-    def flux(self, s: Any, t: Any) -> Any:
+    def flux(self, s: Any, t: Any, depth: Any = None) -> Any:
         """Power per unit of both coordinates: W/mm^2 of a sheet's reference plane.
 
         Of NumPy's arrays as of Dr.Jit's.  The irradiance square to the light is this over the
-        tube's spread and the cosine of the light to the family's axis.
+        tube's spread and the cosine of the light to the family's axis.  With a focus it depends on
+        the depth; without the depth it is that of the waist.
         """
-        per_mm = math.sqrt(2.0 / math.pi) / self.radius_mm
+        wide = self.focus.widening(depth) if self.focus and depth is not None else 1.0
+        lit, s = self._reaches(s, t, (0.0, 0.0), wide), s / wide
+        per_mm = self.profile.peak / self.radius_mm
         if self.dots_mm.size:
             peak = self.power_w / self.dots_mm.size * per_mm**2
-            along = reduce(add, (self._profile(t - dot) for dot in self.dots_mm.tolist()))
+            dots = self.dots_mm.tolist()
+            along = reduce(add, (self._profile((t - dot) / wide) for dot in dots)) / wide
         else:
             peak, along = self.power_w / self.length_mm * per_mm, 1.0
         light = number_for(s, peak) * self._profile(s) * along
-        return where(self.reaches(s, t), light, 0.0)
+        if self.uniformity:
+            light = light * self.uniformity.at(t * number_for(t, 2.0 / self.length_mm))
+        return where(lit, light / wide, 0.0)
 
     def irradiance(self, points_mm: ArrayLike) -> Array:
         """Flux density (N,) square to the straight light at world points (N, 3), W/mm^2."""
@@ -129,8 +176,10 @@ class LaserLine(Displayed):
 
     def radius_at(self, points_mm: ArrayLike) -> Array:
         """1/e^2 radius (N,) across the straight sheet at world points (N, 3), mm."""
-        x_s, _, y_s, _ = self.family.by_coordinates(*self.family.coordinates(points_mm).T)
-        return self.radius_mm * np.hypot(x_s, y_s)
+        coordinates = self.family.coordinates(points_mm)
+        x_s, _, y_s, _ = self.family.by_coordinates(*coordinates.T)
+        wide = self.focus.widening(coordinates[..., 2]) if self.focus else 1.0
+        return self.radius_mm * np.hypot(x_s, y_s) * wide * np.ones(coordinates.shape[:-1])
 
     def _profile(self, x: Any) -> Any:
-        return exp(number_for(x, -2.0 / self.radius_mm**2) * (x * x))
+        return self.profile.at(x, self.radius_mm)

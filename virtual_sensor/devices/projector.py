@@ -171,7 +171,9 @@ class Projector(Displayed):
         """Width of the image's border whose light blur mixes with the dark beside it, px."""
         return _BLURRED * self.defocus_px
 
-    def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
+    def reaches(
+        self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0), depth: Any = None
+    ) -> Any:
         """Mask of the coordinates with light, or near it; NaN has none.
 
         Of NumPy's arrays as of Dr.Jit's.  Light is all that may be shown: a black pixel counts.
@@ -186,10 +188,10 @@ class Projector(Displayed):
 
     # ---------------------------------------------------------------- light
 
-    def flux(self, s: Any, t: Any) -> Any:
+    def flux(self, s: Any, t: Any, depth: Any = None) -> Any:
         """Power per unit of both coordinates, W; none outside the image, nor of NaN.
 
-        Of NumPy's arrays as of Dr.Jit's.
+        Of NumPy's arrays as of Dr.Jit's, at any depth.
         """
         light = self.density(s, t) * self.shown(*self.pixels_of(s, t))
         return where(self.reaches(s, t), light, 0.0)

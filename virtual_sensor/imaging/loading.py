@@ -31,7 +31,13 @@ _FAR_MM = 1e6  # beyond, float32 leaves a doubt of 0.06 mm
 _RIGID = 1e-3  # of what a rotation's columns may differ from one by float32 and typed digits
 _LONGEST_WORD = 300  # of a message, such as a path
 _CHECKED_BY_PLUGIN = {  # and what they may be is said
-    *(("laser_line", name) for name in ("distance", "length", "radius", "power", "fan")),
+    *(
+        ("laser_line", name)
+        for name in (
+            *("distance", "length", "radius", "power", "fan", "uniformity", "wavelength"),
+            *("waist_distance", "beam_quality", "rayleigh_length"),
+        )
+    ),
     *(
         ("pattern_projector", name)
         for name in (

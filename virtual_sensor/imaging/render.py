@@ -93,7 +93,7 @@ class Frame(Displayed):
     truth : PixelTruth
         The truth where there is one; `point_mm` and its kin are images of it.
     radius_mm : dict
-        By source that is a laser line, its 1/e^2 radius.
+        By source that is a laser line, its 1/e^2 radius where things are measured.
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     """
@@ -239,7 +239,7 @@ def render_frame(
         prepared = prepared_for(scene)
         exposure, report = prepared.exposed(samples, seed, progress)
         lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
-        radius_mm = {name: line.radius_mm for name, line in lines.items()}
+        radius_mm = {name: line.working_radius_mm for name, line in lines.items()}
         return Frame(exposure.images()[0], truth_of(prepared), radius_mm, report)
 
 
@@ -315,7 +315,8 @@ def truth_of(prepared: Prepared) -> PixelTruth:
     if sight is not None:
         reached = np.zeros(count, bool)
         for name, light in zip(lit.names, sight.lights, strict=True):
-            power = _white(sources[name]).flux(light.s, light.t) * light.concentration
+            flux = _white(sources[name]).flux(light.s, light.t, light.depth)
+            power = flux * light.concentration
             shines = (power > 0.0).numpy()
             coordinates[name] = np.stack([light.s.numpy(), light.t.numpy()], 1)
             coordinates[name][~shines] = np.nan

@@ -265,7 +265,7 @@ def _fluxes(devices: Sequence[Projector]) -> Fluxes:
     """The flux of one projector with several patterns: its pixels are found once."""
     first = devices[0]
 
-    def fluxes(s: Any, t: Any) -> list[Any]:
+    def fluxes(s: Any, t: Any, depth: Any) -> list[Any]:
         pixels, full, lit = first.pixels_of(s, t), first.density(s, t), first.reaches(s, t)
         return [where(lit, full * each.shown(*pixels), 0.0) for each in devices]
 

@@ -50,6 +50,8 @@ class Illumination:
         (s, t) minus the coordinates of the straight ray through the point.
     jacobian : tuple of four scalars
         dF/d(s, t) by rows: (x by s, x by t, y by s, y by t); empty of light that was found by maps.
+    depth : scalar
+        Of the point in the family's frame.
     concentration : scalar
         Flux density square to the light over the flux per unit of both coordinates.
     status : int
@@ -61,6 +63,7 @@ class Illumination:
     heading: Any
     shift: tuple[Any, Any]
     jacobian: tuple[Any, ...]
+    depth: Any
     concentration: Any
     status: Any
 
@@ -150,6 +153,7 @@ def illuminate(
         heading,
         (s - straight[0], t - straight[1]),
         jacobian,
+        depth,
         dr.select(lit, dr.rcp(spread * dr.dot(frame.z, heading)), 0.0),
         status,
     )

@@ -25,8 +25,13 @@ class Source(Protocol):
         """Lowest and highest (s, t) with light that counts, each of shape (2,)."""
         ...
 
-    def reaches(self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0)) -> Any:
-        """Mask of the coordinates with light that counts, or near it; NaN has none."""
+    def reaches(
+        self, s: Any, t: Any, margin: tuple[Any, Any] = (0.0, 0.0), depth: Any = None
+    ) -> Any:
+        """Mask of the coordinates with light that counts, or near it; NaN has none.
+
+        Light with a focus reaches farther from its middle at some depths than at others.
+        """
         ...
 
 

@@ -130,6 +130,7 @@ def light(
         heading,
         (shift_s, shift_t),
         (),
+        depth,
         dr.select(lit, (1.0 + more) / spread, 0.0),
         mi.UInt32(status),
     )

@@ -194,7 +194,7 @@ class Tabulated(Displayed):
         doubtful = seen.lost
         for source, table, pad in zip(self.marched.sources, self.maps, self.pads, strict=True):
             light, off = light_by(table, surface, seen.point, seen.hit)
-            near_light = source.reaches(light.s, light.t, opaque(pad))
+            near_light = source.reaches(light.s, light.t, opaque(pad), light.depth)
             doubtful |= seen.hit & near_light & (seen.off | off)
             lights = (*lights, light)
         sight = Sight(seen.point, seen.heading, seen.hit, lights)

@@ -307,7 +307,7 @@ def _measure_state(
     if laser.dots_mm.size:
         compared = compare_dots(dot_centres(frame.radiance), dense.pixel)
     else:
-        searched = searched_line(scene, dense).seen_in(across_mm, laser.radius_mm)
+        searched = searched_line(scene, dense).seen_in(across_mm, laser.working_radius_mm)
         compared = compare_line(line, searched)
     found = line, paper, newton, dense, by_frame, compared
     return State(scene, frame, *found, section, search_s, render_s)

@@ -130,6 +130,10 @@ def _line(sensor: Placement, said: NewScene) -> Rows:
         ("line_radius", sensor.line_radius_mm, "to 1/e^2, across the sheet, mm"),
         ("fan", said.fan or 0, "full fan angle, degrees; 0: a sheet of parallel light"),
         ("dots", "", "positions along the line, mm; empty: a line"),
+        ("line_profile", "gaussian", 'gaussian, "tails 0.12 2.5", "super 4", or a table\'s file'),
+        ("line_uniformity", 1, "its ends' light over that in the middle, or a table's file"),
+        ("beam_quality", "", "of the laser: M^2, 1 of an ideal beam; empty: no focus"),
+        ("waist_distance", "", "of its focus from the laser, mm; empty: laser_distance"),
         ("laser_distance", sensor.laser_distance_mm, "from the laser's exit to the line, mm"),
     ]
 
