@@ -4,8 +4,15 @@ import math
 
 import numpy as np
 from virtual_sensor_plugins.laser_line import SourceEmitter
-from virtual_sensor_plugins.properties import LARGEST, pose_of, positive
-from virtual_sensor_plugins.refractive import folders_of_files
+from virtual_sensor_plugins.properties import (
+    distortion_of,
+    finite,
+    folders_of_files,
+    listed_file,
+    pose_of,
+    positive,
+    refuse_both,
+)
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS
 
 from virtual_sensor.arrays import one_of
@@ -14,7 +21,6 @@ from virtual_sensor.devices.photometry import watts_of
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.optics.distortion import COEFFICIENTS
 from virtual_sensor.optics.ray_families import Pinhole, PixelFamily, Telecentric
 from virtual_sensor.poses import Pose
 
@@ -66,16 +72,16 @@ class PatternProjector(SourceEmitter):
     def __init__(self, props: mi.Properties) -> None:
         with naming("pattern_projector"):
             family = _family(props)
-            contrast = _finite(props, "contrast", 0.0)
+            contrast = finite(props, "contrast", 0.0)
             projector = Projector(
                 family,
                 pattern_of(str(props.get("pattern", "white")), tuple(folders_of_files())),
                 power_w=_power_w(props),
                 pixels=bool(props.get("pixels", True)),
                 contrast=contrast or math.inf,
-                gamma=_finite(props, "gamma", 1.0),
+                gamma=finite(props, "gamma", 1.0),
                 bits=int(props.get("bits", 0)),
-                defocus_px=_finite(props, "defocus", 0.0),
+                defocus_px=finite(props, "defocus", 0.0),
             )
             assert projector.extent  # folds are refused here
         super().__init__(props, projector)
@@ -99,9 +105,9 @@ def _family(props: mi.Properties) -> PixelFamily:
     size = _whole(props, "width", 1280), _whole(props, "height", 800)
     if "to_world" not in props:
         raise InputError("the property 'to_world' is missing; give where it stands, by a <lookat>")
-    pose, distortion = _pose(props), _distortion(str(props.get("distortion", "")))
+    pose, distortion = _pose(props), distortion_of(str(props.get("distortion", "")))
     # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
-    shift = (_finite(props, f"principal_point_offset_{name}", 0.0) for name in "xy")
+    shift = (finite(props, f"principal_point_offset_{name}", 0.0) for name in "xy")
     centre = [n * (0.5 - by) - 0.5 for n, by in zip(size, shift, strict=True)]
     per_unit, kind = _scale(props, size)
     matrix = np.array([[per_unit, 0.0, centre[0]], [0.0, per_unit, centre[1]], [0.0, 0.0, 1.0]])
@@ -166,11 +172,8 @@ def _calibrated(props: mi.Properties, name: str) -> Pinhole:
         ),
         *("principal_point_offset_x", "principal_point_offset_y"),
     )
-    if both := [other for other in clash if other in props]:
-        raise InputError(f"has a 'calibration' and {', '.join(map(repr, both))}; give one of them")
-    there = (folder / name for folder in folders_of_files())
-    if (path := next((file for file in there if file.is_file()), None)) is None:
-        raise InputError(f"there is no file \"{name}\" where 'calibration' says; correct it")
+    refuse_both(props, "calibration", clash)
+    path = listed_file("calibration", name)
     file = CalibrationFile.read(path, ALSO_OF_BOTH)
     if file.find("projector_matrix") is None:
         projector = camera_in(CalibrationFile.read(path))
@@ -183,20 +186,6 @@ def _calibrated(props: mi.Properties, name: str) -> Pinhole:
     return projector.with_pose(_pose(props)) if "to_world" in props else projector
 
 
-def _distortion(text: str) -> np.ndarray:
-    """Coefficients that a text lists."""
-    try:
-        values = np.array([float(word) for word in text.replace(",", " ").split()])
-    except ValueError:
-        values = np.array([np.nan])
-    if values.size not in COEFFICIENTS or not np.isfinite(values).all():
-        raise InputError(
-            f"'distortion' is \"{text[:80]}\"; give 4, 5, 8, 12 or 14 numbers with commas, as"
-            " OpenCV has them"
-        )
-    return values
-
-
 def _pose(props: mi.Properties) -> Pose:
     """Pose of the lens in our convention: x along u, y along v, z forward."""
     pose = pose_of(props, "'fov'")
@@ -207,13 +196,6 @@ def _whole(props: mi.Properties, name: str, default: int) -> int:
     value = int(props.get(name, default))
     if not 1 <= value <= _MOST_PX:
         raise InputError(f"'{name}' is {value} px; give a whole number from 1 to {_MOST_PX}")
-    return value
-
-
-def _finite(props: mi.Properties, name: str, default: float) -> float:
-    value = float(props.get(name, default))
-    if not abs(value) < LARGEST:
-        raise InputError(f"'{name}' is {value:g}; give a finite number")
     return value
 
 

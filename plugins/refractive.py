@@ -1,11 +1,11 @@
 """The `refractive` integrator: what a camera sees through air of varying refractive index."""
 
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
+from virtual_sensor_plugins.properties import folders_of_files, optional
 from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of, steady
 from virtual_sensor_plugins.views import camera_of
 
@@ -63,10 +63,10 @@ class Refractive(mi.SamplingIntegrator):
         with naming("refractive"):
             self.air = MediumDescription(
                 find_field(name, folders_of_files()).absolute() if name else None,
-                _number(props, "time", "a flow time in s, or empty for the last"),
+                optional(props, "time", "a flow time in s, or empty for the last"),
                 widen=float(props.get("widen", 1.0)),
                 blur_mm=float(props.get("blur", 0.0)),
-                pressure_pa=_number(props, "pressure", "of air in Pa, or empty for the field's"),
+                pressure_pa=optional(props, "pressure", "of air in Pa, or empty for the field's"),
                 wavelength_nm=float(props.get("wavelength", 532.0)),
                 interpolation=str(props.get("interpolation", "cubic")),
                 dimensions=int(props.get("dimensions", 3)),
@@ -140,22 +140,6 @@ def _pose(props: mi.Properties) -> Pose | None:
             " translations alone"
         )
     return Pose.from_matrix(matrix)
-
-
-def _number(props: mi.Properties, name: str, wanted: str) -> float | None:
-    """A number that a text has; None of an empty one."""
-    text = str(props.get(name, ""))
-    try:
-        return float(text) if text else None
-    except ValueError:
-        raise InputError(f"'{name}' must be {wanted}, not \"{text}\"") from None
-
-
-def folders_of_files() -> list[Path]:
-    """Where a scene's files are: in its folder, in its <path>s, or where one stands."""
-    mitsubas = Path(mi.__file__).parent
-    folders = [Path(str(folder)).absolute() for folder in mi.file_resolver()]
-    return [folder for folder in folders if folder != mitsubas]
 
 
 mi.register_integrator("refractive", Refractive)

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from virtual_sensor_plugins.refractive import folders_of_files
+from virtual_sensor_plugins.properties import folders_of_files
 from virtual_sensor_plugins.renderer import is_source
 
 from virtual_sensor import interrupts
 from virtual_sensor.child import physical_memory
+from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
@@ -46,6 +47,8 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
             *("contrast", "gamma", "defocus"),
         )
     ),
+    *(("lens_camera", name) for name in ("transmission", "pixel", "image_distance", "f_number")),
+    *(("lens_camera", name) for name in ("focus_distance", "focal_length")),
     ("refractive", "tolerance"),
 }
 _DEVICES = "laser_line", "pattern_projector"  # emitters that are made of one
@@ -238,6 +241,7 @@ def load(
             cameras = {sensor.id(): sensor for sensor in scene.sensors()}
             sources = {each.id(): each for each in scene.emitters() if is_source(each)}
             _check_samples(cameras, samples)
+            _focus_lasers(main, cameras, sources)
             return Loaded(scene, cameras, sources, tuple(notes))
         except InputError:
             raise
@@ -307,6 +311,22 @@ def _check_samples(cameras: dict[str, Any], samples: dict[str, tuple[str, int]])
                 f"{where}: a sample_count of {asked}: it would take {taken}; give a number that it"
                 " has (spp), such as 1, 4, 9 or 16"
             )
+
+
+def _focus_lasers(main: Path, cameras: dict[str, Any], sources: dict[str, Any]) -> None:
+    """Have cameras whose tilt is "laser_plane" focus that of the only laser."""
+    for name, sensor in cameras.items():
+        if not getattr(sensor, "focuses_laser", False):
+            continue
+        where = f'{main}: <sensor id="{shortened(name)}">'
+        lasers = [s.source for s in sources.values() if isinstance(s.source, LaserLine)]
+        if len(lasers) != 1:
+            raise InputError(
+                f"{where}: 'tilt' is laser_plane, and the scene has {len(lasers)} laser lines; give"
+                " the tilt in degrees"
+            )
+        with naming(where):
+            sensor.focus_laser(*lasers[0].plane)
 
 
 def _place(state: Any, poses: Mapping[str, NDArray[np.float64]]) -> None:

@@ -70,7 +70,8 @@ class Undistortion:
 
 def check_unfolded(family: PixelFamily) -> None:
     """Raise InputError if a distortion can't be undone somewhere on the film."""
-    _spline(family)
+    if family.distorts:
+        _spline(family)
 
 
 def _spline(family: PixelFamily) -> tuple[tuple[int, int], NDArray[np.float32]]:
