@@ -33,6 +33,7 @@ METROLOGY_KNOWS = (
     "virtual_sensor.calls",
     "virtual_sensor.devices.calibration_files",
     "virtual_sensor.devices.patterns",
+    "virtual_sensor.devices.sheet_rows",
     "virtual_sensor.display",
     "virtual_sensor.errors",
     "virtual_sensor.files",

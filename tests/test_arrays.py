@@ -63,6 +63,7 @@ OTHERS = {
     "find_marks",
     "projector_marks",
     "codec_of",
+    "record",
     "dot_centres",
     "fit_cylinder",
     "fit_shape",

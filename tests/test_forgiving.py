@@ -65,6 +65,7 @@ CALLS = {
     "render_frame": (vs.render_frame, {"scene": SCENE}),
     "render_sequence": (vs.render_sequence, {"scene": FRINGES, "patterns": ["white"]}),
     "grey_values": (vs.grey_values, {"photons": 100.0 * LINE}),
+    "record": (vs.record, {"scene": SCENE, "frame": np.ones((64, 64))}),
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
     "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),
     "save_png": (vs.save_png, {"image": LINE, "path": "a.png"}),

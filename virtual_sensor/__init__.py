@@ -2,10 +2,10 @@
 
 >>> import virtual_sensor as vs
 >>> scene = vs.load_scene("hot_cylinder", beta=15)  # a part, its air, a camera, a laser
->>> image = vs.render(scene)                        # (H, W) radiance
->>> grey = vs.grey_values(image, peak_e=4000)       # (H, W) grey values of a 12-bit camera
->>> vs.save_png(grey, "shot.png", bits=12)
->>> line = vs.line_centres(grey, saturation=4095)   # .row .column .sigma .width .status
+>>> frame = vs.render_frame(scene)                  # radiance, and the truth at each pixel
+>>> shot = vs.record(scene, frame, seed=0)          # grey values of a 12-bit camera, with the truth
+>>> vs.save_png(shot, "shot.png", bits=12)
+>>> line = vs.line_centres(shot)                    # .row .column .sigma .width .status
 >>> vs.Status.counts(line.status)                   # why columns have a centre, or none
 >>> points_mm = vs.triangulate(scene, line)         # (W, 3), as if light ran straight
 >>> points_mm = vs.triangulate(scene, line, medium=scene.medium)  # through the hot air
@@ -29,6 +29,8 @@ Scenes, and what a camera sees of them
     PatternFrames        Frames of a sequence of K patterns.
 
 Images as a camera gives them
+    record               Record a rendered frame as the scene's camera stores it.
+    RecordedFrame        What a camera stored of a frame, or of a sequence, and all that made it.
     ImageSensor          A monochrome image sensor's parameters by EMVA 1288; the defaults are a
                          12-bit CMOS sensor's.
     image_sensor         A sensor by its name, or by the path of its data sheet, a TOML file.
@@ -177,6 +179,8 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
     from virtual_sensor.imaging.part_survey import survey as survey
+    from virtual_sensor.imaging.recording import RecordedFrame as RecordedFrame
+    from virtual_sensor.imaging.recording import record as record
     from virtual_sensor.imaging.render import Frame as Frame
     from virtual_sensor.imaging.render import render as render
     from virtual_sensor.imaging.render import render_frame as render_frame
@@ -287,6 +291,7 @@ _HOME = {
     "ProjectorPixelStatus": "optics.projector_pixels",
     "RangeImage": "metrology.range_image",
     "RayStatus": "optics.ray_status",
+    "RecordedFrame": "imaging.recording",
     "Scene": "imaging.scene",
     "SearchStatus": "optics.ray_search",
     "SectionShape": "metrology.shapes",
@@ -328,6 +333,7 @@ _HOME = {
     "ray_search": "optics.ray_search",
     "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",
+    "record": "imaging.recording",
     "reconstruct": "metrology.range_image",
     "render": "imaging.render",
     "render_frame": "imaging.render",

@@ -138,11 +138,12 @@ def grey_values(
     images = unmasked(photons)
     if images.ndim == 3 and images.size and images.dtype.kind in "bufi":
         rng = generator_of("grey_values: seed", seed)
-        return _sequence(images, sensor, rng, dark_e, peak_e)
+        return _sequence(images, sensor, rng, dark_e, peak_e, exposure_s is not None)
     photons = photons if peak_e is None else exposed(photons, peak_e, sensor)
     light = image_of("grey_values: photons", photons, 0.0)
     rng = generator_of("grey_values: seed", seed)
-    _check_exposure(light.max(initial=0.0))
+    if exposure_s is None:
+        _check_exposure(light.max(initial=0.0))
     return _grey(light, sensor, rng, dark_e)
 
 
@@ -152,11 +153,13 @@ def _sequence(
     rng: np.random.Generator,
     dark_e: float,
     peak_e: float | None,
+    timed: bool,
 ) -> NDArray:
     """Grey values (K, H, W) of frames of one exposure; a few at once, as all may be large."""
     brightest = float(np.nanmax(images, initial=0.0))
     scale = 1.0 if peak_e is None else _exposure(brightest, peak_e, sensor)
-    _check_exposure(scale * brightest)
+    if not timed:
+        _check_exposure(scale * brightest)
     grey: NDArray = np.empty(images.shape, sensor.kind)
 
     def take(number: int, own: np.random.Generator) -> None:

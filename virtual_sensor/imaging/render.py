@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Columns
 from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
-from virtual_sensor_plugins.renderer import Arrangement, Prepared
+from virtual_sensor_plugins.renderer import Arrangement, Fluxes, Prepared
 
-from virtual_sensor.arrays import shares, to_numpy, whole_number
+from virtual_sensor.arrays import number_for, shares, to_numpy, whole_number
+from virtual_sensor.arrays import truth_of as boolean
 from virtual_sensor.calls import public
 from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
@@ -96,14 +97,17 @@ class Frame(Displayed):
         By source that is a laser line, its 1/e^2 radius where things are measured.
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
+    background : ndarray of shape (H, W) or None
+        The radiance that lamps and glow alone make, where it was asked for.
     """
 
-    _field_units: ClassVar = {"radiance": "W/(mm² sr)"}
+    _field_units: ClassVar = {"radiance": "W/(mm² sr)", "background": "W/(mm² sr)"}
 
     radiance: Image
     truth: PixelTruth
     radius_mm: Mapping[str, float]
     report: RenderReport
+    background: Image | None = None
 
     def _line(self) -> str:
         height, width = self.radiance.shape
@@ -218,6 +222,8 @@ def render_frame(
     progress: Callable[[float], None] | None = None,
     camera: str | None = None,
     source: str | None = None,
+    *,
+    background: bool = False,
 ) -> Frame:
     """Render a camera's image together with its ground truth.
 
@@ -227,6 +233,9 @@ def render_frame(
         As those of `render`.
     progress : callable, optional
         Is called with the fraction of the samples done.
+    background : bool
+        Whether the light of lamps and glow alone is given too: of the same rays, while no source
+        shines.
 
     Raises
     ------
@@ -234,13 +243,26 @@ def render_frame(
         As `render` does.
     """
     check_progress("render_frame", progress)
+    boolean("render_frame: background", background)
     scene, samples, seed = checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = prepared_for(scene)
-        exposure, report = prepared.exposed(samples, seed, progress)
+        frames = 2 if background else 1
+        fluxes = {name: _on_and_off(each) for name, each in scene.sources.items() if background}
+        exposure, report = prepared.exposed(samples, seed, progress, frames=frames, fluxes=fluxes)
         lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
         radius_mm = {name: line.working_radius_mm for name, line in lines.items()}
-        return Frame(exposure.images()[0], truth_of(prepared), radius_mm, report)
+        radiance, *other = exposure.images()
+        return Frame(radiance, truth_of(prepared), radius_mm, report, *other)
+
+
+def _on_and_off(device: Device) -> Fluxes:
+    """The flux of a source in a frame in which it shines, and in one in which it does not."""
+
+    def fluxes(s: Any, t: Any, depth: Any) -> list[Any]:
+        return [device.flux(s, t, depth), number_for(s, 0.0)]
+
+    return fluxes
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:

@@ -38,6 +38,7 @@ from virtual_sensor.metrology.line_profiles import (
     by_width,
     checked_image,
     find_peaks,
+    known_of,
     noise_beside,
     saturation_level,
     window,
@@ -77,7 +78,8 @@ def line_centres(
     Parameters
     ----------
     image : array_like of shape (H, W)
-        Grey values, or a `Frame`.  NaN and infinity mark missing pixels, as a NumPy mask does.
+        Grey values, a `Frame`, or a `RecordedFrame`, which knows its noise, gain and saturation.
+        NaN and infinity mark missing pixels, as a NumPy mask does.
     method : str or callable
         "gaussian" fits a pixel-integrated Gaussian on a level background by least squares in a
         window that follows its width, "weighted_gaussian" with weights by the measured grey values,
@@ -122,6 +124,7 @@ def line_centres(
             raise InputError(f"line_centres: sensor is {short(sensor)}; give an ImageSensor")
         noise = sensor.grey_noise if noise is None else noise
         gain, saturation = gain or sensor.gain, saturation or sensor.saturation
+    told = known_of(image)
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
     one_of("line_centres: along", along, ALONG)
@@ -138,6 +141,7 @@ def line_centres(
         f"it above {MIN_SIGMA_PX} px, and up to {MOST_SIGMA_PX:g}",
     )
     gain = number_within("line_centres: gain", gain, 0.0, LARGEST, "grey values per electron >= 0")
+    gain, noise = gain or told.get("gain", 0.0), told.get("noise") if noise is None else noise
     if noise is not None:
         noise = number_within("line_centres: noise", noise, 0.0, LARGEST, "grey values >= 0")
     if along == "rows":

@@ -1,7 +1,7 @@
 """Where columns of an image have their peaks: what every columnwise detector starts from."""
 
 from os import PathLike
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -119,13 +119,22 @@ def checked_image(image: ArrayLike) -> NDArray:
     return np.ascontiguousarray(image, image.dtype.newbyteorder("=") if kept else np.float64)
 
 
+def known_of(image: Any) -> dict[str, float]:
+    """What a recorded frame says of its grey values: noise, gain, saturation and black level.
+
+    It is the attribute `detector_options` of whatever has one.
+    """
+    known = getattr(image, "detector_options", None)
+    return {name: value for name, value in (known or {}).items() if value is not None}
+
+
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:
     """Grey value from which on the pixels of `image` are clipped; infinity where there is none.
 
-    An image of `read_image` knows it.
+    An image of `read_image` knows it, and a recorded frame.
     """
     if saturation is None:
-        saturation = getattr(image, "largest", None)
+        saturation = known_of(image).get("saturation", getattr(image, "largest", None))
     if saturation is not None:
         return number_within("image: saturation", saturation, -LARGEST, np.inf, "a grey value")
     dtype = getattr(image, "dtype", None) or unmasked(image).dtype  # of a masked image its own

@@ -18,6 +18,7 @@ from scipy.ndimage import distance_transform_edt
 
 from virtual_sensor.arrays import LARGEST, number_within, numbers_of, truth_of
 from virtual_sensor.calls import public
+from virtual_sensor.devices.sheet_rows import crossings, sees_whole_profile
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -33,7 +34,6 @@ WRONG_PX, WRONG_SIGMAS = 0.1, 10.0
 FINE_PX = 0.02
 """...but for what no measurement resolves: without noise a sigma may be 0.0001 px."""
 
-_PROFILE = 1.5  # seen out to so many 1/e^2 radii on both sides, the profile is whole
 _LONGEST_STEP = 4.0  # times the usual one between neighbouring rays
 _FEWEST_RAYS = 4  # of a cubic
 _SAME_LINE_PX = 3.0  # in adjoining columns
@@ -167,7 +167,7 @@ class TrueLine(Displayed):
         radius_mm : float
             The laser's 1/e^2 radius.
         """
-        number, column, place = _crossings(across_mm, radius_mm)
+        number, column, place = crossings(across_mm, radius_mm)
         width = across_mm.shape[1]
         count = np.bincount(column, minlength=width)
         order = np.lexsort((number, column))
@@ -183,11 +183,14 @@ class TrueLine(Displayed):
     def of_frame(cls, frame: Any, source: str | None = None) -> TrueLine:
         """A source's line in a rendered `Frame`; the name can be left out where it is the only one.
 
+        Of a `RecordedFrame` it is that of its ideal one.
+
         Raises
         ------
         InputError
             If there is no such source, or there are several; or it is no laser line.
         """
+        frame = _ideal(frame)
         name = frame.source_name(source)
         if name not in frame.radius_mm:
             raise InputError(f"the source '{name}' is no laser line; a frame of fringes has none")
@@ -196,7 +199,7 @@ class TrueLine(Displayed):
     def seen_in(self, across_mm: NDArray[np.floating], radius_mm: float) -> TrueLine:
         """The same line, CUT where a frame shows that an edge hides a part of its profile."""
         known = np.isfinite(self.row)
-        whole = _sees_whole_profile(self.row, across_mm, radius_mm)
+        whole = sees_whole_profile(self.row, across_mm, radius_mm)
         return replace(self, status=np.where(known & ~whole, TruthStatus.CUT, self.status))
 
     def band(self, height: int, half_px: float) -> Mask:
@@ -332,7 +335,7 @@ def compare_line(
     ----------
     line : LineCentres
         Of an image whose columns are searched, or of lines of any direction.
-    truth : TrueLine, Frame or array_like of shape (W,)
+    truth : TrueLine, Frame, RecordedFrame or array_like of shape (W,)
         A rendered frame knows its line; an array has its row in each column, NaN where none is.
     source : str, optional
         Of a frame: the source whose line it is, where the frame has several.
@@ -350,6 +353,7 @@ def compare_line(
         raise InputError(f"compare_line: line is {short(line)}; give LineCentres")
     number_within("compare_line: end_px", end_px, -LARGEST, LARGEST, "a distance in px")
     truth_of("compare_line: cut", cut)
+    truth = _ideal(truth)
     is_frame = hasattr(truth, "source_coordinates")
     truth = _true_line(truth, source)
     width = truth.row.shape[1]
@@ -390,6 +394,17 @@ def compare_line(
         int(is_cut.sum()),
         {s: int(n) for s in TruthStatus if s != TruthStatus.KNOWN and (n := np.sum(why == s))},
     )
+
+
+def _ideal(frame: Any) -> Any:
+    """The rendered frame, with its truth, of a recorded one; others as they are."""
+    ideal = getattr(frame, "ideal", frame)
+    if ideal is not frame and not hasattr(ideal, "source_coordinates"):
+        raise InputError(
+            "the recorded frame knows no line: what was recorded is a sequence, or a radiance"
+            " alone; record a Frame (render_frame), or give the line's row in each column"
+        )
+    return ideal
 
 
 def _true_line(truth: Any, source: str | None) -> TrueLine:
@@ -562,67 +577,3 @@ def _to_ends(row: Array, longest_px: float) -> Array:
     left[left == -0.5] = -np.inf
     right[right == width - 0.5] = np.inf
     return np.where(known, np.minimum(column - left, right - column), np.nan)
-
-
-def _jump(across_mm: NDArray[np.floating], radius_mm: float) -> float:
-    """The step of a between two pixels, mm, from which on it is an edge: on a coarse film more."""
-    steps = np.abs(np.diff(across_mm, axis=0))
-    known = steps[np.isfinite(steps)]
-    return max(radius_mm, 2.0 * float(np.median(known))) if known.size else radius_mm
-
-
-def _lit(across_mm: NDArray[np.floating]) -> tuple[int, NDArray[np.floating]]:
-    """The rows that see light, from which on; a dark one on each side stands for those beyond."""
-    light = np.flatnonzero(np.isfinite(across_mm).any(axis=1))
-    if not light.size:
-        return 0, across_mm[:0]
-    top = max(int(light[0]) - 1, 0)
-    return top, across_mm[top : light[-1] + 2]
-
-
-def _crossings(across_mm: NDArray[np.floating], radius_mm: float) -> tuple[Index, Index, Array]:
-    """Where columns see the sheet's middle: the pixel before, the column, the row; (L,) each.
-
-    The row is that of a cubic through the four pixels about it, or of a line through two.
-    """
-    top, across_mm = _lit(across_mm)
-    upper, lower, jump = across_mm[:-1], across_mm[1:], _jump(across_mm, radius_mm)
-    near = np.abs(lower - upper) < jump
-    number, column = np.nonzero((np.signbit(upper) != np.signbit(lower)) & near)
-    a = across_mm[(number + np.arange(-1, 3)[:, None]).clip(0, len(across_mm) - 1), column]
-    a = a.astype(float)
-    place = number + a[1] / (a[1] - a[2])
-    steps = np.diff(a, axis=0)
-    smooth = (number >= 1) & (number + 2 < len(across_mm))
-    smooth &= (np.abs(steps) < jump).all(axis=0)
-    smooth &= (steps > 0.0).all(axis=0) | (steps < 0.0).all(axis=0)
-    a = a[:, smooth]
-    cubic = np.zeros(a.shape[1])  # v as a polynomial of a, at a = 0, by Lagrange
-    for i in range(4):
-        others = [j for j in range(4) if j != i]
-        weight = np.prod([a[j] / (a[j] - a[i]) for j in others], axis=0)
-        cubic += weight * (number[smooth] + i - 1)
-    place[smooth] = cubic
-    return number + top, column, place + top
-
-
-def _sees_whole_profile(row: Array, across_mm: NDArray[np.floating], radius_mm: float) -> Mask:
-    """Whether rows (K, W) see the profile from edge to edge, on one part of the surface."""
-    known = np.isfinite(row)
-    top, across_mm = _lit(across_mm)
-    if not across_mm.size:
-        return np.zeros_like(known)
-    middle = np.where(known, np.rint(row) - top, 0).astype(int).clip(0, len(across_mm) - 1)
-    column = np.arange(across_mm.shape[1])
-    number = np.arange(len(across_mm))[:, None]
-    # A pixel starts a new part where there was no light before, or that of another place.
-    starts = np.ones(across_mm.shape, bool)
-    starts[1:] = ~(np.abs(np.diff(across_mm, axis=0)) < _jump(across_mm, radius_mm))
-    ends = np.ones(across_mm.shape, bool)
-    ends[:-1] = starts[1:]
-    first = np.maximum.accumulate(np.where(starts, number, 0), axis=0)[middle, column]
-    backwards = np.where(ends, number, len(across_mm) - 1)[::-1]
-    last = np.minimum.accumulate(backwards, axis=0)[::-1][middle, column]
-    a = np.stack([across_mm[first, column], across_mm[last, column]])
-    reach = _PROFILE * radius_mm
-    return known & (a.min(axis=0) < -reach) & (a.max(axis=0) > reach)

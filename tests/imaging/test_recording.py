@@ -1,0 +1,224 @@
+"""A recorded frame: exposure by the lens, seeds of its own, the truth in each column."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scipy import constants
+
+import virtual_sensor as vs
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.recording import RecordingOptions, part_seed
+from virtual_sensor.imaging.speckle import Aperture
+from virtual_sensor.optics.lens import Lens
+
+QUIET = vs.ImageSensor(dark_noise_e=0.0, dsnu_e=0.0, prnu=0.0, pixel_um=5.5, full_well_e=1e5)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return vs.load_scene(
+        "hot_cylinder", width=160, height=160, spp=4, emissivity=0.8, line_radius=0.6
+    )
+
+
+@pytest.fixture(scope="module")
+def frame(scene):
+    return vs.render_frame(scene, background=True)
+
+
+def with_lens(scene, f_number=8.0, **changes):
+    """The scene with the thin lens of the paper's set-up before its sensor."""
+    lens = Lens.of_f_number(75.0, 300.0, f_number)
+    camera = replace(scene.camera, lens=lens, **changes)
+    return replace(scene, cameras={scene.camera_name: camera})
+
+
+def test_a_lens_and_a_time_make_as_many_electrons_as_photons_carry_energy(scene):
+    """E = pi L tau/(4 N_w^2) by hand, with CODATA's constants: N = 8, m = 1/4, 2 ms."""
+    radiance = np.full((160, 160), 1e-5)  # W/(mm^2 sr)
+    shot = vs.record(with_lens(scene, transmission=0.9), radiance, sensor=QUIET, exposure_s="2ms")
+    joules = np.pi * 10.0 * 0.9 / (4.0 * 10.0**2) * (5.5e-6) ** 2 * 2e-3  # 10 W/(m^2 sr)
+    expected = 0.62 * joules * 532e-9 / (constants.h * constants.c)
+    assert 1000.0 < expected < 10_000.0
+    np.testing.assert_allclose(shot.electrons, expected, rtol=1e-6)
+    found = (shot.grey.mean() - 64.0) / 0.37
+    assert found == pytest.approx(expected, abs=4.0 * np.sqrt(expected) / 160.0 + 0.01)
+    assert shot.exposure_s == 0.002
+
+
+def test_automatic_exposure_finds_the_time_that_makes_the_brightest_pixel_so_bright(scene, frame):
+    lens = with_lens(scene)
+    auto = vs.record(lens, frame, 5, sensor=QUIET)
+    assert auto.electrons.max() == pytest.approx(0.8 * (4095.0 - 64.0) / 0.37, rel=1e-6)
+    again = vs.record(lens, frame, 5, sensor=QUIET, exposure_s=auto.exposure_s)
+    np.testing.assert_array_equal(again.grey, auto.grey)
+    pinhole = vs.record(scene, frame, 5, sensor=QUIET)
+    np.testing.assert_array_equal(pinhole.grey, auto.grey)
+    assert pinhole.exposure_s is None
+    wide = with_lens(scene, f_number=4.0)
+    assert vs.record(wide, frame, sensor=QUIET).exposure_s == pytest.approx(auto.exposure_s / 4.0)
+
+
+def test_beyond_a_knee_the_brightest_pixel_still_lies_at_its_share_of_the_grey_values(scene, frame):
+    sensor = replace(QUIET, knee=(0.5, 6.0), full_well_e=10_000.0)
+    shot = vs.record(scene, frame, sensor=sensor, peak=0.75)
+    assert shot.grey.max() == pytest.approx(64.0 + 0.75 * 3700.0, abs=150.0)
+
+
+def test_a_frame_is_the_same_alone_and_among_many_in_any_order_and_thread(scene, frame):
+    options = RecordingOptions(sensor_model="cmos_5um5", seed=7)
+    alone = options.recorded(scene, frame, "hot", 3)
+    with ThreadPoolExecutor(3) as pool:
+        numbers = [4, 3, 0, 1]
+        many = pool.map(lambda number: options.recorded(scene, frame, "hot", number), numbers)
+    many = dict(zip(numbers, many, strict=True))
+    np.testing.assert_array_equal(many[3].grey, alone.grey)
+    assert np.mean(many[4].grey != alone.grey) > 0.5
+    direct = vs.record(scene, frame, alone.seed, sensor="cmos_5um5")  # by what its file says
+    np.testing.assert_array_equal(direct.grey, alone.grey)
+    assert many[3].drawn == alone.drawn
+    assert (
+        len({part_seed(7, *parts) for parts in [(), (3,), ("hot", 3), ("hot",), ("cold", 3)]}) == 5
+    )
+
+
+def test_the_background_is_the_frame_without_its_sources_and_changes_no_bit(scene, frame):
+    np.testing.assert_array_equal(vs.render_frame(scene).radiance, frame.radiance)
+    np.testing.assert_allclose(vs.render(replace(scene, sources={})), frame.background, rtol=1e-5)
+    assert frame.background.max() > 0.0
+    assert vs.render_frame(scene.cold(), background=True).background.max() == 0.0
+
+
+def test_laser_light_alone_is_speckled(scene, frame):
+    aperture = Aperture(16.0, magnification=0.25)
+    shot = vs.record(scene, frame, 2, sensor=QUIET, speckle=aperture)
+    dark = ~cv2.dilate(frame.lit.astype(np.uint8), np.ones((81, 81))).astype(bool)
+    assert np.any(frame.background[dark])
+    np.testing.assert_array_equal(shot.speckled[dark], frame.background[dark])
+    same = vs.record(scene, frame, 3, sensor=QUIET, speckle=aperture, surface_seed=9)
+    still = vs.record(scene, frame, 4, sensor=QUIET, speckle=aperture, surface_seed=9)
+    np.testing.assert_array_equal(same.speckled, still.speckled)
+    assert np.any(same.grey != still.grey)
+    lens = with_lens(scene, f_number=16.0)
+    by_lens = vs.record(lens, frame, 2, sensor=QUIET, speckle=True)
+    np.testing.assert_array_equal(by_lens.speckled, shot.speckled)
+
+
+def test_detectors_are_told_what_the_sensor_knows(scene, frame):
+    shot = vs.record(scene, frame, 1, sensor="cmos_5um5")
+    told = {name: shot.detector_options[name] for name in ("noise", "gain", "saturation")}
+    for method in ("gaussian", "max_likelihood"):
+        assert vs.line_centres(shot, method) == vs.line_centres(shot.grey, method, **told)
+    assert vs.line_centres(shot, noise=50.0) == vs.line_centres(
+        shot.grey, noise=50.0, gain=told["gain"], saturation=told["saturation"]
+    )
+    errors = vs.compare_line(vs.line_centres(shot), shot)
+    assert errors == vs.compare_line(vs.line_centres(shot), frame)
+    assert errors.count > 0
+
+
+def test_dark_current_is_a_part_of_black_and_of_noise(scene):
+    sensor = replace(QUIET, dark_noise_e=3.0, dark_current_e_s=1e5)
+    dark = vs.record(with_lens(scene), np.zeros((160, 160)), sensor=sensor, exposure_s=0.01)
+    told = dark.detector_options
+    assert dark.grey.mean() == pytest.approx(told["black"], abs=0.3)
+    assert dark.grey.std() == pytest.approx(told["noise"], rel=0.02)
+
+
+def test_fringes_decode_with_what_their_recording_says():
+    scene = vs.load_scene(
+        "fringe_cylinder", width=64, height=64, spp=4, projector_width=320, projector_height=200
+    )
+    codec = vs.codec_of("phase 4 20,320 u", scene.projector.size)
+    frames = vs.render_sequence(scene.cold(), codec.patterns)
+    shot = vs.record(scene, frames, 1)
+    assert shot.grey.shape == frames.radiance.shape
+    assert np.any(shot.grey[0] != shot.grey[4])
+    expected = codec.decode(shot.grey, sensor=shot.sensor)
+    assert codec.decode(shot) == expected
+    assert expected.ok.any()
+    with pytest.raises(InputError, match=r"ideal\.projector_pixel"):
+        _ = shot.truth
+
+
+def test_the_truth_of_a_column_is_that_of_a_search_and_of_its_light(scene, frame):
+    """Row against searched rays; width and electrons against the ideal profile's moments."""
+    shot = vs.record(scene, frame)
+    truth, width = shot.truth, 160
+    y_mm = np.linspace(-10.0, 10.0, 101)
+    found = vs.ray_search(scene, y_mm, "newton")
+    searched = vs.TrueLine.of_search(found.pixel, found.status == vs.SearchStatus.FOUND, width)
+    inner = (truth.visibility > 0.999) & np.isfinite(searched.row[0, truth.column])
+    at = truth.column[inner]
+    assert inner.sum() > 50
+    assert np.abs(truth.row_px[inner] - searched.row[0, at]).max() < 0.01
+    light = (frame.radiance - frame.background)[:, at].astype(float)
+    v = np.arange(width)[:, None]
+    row = (v * light).sum(0) / light.sum(0)
+    sigma = np.sqrt((((v - row) ** 2) * light).sum(0) / light.sum(0))
+    assert np.median(truth.width_px[inner] / np.sqrt(sigma**2 - 1.0 / 12.0)) == pytest.approx(
+        1.0, abs=0.05
+    )
+    electrons = light.sum(0) * shot.electrons_per_radiance
+    np.testing.assert_allclose(truth.electrons[inner], electrons, rtol=1e-4)
+    assert np.all(truth.blur_px == 0.0)
+
+
+def test_an_exposure_that_saturates_or_hides_the_whole_line_is_told(scene, frame):
+    assert vs.record(scene, frame).notes == ()
+    (bright,) = vs.record(scene, frame, peak=20.0).notes
+    assert "all lit columns are saturated" in bright
+    (faint,) = vs.record(scene, frame, peak=5e-4).notes
+    assert "expose for a longer time" in faint
+    (none,) = vs.record(scene, np.zeros((160, 160))).notes
+    assert "dark" in none
+
+
+def test_options_record_if_they_or_the_camera_ask_for_it(scene, frame):
+    assert RecordingOptions().of(scene) is None
+    assert RecordingOptions(seed=3).recorded(scene, frame) is None
+    assert RecordingOptions(exposure="auto").of(scene) == vs.ImageSensor()
+    assert RecordingOptions().of(with_lens(scene, sensor=QUIET)) == QUIET
+    assert RecordingOptions("profile_sensor").of(scene).name == "profile_sensor"
+
+
+def test_bad_input_is_told(scene, frame):
+    lens = with_lens(scene)
+    plain = vs.render_frame(scene)
+    for words, ask in {
+        "f-number": lambda: vs.record(scene, frame, exposure_s=0.002),
+        "pinhole has no aperture": lambda: vs.record(scene, frame, speckle=True),
+        "background=True": lambda: vs.record(lens, plain, sensor=QUIET, speckle=True),
+        "how large its pixels": lambda: vs.record(lens, frame, exposure_s=0.002),
+        "160 x 160": lambda: vs.record(scene, np.ones((8, 8))),
+        "give a Frame": lambda: vs.record(scene, "shot.png"),
+        "not finite": lambda: vs.record(scene, np.full((160, 160), np.nan)),
+        "give an ImageSensor": lambda: vs.record(scene, frame, sensor=3),
+        "no_such": lambda: vs.record(scene, frame, sensor="no_such"),
+        "such as 2ms": lambda: vs.record(lens, frame, exposure_s="2 parsec"),
+        "--exposure": lambda: RecordingOptions(exposure="-2ms"),
+        "peak": lambda: vs.record(scene, frame, peak=0.0),
+        "seed": lambda: vs.record(scene, frame, seed=-1),
+    }.items():
+        with pytest.raises(InputError, match=words):
+            ask()
+
+
+def test_times_are_read_with_their_units():
+    from virtual_sensor.devices.exposure_time import exposure_time_s
+
+    for text, seconds in {
+        "2ms": 0.002,
+        "500us": 5e-4,
+        "500 µs": 5e-4,
+        "0.1": 0.1,
+        1e-5: 1e-5,
+    }.items():
+        assert exposure_time_s("t", text) == seconds, text
+    assert exposure_time_s("t", "auto") is exposure_time_s("t", "") is exposure_time_s("t", None)
+    for text in ("0", "-1ms", "2m", "nan", "1e9", "ms", "inf"):
+        with pytest.raises(InputError, match="such as 2ms"):
+            exposure_time_s("t", text)

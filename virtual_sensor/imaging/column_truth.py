@@ -1,0 +1,105 @@
+"""What is true of a laser's line in each column of a recorded frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+from virtual_sensor.devices.sheet_rows import crossings, run_of
+from virtual_sensor.imaging.render import Frame
+from virtual_sensor.optics.lens import circle_of_confusion
+from virtual_sensor.records import Table
+
+Array = NDArray[np.float64]
+
+_DISC = 4.0  # diameters of an evenly lit disc in its standard deviation along an axis
+
+
+@dataclass(frozen=True)
+class ColumnTruth(Table):
+    """The line in each column that it crosses; where a column sees it twice, it has two rows.
+
+    Attributes
+    ----------
+    column : ndarray of int of shape (N,)
+    row_px : ndarray of shape (N,)
+        v of the sheet's middle at the column's middle, along chief rays.
+    width_px : ndarray of shape (N,)
+        Standard deviation of the sharp line's profile along the column.
+    blur_px : ndarray of shape (N,)
+        Standard deviation of the lens's blur along the column, out of focus; 0 of a pinhole.
+    electrons : ndarray of shape (N,)
+        Mean electrons of the line's light in the column, where lamps and glow are known without
+        theirs.
+    visibility : ndarray of shape (N,)
+        Which part of the sheet's profile the camera sees there: less than 1 at edges.
+    """
+
+    column: NDArray[np.int64]
+    row_px: Array
+    width_px: Array
+    blur_px: Array
+    electrons: Array
+    visibility: Array
+
+
+def column_truth(
+    frame: Frame, camera: Any, electrons: NDArray[np.floating], source: str
+) -> ColumnTruth:
+    """The truth of a source's line.
+
+    Parameters
+    ----------
+    frame : Frame
+        The ideal one.
+    camera : LensCamera
+        That sees it.
+    electrons : ndarray of shape (H, W)
+        Means of the line's light.
+    source : str
+        A laser line's name.
+    """
+    across = frame.coordinates(source)[:, :, 0]
+    radius_mm = frame.radius_mm[source]
+    number, column, row = crossings(across, radius_mm)
+    order = np.lexsort((number, column))
+    number, column, row = number[order], column[order], row[order]
+    slope = across[number + 1, column].astype(float) - across[number, column]
+
+    # One layer for each time that a column sees the line.
+    count = np.bincount(column, minlength=across.shape[1])
+    layer = np.arange(column.size) - (np.cumsum(count) - count)[column]
+    rows = np.full((max(int(count.max(initial=1)), 1), across.shape[1]), np.nan)
+    rows[layer, column] = row
+    first, last = (ends[layer, column] for ends in run_of(rows, across, radius_mm))
+
+    # Out to the outer edges of the run's last pixels, half a pixel beyond their middles.
+    low, high = (across[at, column].astype(float) for at in (first, last))
+    half = 0.5 * np.abs(slope)
+    low, high = np.minimum(low, high) - half, np.maximum(low, high) + half
+    deviation_mm = 0.5 * radius_mm
+    sums = np.concatenate([np.zeros((1, across.shape[1])), np.cumsum(electrons, axis=0)])
+    blur = _blur_px(frame, camera, number, column)
+    reach = np.ceil(0.5 * _DISC * np.nan_to_num(blur)).astype(int)
+    begin, end = np.maximum(first - reach, 0), np.minimum(last + 1 + reach, len(across))
+    return ColumnTruth(
+        column=column,
+        row_px=row,
+        width_px=deviation_mm / np.abs(slope),
+        blur_px=blur,
+        electrons=sums[end, column] - sums[begin, column],
+        visibility=ndtr(high / deviation_mm) - ndtr(low / deviation_mm),
+    )
+
+
+def _blur_px(frame: Frame, camera: Any, number: Any, column: Any) -> Array:
+    """Standard deviation along v of the disc that a lens makes of the points seen."""
+    lens = getattr(camera, "lens", None)
+    if lens is None or not number.size:
+        return np.zeros(number.size)
+    points = frame.point_mm[number, column].astype(float)
+    return circle_of_confusion(lens, camera, points)[:, 1] / _DISC

@@ -1,0 +1,535 @@
+"""From a rendered frame to what its camera stores: speckle, exposure, noise, bits, and the truth.
+
+    radiance --speckle--> --lens, exposure--> photons --sensor--> grey values
+
+The irradiance of the sensor is E = pi L tau/(4 N_w^2), N_w = N (1 + m) the working f-number: Born
+and Wolf 1999, 4.8.3, on the axis.  A pinhole has no aperture and so no exposure time: `auto` gives
+its brightest pixel a share of the saturation, as a camera's automatic exposure does.
+
+One seed makes a frame, whatever was recorded before it: its parts (the sensor's noise, the rough
+surface that speckles) have seeds of their own that follow from it.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from virtual_sensor.arrays import SMALLEST, number_within, truth_of, unmasked, whole_number
+from virtual_sensor.calls import public
+from virtual_sensor.devices.camera import LensCamera
+from virtual_sensor.devices.exposure_time import LONGEST_S, SHORTEST_S, exposure_time_s
+from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor
+from virtual_sensor.display import Displayed, listed, span
+from virtual_sensor.errors import InputError, short
+from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
+from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
+from virtual_sensor.imaging.render import Frame, arrangement
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.imaging.sequence import PatternFrames
+from virtual_sensor.imaging.speckle import Aperture, speckled
+from virtual_sensor.optics.lens import Lens
+from virtual_sensor.optics.sight import scene_of
+
+Ideal = Frame | PatternFrames | NDArray[np.floating]
+Image = NDArray[np.float32]
+
+PEAK = 0.8
+"""Of the saturation is where automatic exposure puts the brightest pixel."""
+LARGEST_SEED = 2**63 - 1
+
+_MOST_PEAK = 1e6  # times the saturation: far over-exposed
+_MANY = 0.5  # of the line's columns
+_REMEDY = (
+    'give its camera one, <float name="f_number" value="8"/> in a <sensor type="lens_camera">, or'
+    " leave the exposure to auto"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrame(Displayed):
+    """What a camera stored of a frame, or of a sequence, and all that made it.
+
+    >>> frame = vs.render_frame(scene)
+    >>> shot = vs.record(scene, frame, seed=1, sensor="cmos_5um5")
+    >>> line = vs.line_centres(shot)  # told of gain, noise, saturation and black level
+    >>> vs.compare_line(line, shot).rms_px
+
+    Attributes
+    ----------
+    grey : ndarray of shape (H, W) or (K, H, W)
+        Grey values, uint8 or uint16.
+    ideal : Frame, PatternFrames or ndarray
+        As rendered.
+    sensor : ImageSensor
+    exposure_s : float or None
+        None where a pinhole was exposed automatically: without an aperture there is no time.
+    electrons_per_radiance : float
+        Mean electrons of a pixel for 1 W/(mm^2 sr).
+    seed : int
+        Of this frame.
+    drawn : Mapping
+        All that was drawn from the seed, by name: the seeds of its parts.
+    parameters : Mapping
+        The scene's.
+    scene : Path
+        Its file.
+    camera : LensCamera
+        That saw it.
+    notes : tuple of str
+    speckled : ndarray or None
+        Radiance with speckle; None without.
+    """
+
+    _field_units: ClassVar = {"electrons_per_radiance": "e mm² sr/W"}
+
+    grey: NDArray[np.uint8] | NDArray[np.uint16]
+    ideal: Ideal
+    sensor: ImageSensor
+    exposure_s: float | None
+    electrons_per_radiance: float
+    seed: int
+    drawn: Mapping[str, Any]
+    parameters: Mapping[str, str]
+    scene: Path
+    camera: LensCamera
+    notes: tuple[str, ...] = ()
+    speckled: Image | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("drawn", "parameters"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def _line(self) -> str:
+        *count, height, width = self.grey.shape
+        size = f"{f'{count[0]} of ' if count else ''}{width} x {height} px"
+        time = f"{self.exposure_s * 1e3:.4g} ms" if self.exposure_s else ""
+        return listed(size, f"{self.sensor.bit_depth} bits", span("", self.grey), time)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The grey values, wherever an image is asked for."""
+        return np.array(self.grey, dtype) if copy else np.asarray(self.grey, dtype)
+
+    def __len__(self) -> int:
+        return len(self.grey)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the grey values."""
+        return self.grey.shape
+
+    @property
+    def dtype(self) -> Any:
+        """Of the grey values."""
+        return self.grey.dtype
+
+    @cached_property
+    def electrons(self) -> Image:
+        """Mean electrons of each pixel, without noise and before clipping; as `grey` in shape."""
+        light = _radiance(self.ideal) if self.speckled is None else self.speckled
+        return light * np.float32(self.electrons_per_radiance)
+
+    @cached_property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Which pixels are clipped, by the well or by the converter."""
+        return self.grey >= self.sensor.saturation
+
+    @cached_property
+    def truth(self) -> ColumnTruth:
+        """What is true of the only laser's line in each column."""
+        return self.line_truth()
+
+    def line_truth(self, source: str | None = None) -> ColumnTruth:
+        """What is true of a laser's line in each column; without a name, of the only source's.
+
+        Raises
+        ------
+        InputError
+            If there is no such laser line, or there are several, or no frame with its truth was
+            recorded.
+        """
+        if not isinstance(self.ideal, Frame):
+            raise InputError(
+                "the recorded frame has no line: what was recorded is a sequence, whose truth is"
+                " ideal.projector_pixel, or a radiance alone; record a Frame (render_frame)"
+            )
+        name = self.ideal.source_name(source)
+        if name not in self.ideal.radius_mm:
+            raise InputError(f"the source '{name}' is no laser line, and its frame has no line")
+        other = self.ideal.background
+        light = self.electrons
+        if other is not None:
+            light = light - other * np.float32(self.electrons_per_radiance)
+        return column_truth(self.ideal, self.camera, light, name)
+
+    @property
+    def detector_options(self) -> dict[str, float]:
+        """What a detector or a codec is to know of the grey values.
+
+        `noise` in the dark, with the rounding; `gain` in grey values per electron; `saturation`;
+        `black`.
+        """
+        sensor, dark_e = self.sensor, self.sensor.dark_current * (self.exposure_s or 0.0)
+        return {
+            "noise": float(np.hypot(sensor.grey_noise, sensor.gain * np.sqrt(dark_e))),
+            "gain": sensor.gain,
+            "saturation": sensor.saturation,
+            "black": sensor.black_level + sensor.gain * dark_e,
+        }
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """What made it, as files carry it; ``vs.record`` with these makes the same bits."""
+        return {
+            "scene": str(self.scene),
+            "parameters": dict(self.parameters),
+            "sensor": asdict(self.sensor),
+            "exposure_s": self.exposure_s,
+            "electrons_per_radiance": self.electrons_per_radiance,
+            "seed": self.seed,
+            "drawn": dict(self.drawn),
+            **self.detector_options,
+            "notes": list(self.notes),
+        }
+
+
+@public
+def record(
+    scene: Scene | str | Path,
+    frame: Frame | PatternFrames | ArrayLike,
+    seed: int = 0,
+    *,
+    sensor: ImageSensor | str | Path | None = None,
+    exposure_s: float | str | None = None,
+    speckle: bool | Aperture = False,
+    surface_seed: int | None = None,
+    peak: float = PEAK,
+    camera: str | None = None,
+) -> RecordedFrame:
+    """Record a rendered frame as the scene's camera stores it.
+
+    >>> scene = vs.load_scene("hot_cylinder")
+    >>> shot = vs.record(scene, vs.render_frame(scene), seed=3, sensor="cmos_5um5")
+
+    Parameters
+    ----------
+    scene : Scene, str or Path
+        Which the frame shows: its camera has the lens, and may have a sensor and an exposure.
+    frame : Frame, PatternFrames or array_like
+        The ideal one: from `render_frame` or `render_sequence`, or a radiance in W/(mm^2 sr) of
+        shape (H, W) or (K, H, W).  All frames of a sequence are exposed alike.
+    seed : int
+        Of this frame: the same gives the same bits, alone or among a thousand.
+    sensor : ImageSensor, str or Path, optional
+        Or its name, or its file; by default the camera's, else `ImageSensor()`.
+    exposure_s : float or str, optional
+        Exposure time in s, or a text such as "2ms"; by default the camera's; "auto" puts the
+        brightest pixel at `peak`.  A time needs a lens with an f-number.
+    speckle : bool or Aperture
+        Whether the laser's light is speckled, by the camera's lens; or by that aperture.
+    surface_seed : int, optional
+        Of the rough surface: frames with the same one have the same speckle, as those of a still
+        part have.  By default it follows from `seed`.
+    peak : float
+        Share of the saturation at which "auto" puts the brightest pixel.
+    camera : str, optional
+        Its name; it can be left out where the scene has one.
+
+    Raises
+    ------
+    InputError
+        If the frame is of another size than the camera's image, or holds what is negative or no
+        number; a time is given without a lens, or speckle asked for without one; or one of the
+        others can't be used.
+    """
+    loaded: Scene = scene_of("record", scene)
+    scene = loaded.only(camera)
+    seed = whole_number("record: seed", seed, 0, LARGEST_SEED)
+    ideal = _ideal(scene, frame)
+    chosen = sensor_of(scene, sensor)
+    drawn = {"noise": part_seed(seed, "noise"), "pattern": chosen.pattern_seed}
+    light, shown = _radiance(ideal), None
+    if speckle is not False:
+        surface = part_seed(seed, "surface") if surface_seed is None else surface_seed
+        drawn["surface"] = whole_number("record: surface_seed", surface, 0, LARGEST_SEED)
+        light = shown = _speckled(scene, ideal, aperture_of(scene, chosen, speckle), surface)
+    factor, time_s, notes = _exposure(scene, chosen, light, exposure_s, peak)
+    falling = light * (factor / chosen.quantum_efficiency)
+    grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
+    shot = RecordedFrame(
+        grey,
+        ideal,
+        chosen,
+        time_s,
+        factor,
+        seed,
+        drawn,
+        scene.parameters,
+        scene.path,
+        scene.camera,
+        notes,
+        shown,
+    )
+    return replace(shot, notes=(*notes, *_doubts(shot)))
+
+
+def part_seed(seed: int, *parts: int | str) -> int:
+    """Seed of a named or numbered part of what a seed makes: each has random numbers of its own."""
+    words = (zlib.crc32(part.encode()) if isinstance(part, str) else part for part in parts)
+    high, low = np.random.SeedSequence([seed, *words]).generate_state(2, np.uint32).tolist()
+    return int(high >> 1) << 32 | int(low)
+
+
+def sensor_of(scene: Scene, sensor: ImageSensor | str | Path | None = None) -> ImageSensor:
+    """The sensor that is given or named, else that of the scene's camera, else a usual one.
+
+    Its quantum efficiency is that for the scene's light.
+    """
+    given = scene.camera.sensor if sensor is None else sensor
+    found = ImageSensor() if given is None else given
+    if isinstance(found, str | Path):
+        found = image_sensor(found)
+    if not isinstance(found, ImageSensor):
+        raise InputError(
+            f"record: sensor is {short(sensor)}; give an ImageSensor, or the name or file of one"
+        )
+    return found.at_wavelength(scene.air.wavelength_nm)
+
+
+def pixel_um_of(scene: Scene, sensor: ImageSensor) -> float:
+    """Pitch of the pixels, by the sensor's data sheet, else by the scene's camera.
+
+    Raises
+    ------
+    InputError
+        If neither says so.
+    """
+    pixel_um = sensor.pixel_um or scene.camera.pixel_um
+    if pixel_um is None:
+        raise InputError(
+            f"{scene.path}: {scene.camera_element}: nothing says how large its pixels are; record"
+            " by a sensor whose data sheet has pixel_um, such as cmos_5um5"
+        )
+    return float(pixel_um)
+
+
+def lens_of(scene: Scene) -> Lens | None:
+    """The lens of the scene's camera; None of a pinhole."""
+    lens: Lens | None = scene.camera.lens
+    return lens if lens is not None and lens.pupil_radius_mm > 0.0 else None
+
+
+def aperture_of(scene: Scene, sensor: ImageSensor, speckle: bool | Aperture) -> Aperture:
+    """What the lens of the scene's camera lets through, which makes the speckle.
+
+    Raises
+    ------
+    InputError
+        If the camera is a pinhole.
+    """
+    if isinstance(speckle, Aperture):
+        return speckle
+    truth_of("record: speckle", speckle)
+    lens = lens_of(scene)
+    if lens is None:
+        raise InputError(
+            f"{scene.path}: {scene.camera_element}: a pinhole has no aperture, and speckle needs"
+            ' its f-number; give <float name="f_number" value="8"/> in a <sensor'
+            ' type="lens_camera">, or an Aperture (speckle=)'
+        )
+    wavelength_nm = scene.air.wavelength_nm
+    pixel_um = pixel_um_of(scene, sensor)
+    return Aperture(lens.f_number, wavelength_nm, pixel_um, lens.magnification)
+
+
+def _ideal(scene: Scene, frame: Any) -> Ideal:
+    """The frame, of the size of the camera's image."""
+    ideal = frame if isinstance(frame, Frame | PatternFrames) else unmasked(frame)
+    light = _radiance(ideal)
+    width, height = scene.camera.size
+    if light.dtype.kind not in "iuf" or light.ndim not in (2, 3):
+        raise InputError(
+            f"record: frame is {short(frame)}; give a Frame (render_frame), PatternFrames"
+            " (render_sequence), or a radiance (height, width)"
+        )
+    if light.shape[-2:] != (height, width) or not light.size:
+        size = " x ".join(map(str, light.shape[::-1]))
+        raise InputError(
+            f"record: frame is of {size} px, and {scene.camera_element} of {width} x {height};"
+            " give a frame of this scene"
+        )
+    return ideal
+
+
+def _radiance(ideal: Ideal) -> NDArray[np.floating]:
+    return ideal if isinstance(ideal, np.ndarray) else ideal.radiance
+
+
+def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Image:
+    """Radiance with the laser's light speckled; light of lamps and glow stays as it is."""
+    light = np.asarray(_radiance(ideal), float)
+    if light.ndim != 2:
+        raise InputError(
+            "record: speckle is of a laser's line, and this is a sequence; record its frames one"
+            " by one, or leave speckle out"
+        )
+    background = getattr(ideal, "background", None)
+    if background is None and arrangement(scene).lamps:
+        raise InputError(
+            "record: lamps, or the part's glow, light this frame too, and laser light alone is"
+            " speckled; render it by vs.render_frame(scene, background=True)"
+        )
+    other = 0.0 if background is None else background.astype(float)
+    return (speckled(np.maximum(light - other, 0.0), aperture, seed) + other).astype(np.float32)
+
+
+def _exposure(
+    scene: Scene,
+    sensor: ImageSensor,
+    light: NDArray[np.floating],
+    exposure_s: float | str | None,
+    peak: float,
+) -> tuple[float, float | None, tuple[str, ...]]:
+    """Electrons for 1 W/(mm^2 sr), the exposure time if there is one, and notes."""
+    given = scene.camera.exposure_s if exposure_s is None else exposure_s
+    time_s = exposure_time_s("record: exposure_s", given)
+    lens = lens_of(scene)
+    per_second = None
+    if lens is not None:
+        falls = irradiance(1.0, lens.f_number, lens.magnification, scene.camera.transmission)
+        each = photons(falls, 1.0, pixel_um_of(scene, sensor), scene.air.wavelength_nm)
+        per_second = float(each) * sensor.quantum_efficiency
+    if time_s is not None:
+        if per_second is None:
+            raise InputError(
+                f"{scene.path}: {scene.camera_element}: a pinhole has no aperture, and the time"
+                f" exposure_s = {short(given)} needs its f-number; {_REMEDY}"
+            )
+        return per_second * time_s, time_s, ()
+    number_within("record: peak", peak, SMALLEST, _MOST_PEAK, "a share of the saturation above 0")
+    brightest = float(np.nanmax(light, initial=0.0))
+    if not 0.0 < brightest < np.inf:
+        return 0.0, None, ("the frame is dark: automatic exposure found no light",)
+    factor = _light_e(sensor, peak * saturation_e(sensor)) / brightest
+    if per_second is None:
+        return factor, None, ()
+    time_s = factor / per_second
+    kept = min(max(time_s, SHORTEST_S), LONGEST_S)
+    notes = (
+        ()
+        if kept == time_s
+        else (
+            f"automatic exposure stops at {kept:g} s, where the brightest pixel has"
+            f" {kept / time_s * peak:.2g} of the saturation",
+        )
+    )
+    return per_second * kept, kept, notes
+
+
+def saturation_e(sensor: ImageSensor) -> float:
+    """Electrons at which a pixel is clipped, by the well or by the converter."""
+    return float(min(sensor.full_well_e, (sensor.white - sensor.black_level) / sensor.gain))
+
+
+def _light_e(sensor: ImageSensor, stored_e: float) -> float:
+    """Electrons that light makes where so many are read: beyond a knee it takes more."""
+    if sensor.knee is None:
+        return stored_e
+    share, ratio = sensor.knee
+    knee_e = share * sensor.full_well_e
+    return stored_e + max(stored_e - knee_e, 0.0) * (ratio - 1.0) / (1.0 - share)
+
+
+def _doubts(shot: RecordedFrame) -> list[str]:
+    """Notes of a recorded frame whose line is clipped, or drowns."""
+    lit = getattr(shot.ideal, "lit", None)
+    if lit is None or not lit.any():
+        return []
+    columns = lit.any(axis=0)
+    clipped = (shot.saturated & lit).any(axis=0)
+    share = float(clipped.sum() / columns.sum())
+    notes = []
+    if share > _MANY:
+        which = "all" if share == 1.0 else f"{share:.0%} of the"
+        notes.append(
+            f"{which} lit columns are saturated: their line has no centre; expose for a shorter"
+            " time, or leave it to auto"
+        )
+    brightest = float(shot.grey[lit].max()) - shot.sensor.black_level
+    if brightest < 6.0 * shot.sensor.grey_noise:
+        notes.append(
+            f"the line is at most {brightest:.3g} grey values above black, and the noise"
+            f" {shot.sensor.grey_noise:.3g}: expose for a longer time, or leave it to auto"
+        )
+    return notes
+
+
+@dataclass(frozen=True)
+class RecordingOptions(Displayed):
+    """How a command records what it renders: options of `measure` and its kin.
+
+    Attributes
+    ----------
+    sensor_model : str, optional
+        Record frames by this image sensor: the name of one that comes with the program
+        (cmos_5um5, cmos_3um45, profile_sensor), or a .toml file of your own. By default by that of
+        the scene's camera, if it has one; else frames are ideal.
+    exposure : str, optional
+        Exposure time, such as 2ms or 500us, for which the scene's camera needs an f-number; or
+        auto, which puts the brightest pixel at 80 % of the saturation. By default the camera's own,
+        else auto.
+    seed : int
+        Of the noise and the speckle; each frame's own follows from it.
+    speckle : bool
+        Speckle the laser's light, for which the scene's camera needs an f-number.
+    """
+
+    sensor_model: str | None = None
+    exposure: str | None = None
+    seed: int = 0
+    speckle: bool = False
+
+    def __post_init__(self) -> None:
+        if self.exposure is not None:
+            exposure_time_s("--exposure", self.exposure)
+        whole_number("--seed", self.seed, 0, LARGEST_SEED)
+
+    @property
+    def asked(self) -> bool:
+        """Whether frames are to be recorded, whatever the scene's camera has."""
+        return self.sensor_model is not None or self.exposure is not None or self.speckle
+
+    def of(self, scene: Scene) -> ImageSensor | None:
+        """The sensor that records a scene's frames; None: they stay ideal."""
+        own = scene.camera.sensor
+        return sensor_of(scene, self.sensor_model) if self.asked or own is not None else None
+
+    def frame_seed(self, *parts: int | str) -> int:
+        """Seed of a frame by its number, name or both, such as ("hot", 12); without, the own."""
+        return part_seed(self.seed, *parts) if parts else self.seed
+
+    def recorded(
+        self, scene: Scene, frame: Frame | PatternFrames, *parts: int | str
+    ) -> RecordedFrame | None:
+        """A frame as recorded, with a seed of its own by its number or name; None: it stays ideal.
+
+        Raises
+        ------
+        InputError
+            As `record` does.
+        """
+        sensor = self.of(scene)
+        if sensor is None:
+            return None
+        seed = self.frame_seed(*parts)
+        return record(
+            scene, frame, seed, sensor=sensor, exposure_s=self.exposure, speckle=self.speckle
+        )
