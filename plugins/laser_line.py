@@ -6,6 +6,7 @@ import numpy as np
 from virtual_sensor_plugins.properties import pose_of, positive
 from virtual_sensor_plugins.refractive import folders_of_files
 
+from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.devices.device import Device
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.devices.laser_profile import (
@@ -108,6 +109,12 @@ class LaserLineEmitter(SourceEmitter):
     wavelength       532          Of its light, nm: for the beam_quality
     rayleigh_length  (none)       Of a focus: in place of the beam_quality, mm from the waist to
                                   where the radius has grown by sqrt(2)
+    linewidth        0            Full width of its spectrum at half the height, nm: with the
+                                  roughness it weakens the speckle of recorded frames
+    roughness        0            Of the lit surface, for its speckle alone: Rq, or how deep light
+                                  goes into paint or paper, um
+    polarisations    1            2: the lit surface depolarises, so that two patterns add
+    modes            1            Of the laser, incoherent to each other, whose patterns add
     ===============  ===========  ==============================================================
     """
 
@@ -148,6 +155,12 @@ def _laser_of(props: mi.Properties) -> LaserLine:
         profile=profile,
         uniformity=uniformity_of(str(props.get("uniformity", "")), folders),
         focus=_focus(props, sheet.distance_mm, radius),
+        coherence=Coherence(
+            polarisations=props.get("polarisations", 1),
+            linewidth_nm=props.get("linewidth", 0.0),
+            roughness_um=props.get("roughness", 0.0),
+            modes=props.get("modes", 1.0),
+        ),
     )
 
 

@@ -311,7 +311,12 @@ REFUSED = {
     "not a scene": ("<mesh/>", ["<mesh>", "<scene>"]),
     "property misspelt": (
         COLD.replace('name="power"', 'name="pwoer"'),
-        ["line 5", '<emitter type="laser_line">', '"pwoer"', "correct its name"],
+        [
+            f"line {COLD.partition(LASER)[0].count(chr(10)) + 1}: ",
+            '<emitter type="laser_line">',
+            '"pwoer"',
+            "correct its name",
+        ],
     ),
     "plugin misspelt": (
         COLD.replace('type="diffuse"', 'type="difuse"'),

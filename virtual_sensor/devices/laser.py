@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import number_for, where
+from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.devices.device import irradiance
 from virtual_sensor.devices.laser_profile import Focus, Gaussian, Profile, Uniformity
 from virtual_sensor.display import Displayed, listed, place
@@ -42,6 +43,9 @@ class LaserLine(Displayed):
         Along the line; None: even.
     focus : Focus or None
         How the sheet's thickness changes with the depth; None: not at all.
+    coherence : Coherence
+        Of its light from the lit surface: how strong its speckle is, where frames are recorded
+        with it.
     """
 
     family: RayFamily
@@ -52,6 +56,7 @@ class LaserLine(Displayed):
     profile: Profile = field(default_factory=Gaussian)
     uniformity: Uniformity | None = None
     focus: Focus | None = None
+    coherence: Coherence = field(default_factory=Coherence)
 
     def __post_init__(self) -> None:
         plain = self.profile == Gaussian() and self.uniformity is None

@@ -37,6 +37,7 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
         for name in (
             *("distance", "length", "radius", "power", "fan", "uniformity", "wavelength"),
             *("waist_distance", "beam_quality", "rayleigh_length"),
+            *("linewidth", "roughness", "modes"),
         )
     ),
     *(

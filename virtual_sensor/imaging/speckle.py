@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -37,11 +37,11 @@ from virtual_sensor.arrays import (
     image_of,
     number_within,
     numbers_of,
-    whole_number,
 )
 from virtual_sensor.calls import public
-from virtual_sensor.display import Displayed
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.devices.coherence import Coherence, weights_of
+from virtual_sensor.errors import InputError, naming, short
+from virtual_sensor.optics.lens import Lens
 
 Array = NDArray[np.float64]
 Box = tuple[slice, slice]
@@ -55,13 +55,12 @@ _BLOCK = 16, 32  # px, rows and columns: of the surface, each with random number
 _AT_ONCE = 4  # windows
 _DARK = 1e-30  # of the brightest pixel
 _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
-_FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # of a Gaussian, in standard deviations
 
 
 @public
 @dataclass(frozen=True)
-class Aperture(Displayed):
-    """What the camera's lens lets through.
+class Aperture(Coherence):
+    """What the camera's lens lets through, and how coherent the light is: together the speckle.
 
     Attributes
     ----------
@@ -86,18 +85,26 @@ class Aperture(Displayed):
     wavelength_nm: float = 532.0
     pixel_um: float = 5.5
     magnification: float = 0.0
-    polarisations: int = 1
-    linewidth_nm: float = 0.0
-    roughness_um: float = 0.0
-    modes: float = 1.0
 
     def __post_init__(self) -> None:
         for name in ("f_number", "wavelength_nm", "pixel_um"):
             number_within(f"aperture: {name}", getattr(self, name), SMALLEST, LARGEST, "it above 0")
-        for name in ("magnification", "linewidth_nm", "roughness_um"):
-            number_within(f"aperture: {name}", getattr(self, name), 0.0, LARGEST, "it from 0 on")
-        number_within("aperture: modes", self.modes, 1.0, LARGEST, "it from 1 on")
-        whole_number("aperture: polarisations", self.polarisations, 1, 2)
+        number_within("aperture: magnification", self.magnification, 0.0, LARGEST, "it from 0 on")
+        with naming("aperture"):
+            super().__post_init__()
+
+    @staticmethod
+    def of(
+        lens: Lens, pixel_um: float, wavelength_nm: float, coherence: Coherence | None = None
+    ) -> Aperture:
+        """That of a lens and its sensor, in light of a laser line's `coherence`."""
+        return Aperture(
+            lens.f_number,
+            wavelength_nm,
+            pixel_um,
+            lens.magnification,
+            **({} if coherence is None else asdict(coherence)),
+        )
 
     @property
     def resolution_px(self) -> float:
@@ -112,25 +119,8 @@ class Aperture(Displayed):
 
     @property
     def patterns(self) -> float:
-        """Number of equal patterns that would have this contrast: of polarisations, depth, modes.
-
-        Of a Gaussian spectrum and Gaussian depths, square to light and sight, the patterns of all
-        wavelengths together have a squared contrast of 1/sqrt(1 + (4 sigma_h sigma_k)^2), sigma_h
-        the spread of depths and sigma_k that of 2 pi/lambda: Parry 1974; Goodman 2007, 5.3.
-        """
-        spread = 2.0 * np.pi * self.linewidth_nm / _FWHM * 1e3 / self.wavelength_nm**2  # 1/um
-        of_depth = np.sqrt(1.0 + (4.0 * self.roughness_um * spread) ** 2)
-        return float(self.polarisations * self.modes * of_depth)
-
-    @property
-    def _weights(self) -> Array:
-        """Parts of the light of the fewest patterns with this contrast: all alike but the last."""
-        squares, many = 1.0 / self.patterns, int(np.ceil(self.patterns * (1.0 - 1e-12))) - 1
-        if not many:
-            return np.ones(1)
-        rest = max(1.0 - (1.0 + 1.0 / many) * (1.0 - squares), 0.0)
-        each = (1.0 + np.sqrt(rest)) / (1.0 + many)
-        return np.array([each] * many + [1.0 - many * each])
+        """Number of equal patterns that would have the contrast of all that add."""
+        return self.patterns_at(self.wavelength_nm)
 
     def correlation(self, distance_px: ArrayLike) -> Array:
         """Correlation of the intensity on the sensor, |2 J1(x)/x|^2: Goodman 2007, 4.4."""
@@ -232,7 +222,7 @@ def speckled(
         radius = float(np.average(_at(blur, near), weights=_at(image, near)))
         pupil = _Pupil.of(aperture, fine, radius, box, near, apron)
         total = np.zeros([fine * (side.stop - side.start) + 2 for side in box], np.float32)
-        for number, part in enumerate(aperture._weights):
+        for number, part in enumerate(weights_of(aperture.patterns)):
             field = pupil.passes(amplitude * _scatterers(key, number, near, fine))
             total += np.float32(part) * (field.real**2 + field.imag**2)
         seen[box] = brightest * _integrated(_integrated(total, fine).T, fine).T
