@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from scipy.stats import poisson
 
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
@@ -280,3 +281,45 @@ def test_frames_of_a_sequence_are_exposed_alike_and_have_noise_of_their_own():
         grey_values(np.stack([frames[0], frames[0] + np.nan]), sensor, peak_e=100.0)
     with pytest.raises(InputError, match="dark"):
         grey_values(np.zeros((2, 4, 4)), sensor, peak_e=100.0)
+
+
+def test_dark_current_gathers_in_the_exposure():
+    """Mean and variance, EMVA 1288 equation 17; none where no exposure is said."""
+    sensor = ImageSensor(dark_current_e_s=200.0, temperature_c=33.0, dsnu_e=0.0, gain=1.0)
+    dark = np.zeros((300, 300))
+    grey = grey_values(dark, sensor, exposure_s=0.25).astype(float) - sensor.black_level
+    assert grey.mean() == pytest.approx(100.0, rel=2e-3)
+    assert grey.var() == pytest.approx(100.0 + sensor.grey_noise**2, rel=0.02)
+    assert abs(grey_values(dark, sensor).mean() - sensor.black_level) < 0.05
+    for exposure_s in (-1.0, np.nan, "2ms"):
+        with pytest.raises(InputError, match="exposure_s"):
+            grey_values(dark, sensor, exposure_s=exposure_s)
+
+
+def test_a_knee_point_bends_the_photon_transfer():
+    """Means and variances are those of the pixel's two Poisson numbers, summed exactly, within 2 %.
+
+    Expected: below the knee those of a linear pixel; above it a share of the slope and the shot
+    noise of the last part alone; clipped where the light is as many full wells as the range says.
+    """
+    plain = {"dsnu_e": 0.0, "prnu": 0.0, "gain": 1.0, "bit_depth": 16, "dark_noise_e": 3.0}
+    sensor = ImageSensor(full_well_e=6000.0, knee=(0.5, 6.0), quantum_efficiency=1.0, **plain)
+    last = 0.5 / 5.5
+    held_e = (1.0 - last) * 3000.0
+    for light_e in (50.0, 1000.0, 2500.0, 2950.0, 3000.0, 3100.0, 5000.0, 20_000.0, 34_000.0):
+        grey = grey_values(np.full((400, 400), light_e), sensor, 5).astype(float)
+        first, shares = np.arange(40_000), poisson.pmf(np.arange(40_000), (1 - last) * light_e)
+        clipped = np.minimum(first, held_e)
+        mean = clipped @ shares
+        variance = (clipped - mean) ** 2 @ shares + last * light_e
+        expected = sensor.black_level + mean + last * light_e
+        assert grey.mean() == pytest.approx(expected, rel=1e-3)
+        assert grey.var() == pytest.approx(variance + sensor.grey_noise**2, rel=0.02)
+        if light_e < 2500.0:
+            assert mean + last * light_e == pytest.approx(light_e)
+        if light_e > 3200.0:
+            assert variance == pytest.approx(last * light_e, rel=0.02)
+    full = [grey_values(np.full((50, 50), 6000.0 * n), sensor).mean() for n in (5.5, 6.0, 6.5)]
+    assert full[0] < 0.97 * sensor.saturation
+    assert full[1] == pytest.approx(sensor.saturation, rel=0.005)
+    assert full[2] == sensor.saturation

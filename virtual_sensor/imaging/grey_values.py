@@ -5,8 +5,11 @@ Not modelled here: motion, and a shutter that rolls (a frame is one instant).
 
 from __future__ import annotations
 
+import os
 from collections import deque
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import (
     LARGEST,
     SMALLEST,
-    generator_of,
     image_of,
     number_within,
     numbers_of,
@@ -23,14 +25,18 @@ from virtual_sensor.arrays import (
 from virtual_sensor.calls import public
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.devices.planck import c, h
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.errors import InputError, naming, short
+from virtual_sensor.imaging.pixel_noise import Floats, PixelNoise, poisson
 
 Array = NDArray[np.float64]
 
-_AT_ONCE = 4  # frames of a sequence
+_TEMPORAL, _FIXED = range(2)  # parts of what a seed makes
+_THREADS = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+_BLOCK_PX = 1 << 14
+_PATTERNS = 2  # that are kept
 _SURELY_FULL = 10.0  # full wells: more light than that makes no difference
 _DARKEST = 0.01  # photons, of a frame's brightest pixel
-_MOST_E = 1e18  # what NumPy draws a Poisson number of
+_MOST_E = 1e18  # that are drawn
 
 
 def irradiance(
@@ -81,7 +87,7 @@ def _exposure(brightest: float, peak_e: float, sensor: ImageSensor) -> float:
 def grey_values(
     photons: ArrayLike,
     sensor: ImageSensor | None = None,
-    seed: int | np.random.Generator = 0,
+    seed: int | tuple[int, int] | np.random.Generator = 0,
     *,
     exposure_s: float | None = None,
     peak_e: float | None = None,
@@ -99,8 +105,10 @@ def grey_values(
         ``vs.save_png(frame.radiance, "frame.png")``.
     sensor : ImageSensor, optional
         By default the 12-bit one that `ImageSensor()` is.
-    seed : int or numpy.random.Generator
-        Of the temporal noise; the same seed gives the same bits.
+    seed : int, (int, int) or numpy.random.Generator
+        Of the temporal noise: the same seed gives the same bits, in whatever order frames are
+        taken, and a part of an image from its first row and column on the same as the whole.
+        Frame k of a sequence has the seed ``(seed, k)`` alone.
     exposure_s : float, optional
         In which the dark current gathers; by default there is none.
     peak_e : float, optional
@@ -134,41 +142,32 @@ def grey_values(
     if exposure_s is not None:
         advice = "the exposure in s, from 0 on"
         exposure_s = number_within("grey_values: exposure_s", exposure_s, 0.0, LARGEST, advice)
-        dark_e = min(sensor.dark_current * exposure_s, _MOST_E)
+        dark_e = sensor.dark_current * exposure_s
+    with naming("grey_values"):
+        noise = PixelNoise(seed, _TEMPORAL)
     images = unmasked(photons)
-    if images.ndim == 3 and images.size and images.dtype.kind in "bufi":
-        rng = generator_of("grey_values: seed", seed)
-        return _sequence(images, sensor, rng, dark_e, peak_e, exposure_s is not None)
-    photons = photons if peak_e is None else exposed(photons, peak_e, sensor)
-    light = image_of("grey_values: photons", photons, 0.0)
-    rng = generator_of("grey_values: seed", seed)
-    if exposure_s is None:
-        _check_exposure(light.max(initial=0.0))
-    return _grey(light, sensor, rng, dark_e)
-
-
-def _sequence(
-    images: NDArray,
-    sensor: ImageSensor,
-    rng: np.random.Generator,
-    dark_e: float,
-    peak_e: float | None,
-    timed: bool,
-) -> NDArray:
-    """Grey values (K, H, W) of frames of one exposure; a few at once, as all may be large."""
+    several = images.ndim == 3 and images.size > 0 and images.dtype.kind in "bufi"
+    if not several:
+        images = _light("grey_values: photons", images)[None]
     brightest = float(np.nanmax(images, initial=0.0))
     scale = 1.0 if peak_e is None else _exposure(brightest, peak_e, sensor)
-    if not timed:
+    if exposure_s is None:
         _check_exposure(scale * brightest)
     grey: NDArray = np.empty(images.shape, sensor.kind)
+    with ThreadPoolExecutor(_THREADS) as threads:  # NumPy computes beside itself
+        for number, image in enumerate(images):
+            light = _light(f"grey_values: photons of frame {number}", image)
+            expose = partial(_expose, light, scale, dark_e, sensor, noise, number, grey[number])
+            deque(threads.map(expose, _blocks(*light.shape)), maxlen=0)
+    return grey if several else grey[0]
 
-    def take(number: int, own: np.random.Generator) -> None:
-        light = image_of(f"grey_values: photons of frame {number}", images[number], 0.0)
-        grey[number] = _grey(light * scale, sensor, own, dark_e)
 
-    with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy draws numbers beside itself
-        deque(threads.map(take, range(len(images)), rng.spawn(len(images))), maxlen=0)
-    return grey
+def _light(name: str, image: NDArray) -> NDArray:
+    """The image as it is if it is one of finite numbers from 0 on; raises InputError, else."""
+    plain = image.ndim == 2 and image.dtype.kind in "uf" and image.size > 0
+    if plain and image.min() >= 0.0 and image.max() < np.inf:  # NaN is neither
+        return image
+    return image_of(name, image, 0.0)
 
 
 def _check_exposure(brightest: float) -> None:
@@ -180,40 +179,60 @@ def _check_exposure(brightest: float) -> None:
         )
 
 
-def _grey(light: Array, sensor: ImageSensor, rng: np.random.Generator, dark_e: float) -> NDArray:
-    """Grey values (H, W) of so many photons on each pixel."""
-    offset, response = _pattern(sensor, light.shape)
+def _blocks(height: int, width: int) -> Iterator[slice]:
+    """Rows of an image, a few at once: the processor's cache holds what is made of them."""
+    rows = max(_BLOCK_PX // max(width, 1), 1)
+    return (slice(first, min(first + rows, height)) for first in range(0, height, rows))
+
+
+def _expose(
+    light: NDArray,
+    scale: float,
+    dark_e: float,
+    sensor: ImageSensor,
+    noise: PixelNoise,
+    frame: int,
+    grey: NDArray,
+    rows: slice,
+) -> None:
+    """Write the grey values of some rows of a frame."""
+    width = light.shape[1]
+    offset, response = _pattern(sensor.pattern_seed, *light.shape)
     brim = sensor.full_well_e * (sensor.knee[1] if sensor.knee else 1.0)
-    full = min(_SURELY_FULL * brim, _MOST_E)
-    mean = np.minimum(sensor.quantum_efficiency * light * response + dark_e, full)
-    electrons = np.zeros(light.shape, np.float32)
-    lit = mean > 0.0
+    with np.errstate(over="ignore"):  # far above the brim
+        mean = light[rows] * float(scale * sensor.quantum_efficiency)
+        if sensor.prnu:
+            gain = response[rows] * np.float32(sensor.prnu) + np.float32(1.0)
+            mean = mean * np.maximum(gain, 0.0)
+        most = min(_SURELY_FULL * brim, _MOST_E)
+        mean_e: Floats = np.minimum(mean + dark_e, most).astype(np.float32)
+    lines = range(rows.start, rows.stop)
+    shot, read = noise.normals(lines, width, frame)
     if sensor.knee is None:
-        electrons[lit] = rng.poisson(mean[lit])
+        electrons = poisson(mean_e, shot)
     else:
-        last, barrier = _knee(sensor)
-        first = np.minimum(rng.poisson((1.0 - last) * mean[lit]), barrier)
-        electrons[lit] = first + rng.poisson(last * mean[lit])
-    electrons += rng.standard_normal(light.shape, np.float32) * np.float32(sensor.dark_noise_e)
-    electrons += offset
-    np.minimum(electrons, sensor.full_well_e, out=electrons)
-    grey = np.rint(electrons * np.float32(sensor.gain) + np.float32(sensor.black_level))
-    return np.clip(grey, 0, sensor.white).astype(sensor.kind)
-
-
-def _pattern(
-    sensor: ImageSensor, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32] | float, NDArray[np.float32] | float]:
-    """Offset in electrons and response of each pixel: the same in every frame of this shape."""
-    rng = np.random.default_rng((sensor.pattern_seed, *shape))
-    offset: NDArray[np.float32] | float = 0.0
-    response: NDArray[np.float32] | float = 1.0
+        last, barrier = (np.float32(number) for number in _knee(sensor))
+        electrons = np.minimum(poisson(mean_e * (1 - last), shot), barrier)
+        electrons += poisson(mean_e * last, noise.normals(lines, width, frame, pair=1)[0])
+    electrons += read * np.float32(sensor.dark_noise_e)
     if sensor.dsnu_e:
-        offset = rng.standard_normal(shape, np.float32) * np.float32(sensor.dsnu_e)
-    if sensor.prnu:
-        response = 1.0 + rng.standard_normal(shape, np.float32) * np.float32(sensor.prnu)
-        response = np.maximum(response, 0.0)
-    return offset, response
+        electrons += offset[rows] * np.float32(sensor.dsnu_e)
+    np.minimum(electrons, np.float32(sensor.full_well_e), out=electrons)
+    electrons *= np.float32(sensor.gain)
+    electrons += np.float32(sensor.black_level)
+    np.rint(electrons, out=electrons)
+    np.clip(electrons, 0, sensor.white, out=grey[rows], casting="unsafe")
+
+
+@lru_cache(_PATTERNS)
+def _pattern(seed: int, height: int, width: int) -> tuple[Floats, Floats]:
+    """Normal numbers of each pixel's offset and response: the same in every frame."""
+    drawn = PixelNoise(seed, _FIXED)
+    found = np.empty((2, height, width), np.float32)
+    for rows in _blocks(height, width):
+        found[:, rows] = drawn.normals(range(rows.start, rows.stop), width)
+    found.flags.writeable = False
+    return found[0], found[1]
 
 
 def _knee(sensor: ImageSensor) -> tuple[float, float]:
