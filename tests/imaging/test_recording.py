@@ -9,8 +9,9 @@ import pytest
 from scipy import constants
 
 import virtual_sensor as vs
+from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.recording import RecordingOptions, part_seed
+from virtual_sensor.imaging.recording import RecordingOptions, aperture_of, part_seed
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.optics.lens import Lens
 
@@ -105,6 +106,40 @@ def test_laser_light_alone_is_speckled(scene, frame):
     lens = with_lens(scene, f_number=16.0)
     by_lens = vs.record(lens, frame, 2, sensor=QUIET, speckle=True)
     np.testing.assert_array_equal(by_lens.speckled, shot.speckled)
+
+
+def test_a_part_at_rest_keeps_its_speckle_and_one_that_moved_has_another(scene, frame):
+    """Neither the frame's seed nor the air moves it; its own number, its place and its light do."""
+    aperture = Aperture(16.0, magnification=0.25)
+
+    def seen(where, seed=0, **others):
+        return vs.record(where, frame, seed, sensor=QUIET, speckle=aperture, **others).speckled
+
+    first = seen(scene)
+    for still in (seen(scene, 5), seen(scene.cold()), seen(with_lens(scene, f_number=4.0))):
+        np.testing.assert_array_equal(still, first)
+    pose = scene.laser.pose
+    turned = scene.with_pose(
+        "laser", replace(pose, origin_mm=np.add(pose.origin_mm, [1e-3, 0.0, 0.0]))
+    )
+    parameters = {**scene.parameters, "along": "0.001"}
+    moved = vs.load_scene("hot_cylinder", **parameters)
+    for other in (seen(scene, surface_seed=1), seen(turned), seen(moved)):
+        shared = np.corrcoef(other[frame.lit], first[frame.lit])[0, 1]
+        alike = np.corrcoef(frame.radiance[frame.lit], first[frame.lit])[0, 1]
+        assert shared < alike
+
+
+def test_the_lasers_coherence_makes_the_contrast_and_projected_light_has_none(scene, frame):
+    lens = with_lens(scene, f_number=16.0)
+    laser = replace(scene.laser, coherence=Coherence(polarisations=2, modes=4.0))
+    partly = replace(lens, sources={"laser": laser})
+    aperture = aperture_of(partly, frame, QUIET, True)
+    assert aperture.patterns == 8.0
+    assert aperture.resolution_px == pytest.approx(0.532 * 16.0 * 1.25 / 5.5, rel=1e-6)
+    dark = replace(lens, sources={})
+    with pytest.raises(InputError, match="laser light alone is speckled"):
+        vs.record(dark, frame, sensor=QUIET, speckle=True)
 
 
 def test_detectors_are_told_what_the_sensor_knows(scene, frame):

@@ -6,8 +6,8 @@ The irradiance of the sensor is E = pi L tau/(4 N_w^2), N_w = N (1 + m) the work
 and Wolf 1999, 4.8.3, on the axis.  A pinhole has no aperture and so no exposure time: `auto` gives
 its brightest pixel a share of the saturation, as a camera's automatic exposure does.
 
-One seed makes a frame, whatever was recorded before it: its parts (the sensor's noise, the rough
-surface that speckles) have seeds of their own that follow from it.
+One seed makes a frame, whatever was recorded before it: the sensor's noise follows from it.  The
+rough surface that speckles is the same while the part, the camera and the light are at rest.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from virtual_sensor.calls import public
 from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.exposure_time import LONGEST_S, SHORTEST_S, exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor
+from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
@@ -210,7 +211,7 @@ def record(
     sensor: ImageSensor | str | Path | None = None,
     exposure_s: float | str | None = None,
     speckle: bool | Aperture = False,
-    surface_seed: int | None = None,
+    surface_seed: int = 0,
     peak: float = PEAK,
     camera: str | None = None,
 ) -> RecordedFrame:
@@ -235,9 +236,9 @@ def record(
         brightest pixel at `peak`.  A time needs a lens with an f-number.
     speckle : bool or Aperture
         Whether the laser's light is speckled, by the camera's lens; or by that aperture.
-    surface_seed : int, optional
-        Of the rough surface: frames with the same one have the same speckle, as those of a still
-        part have.  By default it follows from `seed`.
+    surface_seed : int
+        Of the rough surface.  A part at rest keeps its speckle from frame to frame, whatever their
+        seeds, and one that has moved has another: see `surface_of`.
     peak : float
         Share of the saturation at which "auto" puts the brightest pixel.
     camera : str, optional
@@ -258,9 +259,10 @@ def record(
     drawn = {"noise": part_seed(seed, "noise"), "pattern": chosen.pattern_seed}
     light, shown = _radiance(ideal), None
     if speckle is not False:
-        surface = part_seed(seed, "surface") if surface_seed is None else surface_seed
-        drawn["surface"] = whole_number("record: surface_seed", surface, 0, LARGEST_SEED)
-        light = shown = _speckled(scene, ideal, aperture_of(scene, chosen, speckle), surface)
+        number = whole_number("record: surface_seed", surface_seed, 0, LARGEST_SEED)
+        drawn["surface"] = surface_of(scene, number)
+        aperture = aperture_of(scene, ideal, chosen, speckle)
+        light = shown = _speckled(scene, ideal, aperture, drawn["surface"])
     factor, time_s, notes = _exposure(scene, chosen, light, exposure_s, peak)
     falling = light * (factor / chosen.quantum_efficiency)
     grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
@@ -286,6 +288,20 @@ def part_seed(seed: int, *parts: int | str) -> int:
     words = (zlib.crc32(part.encode()) if isinstance(part, str) else part for part in parts)
     high, low = np.random.SeedSequence([seed, *words]).generate_state(2, np.uint32).tolist()
     return int(high >> 1) << 32 | int(low)
+
+
+def surface_of(scene: Scene, number: int = 0) -> int:
+    """Seed of the rough surface as a camera sees it: one of many, by its number.
+
+    It is another one as soon as the part, a camera or a source has moved, by 1 nm or more.  Air
+    moves nothing, nor do lens, sensor and what else is not seen in the places of things.
+    """
+    boxes = [shape.bbox() for shape in scene.mitsuba.shapes()]
+    corners = [np.ravel([box.min, box.max]) for box in boxes]
+    poses = [np.ravel([*pose.rotation, pose.origin_mm]) for pose in scene.poses.values()]
+    places = [np.round(each, 6) + 0.0 for each in (*corners, *poses)]
+    digest = zlib.crc32(b"".join(place.tobytes() for place in places))
+    return part_seed(number, "surface", digest)
 
 
 def sensor_of(scene: Scene, sensor: ImageSensor | str | Path | None = None) -> ImageSensor:
@@ -327,13 +343,17 @@ def lens_of(scene: Scene) -> Lens | None:
     return lens if lens is not None and lens.pupil_radius_mm > 0.0 else None
 
 
-def aperture_of(scene: Scene, sensor: ImageSensor, speckle: bool | Aperture) -> Aperture:
-    """What the lens of the scene's camera lets through, which makes the speckle.
+def aperture_of(
+    scene: Scene, ideal: Ideal, sensor: ImageSensor, speckle: bool | Aperture
+) -> Aperture:
+    """What makes a frame's speckle: the lens of the scene's camera, the pixels, the laser's light.
+
+    Of several lasers it is the most coherent one.
 
     Raises
     ------
     InputError
-        If the camera is a pinhole.
+        If the camera is a pinhole, or no laser lights the frame.
     """
     if isinstance(speckle, Aperture):
         return speckle
@@ -346,8 +366,16 @@ def aperture_of(scene: Scene, sensor: ImageSensor, speckle: bool | Aperture) -> 
             ' type="lens_camera">, or an Aperture (speckle=)'
         )
     wavelength_nm = scene.air.wavelength_nm
-    pixel_um = pixel_um_of(scene, sensor)
-    return Aperture(lens.f_number, wavelength_nm, pixel_um, lens.magnification)
+    shining = ideal.source_coordinates if isinstance(ideal, Frame) else scene.sources
+    sources = (source for name, source in scene.sources.items() if name in shining)
+    lasers = [source.coherence for source in sources if isinstance(source, LaserLine)]
+    if not lasers:
+        raise InputError(
+            f"{scene.path}: no laser lights this frame, and laser light alone is speckled; leave"
+            " speckle out, or give an Aperture (speckle=)"
+        )
+    coherence = min(lasers, key=lambda each: each.patterns_at(wavelength_nm))
+    return Aperture.of(lens, pixel_um_of(scene, sensor), wavelength_nm, coherence)
 
 
 def _ideal(scene: Scene, frame: Any) -> Ideal:
@@ -531,5 +559,11 @@ class RecordingOptions(Displayed):
             return None
         seed = self.frame_seed(*parts)
         return record(
-            scene, frame, seed, sensor=sensor, exposure_s=self.exposure, speckle=self.speckle
+            scene,
+            frame,
+            seed,
+            sensor=sensor,
+            exposure_s=self.exposure,
+            speckle=self.speckle,
+            surface_seed=self.seed,
         )
