@@ -1,5 +1,6 @@
 """Samples of pixels, chunk by chunk, averaged on a film."""
 
+import math
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -46,6 +47,16 @@ def own_sampler(sensor: mi.Sensor, spp: int) -> mi.Sampler:
     return sampler
 
 
+def shared_sampler(sampler: mi.Sampler, points: int) -> mi.Sampler:
+    """The sampler of each of so many points that share a pixel's samples: a square number, or 1.
+
+    Other samplers than the scenes' may have other numbers: theirs next to it is taken.
+    """
+    own = sampler.fork()
+    own.set_sample_count(max(1, round(math.sqrt(sampler.sample_count() / points))) ** 2)
+    return own
+
+
 class Exposure:
     """Frames in the making, whose samples are of the same rays.
 
@@ -62,6 +73,9 @@ class Exposure:
     on_film : bool
         Whether the sensor's film is exposed too: Mitsuba takes the image from there.
     frames : int
+    passes : int
+        Through so many points of a lens's pupil pixels are exposed, one after the other, and the
+        image is the mean of all; 1: pixels that are exposed again are those of the last time.
     """
 
     def __init__(
@@ -73,6 +87,7 @@ class Exposure:
         progress: Callable[[float], None] | None,
         on_film: bool = False,
         frames: int = 1,
+        passes: int = 1,
     ) -> None:
         self.view, self.sampler, self.film = view, sampler, view.sensor.film()
         # Each pixel's samples are averaged in their order: added to the film one by one, as other
@@ -87,7 +102,7 @@ class Exposure:
         else:
             # NumPy's memory, which is in use only from where light is written.
             self._images = mi.Float(np.zeros(frames * view.pixels, np.float32))
-        self._frames, self._under_way = frames, 0
+        self._frames, self._passes, self._under_way = frames, passes, 0
         self._seed, self._pixels, self._progress = int(seed), pixels, progress
         self._done = 0
 
@@ -104,7 +119,7 @@ class Exposure:
     def images(self) -> NDArray[np.float32]:
         """The radiances, (frames, H, W)."""
         shape = self._frames, self.view.height, self.view.width
-        if self.overwrites:
+        if not self.on_film:
             return self._images.numpy().reshape(shape)
         images = np.empty(shape, np.float32)
         for number, image in enumerate(images):
@@ -115,15 +130,37 @@ class Exposure:
     @property
     def overwrites(self) -> bool:
         """Whether pixels that are exposed again are those of the last time; else they add up."""
-        return not self._blocks
+        return not self._blocks and self._passes == 1
+
+    @property
+    def on_film(self) -> bool:
+        """Whether samples are put on the film: each pixel needs as many in each pass."""
+        return bool(self._blocks)
 
     def add(
-        self, pixels: NDArray[np.uint32] | None, shade: Shade, lanes: int, stream: int = 0
+        self,
+        pixels: NDArray[np.uint32] | None,
+        shade: Shade,
+        lanes: int,
+        stream: int = 0,
+        through: View | None = None,
+        shift: tuple[float, float] | None = None,
     ) -> None:
         """Expose pixels, or all of the film, with so many samples in flight at once.
 
         Those of another stream have other random numbers, whatever else is exposed.
+
+        Parameters
+        ----------
+        pixels : ndarray of shape (N,), optional
+        shade : Shade
+        lanes, stream : int
+        through : View, optional
+            What the rays are of, where they are not the exposure's.
+        shift : tuple of two float, optional
+            By how much the samples are moved within their pixels, px.
         """
+        view = through or self.view
         total = self.view.pixels if pixels is None else pixels.size
         if not total:
             return
@@ -139,10 +176,14 @@ class Exposure:
             self.sampler.set_samples_per_wavefront(spp)
             shuffled = self._seed + number * _GOLDEN & 0xFFFFFFFF
             self.sampler.seed(dr.opaque(mi.UInt32, shuffled), count * spp)
-            place = self.view.place(pixel, self.sampler.next_2d())
+            within = self.sampler.next_2d()
+            if shift is not None:
+                within = within + dr.opaque(mi.Point2f(*shift))
+                within = within - dr.floor(within)
+            place = self.view.place(pixel, within)
             lens = self.view.sensor.needs_aperture_sample()
             aperture = self.sampler.next_2d() if lens else mi.Point2f(0.5)
-            ray, weight = self.view.rays(place, aperture)
+            ray, weight = view.rays(place, aperture)
             values, alpha = shade(ray, row, pixel)
             values = [value * weight for value in values]
             if self._blocks:
@@ -164,8 +205,11 @@ class Exposure:
         dr.eval(values)  # together: each by itself would follow all rays again
         own = dr.gather(mi.UInt32, pixel, dr.arange(mi.UInt32, dr.width(pixel) // spp) * spp)
         for frame, value in zip(range(self._frames), self._of_each(values), strict=True):
-            first = dr.opaque(mi.UInt32, frame * self.view.pixels)
-            dr.scatter(self._images, mi.Float((dr.block_sum(value, spp) / spp)[0]), own + first)
+            place = own + dr.opaque(mi.UInt32, frame * self.view.pixels)
+            mean = mi.Float((dr.block_sum(value, spp) / spp)[0])
+            if self._passes > 1:
+                mean = dr.gather(mi.Float, self._images, place) + mean / self._passes
+            dr.scatter(self._images, mean, place)
         dr.eval(self._images)
 
     def _put(self, place: Any, values: list[Any], alpha: Any, pixel: Any) -> None:

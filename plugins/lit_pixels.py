@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -16,7 +17,13 @@ from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
 from virtual_sensor.optics.ray_families import Pinhole
-from virtual_sensor.optics.ray_maps import MapRequest, NoMapError, displaced, in_coordinates
+from virtual_sensor.optics.ray_maps import (
+    InverseMap,
+    MapRequest,
+    NoMapError,
+    displaced,
+    in_coordinates,
+)
 from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.transports import (
@@ -38,7 +45,7 @@ _SPARE = 1.5  # times what the probes were moved by
 _MOST_LEAN = 0.1  # cosine: of surfaces that lean more, less is known than the probes show
 _EDGE_PX = 10.0  # a pixel's size that distances differ by within three pixels at an edge
 _PROBES = 64  # rays of a source that show how far light is moved, about
-_FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes show more
+FIRST_MARGIN_MM = 1.5  # refraction is taken to move no light further, until the probes show more
 _FAR_MM = 2.0  # likewise where there are no probes
 _MOST_TRIALS = 6
 _OF_EACH = 0.5  # of the tolerance, of the camera and the source: other parts of a frame err too
@@ -101,6 +108,11 @@ class LitPixels:
     report : RenderReport
     sight : Sight or None
         At the pixels' centres, in their order; None if there are none.
+    margins : dict of ndarray of shape (2,)
+        By how much the sources' light on the part may be moved by refraction, in the coordinates of
+        each whose light is seen.
+    sight_px : float
+        By how many pixels what a pixel sees may be moved.
     """
 
     index: Pixels
@@ -108,6 +120,14 @@ class LitPixels:
     tracer: Tracer
     report: RenderReport
     sight: Sight | None = None
+    margins: Mapping[str, Array] = field(default_factory=dict)
+    sight_px: float = 0.0
+
+    @property
+    def maps(self) -> dict[str, InverseMap]:
+        """Of the sources, by name; none if rays are marched."""
+        maps = self.tracer.maps if isinstance(self.tracer, Tabulated) else ()
+        return dict(zip(self.names, maps, strict=False))
 
 
 def find_lit_pixels(
@@ -116,12 +136,15 @@ def find_lit_pixels(
     sources: Mapping[str, Source],
     transport: Transport,
     column: Columns | None = None,
+    maps: Mapping[str, InverseMap] = MappingProxyType({}),
 ) -> LitPixels:
     """Find the pixels that sources light; of some columns, if they are given.
 
     1. Straight rays of all pixels, and a few bent ones, show where to search.
     2. Maps of what is there are made to the tolerance, if the transport is by maps.
     3. The transport finds which pixels are lit; their neighbours count too.
+
+    `maps` are of sources, made to the same tolerance: those that hold what is there are taken.
     """
     field, march = (None if transport.name == "straight" else medium), transport.march
     by_maps = transport.name in ("tabulated", "straight")
@@ -142,7 +165,7 @@ def find_lit_pixels(
         try:
             if reason:
                 raise NoMapError(reason)
-            tracer = region.tabulated(marched, transport.tolerance_px)
+            tracer = region.tabulated(marched, transport.tolerance_px, maps)
             report = _with_maps(report, tracer, tuple(beams), region.pixel_mm)
         except NoMapError as why:
             report = replace(report, transport="marched", reason=str(why))
@@ -152,7 +175,9 @@ def find_lit_pixels(
     if not lit.size:
         return LitPixels(np.zeros(0, np.uint32), (), tracer, report)
     sight = dr.gather(Sight, sight, in_own_memory(lit, mi.UInt32))
-    return LitPixels(region.candidates[lit], tuple(beams), tracer, report, sight)
+    margins = {name: beam.margin for name, beam in beams.items()}
+    what = region.candidates[lit], tuple(beams), tracer, report, sight
+    return LitPixels(*what, margins, region.sight_px)
 
 
 def _with_maps(
@@ -250,7 +275,14 @@ class _Region:
         """What half the march's step changes, at most."""
         return max(beam.march_mm for beam in self.beams.values()) / self.pixel_mm
 
-    def tabulated(self, marched: Marched, tolerance_px: float) -> Tabulated:
+    @property
+    def sight_px(self) -> float:
+        """By how many pixels what a pixel sees may be moved."""
+        return max(beam.sight_mm for beam in self.beams.values()) / self.pixel_mm
+
+    def tabulated(
+        self, marched: Marched, tolerance_px: float, given: Mapping[str, InverseMap]
+    ) -> Tabulated:
         """Maps of the camera's and the sources' rays, made to a tolerance.
 
         Raises
@@ -266,7 +298,7 @@ class _Region:
         pad = np.append(np.full(2, (self.beyond_px + _PAD_PX) * self.view.pitch), _PAD_MM)
         seen = places.min(axis=0) - pad, places.max(axis=0) + pad
         maps, pads = [], []
-        for beam in self.beams.values():
+        for name, beam in self.beams.items():
             family, spare = beam.source.family, _PAD_MM * beam.per_mm
             low, high = beam.source.extent
             # A line may be much longer than what of it is seen.
@@ -274,8 +306,11 @@ class _Region:
             first, last = _ends(beam.own) + np.array([-around, around])
             first[:2] = np.maximum(first[:2], low - beam.moved - spare)
             last[:2] = np.minimum(last[:2], high + beam.moved + spare)
-            asked = MapRequest(medium, family, first, last, march, error_mm, _MOST_NODES)
-            maps.append(MAPS.inverse(asked))
+            if name in given and given[name].table.grid.holds(np.stack([first, last])).all():
+                maps.append(given[name])
+            else:
+                asked = MapRequest(medium, family, first, last, march, error_mm, _MOST_NODES)
+                maps.append(MAPS.inverse(asked))
             pads.append(spare)
         asked = MapRequest(medium, camera, *seen, march, error_mm, _MOST_NODES)
         sight = MAPS.forward(asked)
@@ -322,8 +357,8 @@ def _searched(
     camera, surface = straight.view.camera, straight.surface
     if camera is None:
         raise NoMapError("the camera is no pinhole")
-    per_mm = {name: _per_mm(source, surface) for name, source in sources.items()}
-    margins = {name: _FIRST_MARGIN_MM * per_mm[name] for name in sources}
+    per_mm = {name: units_per_mm(source, surface) for name, source in sources.items()}
+    margins = {name: FIRST_MARGIN_MM * per_mm[name] for name in sources}
     for _ in range(_MOST_TRIALS):
         beams = _beams(straight, sources, per_mm, margins)
         found = {n: _probed(beam, camera, surface, field, march) for n, beam in beams.items()}
@@ -335,12 +370,12 @@ def _searched(
 
 def _guessed(straight: StraightSight, sources: Mapping[str, Source]) -> _Region:
     """Where light may be seen if refraction moves none of it far."""
-    per_mm = {name: _per_mm(source, straight.surface) for name, source in sources.items()}
+    per_mm = {name: units_per_mm(source, straight.surface) for name, source in sources.items()}
     margins = {name: _FAR_MM * per_mm[name] for name in sources}
     return _region(straight, _beams(straight, sources, per_mm, margins))
 
 
-def _per_mm(source: Source, surface: SceneSurface) -> Array:
+def units_per_mm(source: Source, surface: SceneSurface) -> Array:
     """Units of a source's coordinates per mm among the shapes, at most."""
     low, high = (np.array(corner, float) for corner in surface.corners)
     corners = np.array([np.where(pick, high, low) for pick in np.ndindex(2, 2, 2)])

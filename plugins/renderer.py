@@ -7,9 +7,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from virtual_sensor_plugins import glow
-from virtual_sensor_plugins.exposure import Exposure, own_sampler
+from virtual_sensor_plugins.exposure import Exposure, own_sampler, shared_sampler
 from virtual_sensor_plugins.lit_pixels import Columns, LitPixels, RenderReport, find_lit_pixels
+from virtual_sensor_plugins.pupil import Pupil
 from virtual_sensor_plugins.views import StraightSight, View
 from virtual_sensor_plugins.whole_film import WholeFilm
 
@@ -17,6 +19,7 @@ from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
 from virtual_sensor.optics.illumination import Illumination
+from virtual_sensor.optics.lens import PupilPoint
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError
 from virtual_sensor.optics.surfaces import SceneSurface, own_variant, slab
@@ -84,6 +87,14 @@ class Arrangement:
     def view(self) -> View:
         """The camera's rays through its film."""
         return View(self.sensor, self.camera)
+
+    @cached_property
+    def pupil(self) -> tuple[PupilPoint, ...]:
+        """The points of the camera's lens that a frame is rendered through; none of a pinhole."""
+        lens, count = getattr(self.camera, "lens", None), getattr(self.camera, "sub_pupils", 1)
+        if self.camera is None or lens is None or not lens.pupil_radius_mm or count == 1:
+            return ()
+        return tuple(PupilPoint.of(self.camera, lens, at) for at in lens.pupil(count))
 
     @cached_property
     def surface(self) -> SceneSurface:
@@ -226,30 +237,36 @@ class Prepared:
     ----------
     arrangement : Arrangement
     lit : LitPixels
+        As the chief rays see them: the truth of a frame.
+    pupil : Pupil or None
+        What a lens sees; None: the chief rays alone.
     """
 
     arrangement: Arrangement
     lit: LitPixels
+    pupil: Pupil | None = None
 
     @staticmethod
     def of(arrangement: Arrangement, column: Columns | None = None) -> "Prepared":
         """Find the lit pixels, all or those of some columns, and what traces their samples."""
         given = arrangement.medium, arrangement.sources, arrangement.transport, column
-        return Prepared(arrangement, find_lit_pixels(arrangement.straight, *given))
-
-    @property
-    def _marches(self) -> bool:
-        return isinstance(self.lit.tracer, Marched)
+        lit, points = find_lit_pixels(arrangement.straight, *given), arrangement.pupil
+        if not points:
+            return Prepared(arrangement, lit)
+        return Prepared(arrangement, lit, Pupil.of(arrangement.straight, points, lit, *given))
 
     @cached_property
     def film(self) -> tuple[WholeFilm | None, str]:
         """For the lamps' light in pixels that no source lights; else why these are marched."""
+        return self._film_of(self.arrangement.straight, self.lit)
+
+    def _film_of(self, straight: StraightSight, lit: LitPixels) -> tuple[WholeFilm | None, str]:
         arrangement = self.arrangement
-        if self._marches and self.lit.names:
+        if isinstance(lit.tracer, Marched) and lit.names:
             return None, ""
         try:
             march, field = arrangement.transport.march, arrangement.refracting
-            return WholeFilm.of(arrangement.straight, field, march), ""
+            return WholeFilm.of(straight, field, march), ""
         except NoMapError as why:
             return None, f"pixels without light of a source were marched: {why}"
 
@@ -264,6 +281,9 @@ class Prepared:
         fluxes: Mapping[str, Fluxes] = MappingProxyType({}),
     ) -> tuple[Exposure, RenderReport]:
         """Samples of frames, and how they were made.
+
+        Through a lens, the samples of a pixel are shared by the points of its pupil; each has one
+        at least.
 
         Parameters
         ----------
@@ -282,49 +302,109 @@ class Prepared:
             By name, of the sources that differ from frame to frame.
         """
         arrangement, lit = self.arrangement, self.lit
-        sampler = own_sampler(arrangement.sensor, spp)
-        of_lights = [fluxes.get(name, steady(arrangement.sources[name])) for name in lit.names]
-        report, view = lit.report, arrangement.view
+        view, sampler = arrangement.view, own_sampler(arrangement.sensor, spp)
         others = others and bool(arrangement.lamps)
+        if self.pupil is not None:
+            through = tuple(each.lit.index.size for each in self.pupil.points)
+            pixels = sum(through) + (len(through) * view.pixels if others else 0)
+            sampler = shared_sampler(sampler, len(through))
+            kind = on_film, frames, len(through)
+            exposure = Exposure(view, sampler, seed, pixels, progress, *kind)
+            return exposure, self._expose_pupil(exposure, others, fluxes)
         pixels = lit.index.size + (view.pixels if others else 0)
         exposure = Exposure(view, sampler, seed, pixels, progress, on_film, frames)
-        samples = marched = 0
+        report = lit.report
+        if others:
+            film, why = self.film
+            dark = None if exposure.overwrites else _without(lit.index, view.pixels)
+            self._expose_others(exposure, dark, film)
+            report = replace(report, reason=why or report.reason)
+        samples, marched = self._expose_lit(exposure, lit, fluxes)
+        return exposure, replace(report, samples=samples, marched_samples=marched)
+
+    def _expose_pupil(
+        self, exposure: Exposure, others: bool, fluxes: Mapping[str, Fluxes]
+    ) -> RenderReport:
+        """Expose the pixels through each point of the pupil, and say how."""
+        assert self.pupil is not None
+        samples, marched, why = 0, 0, ""
+        view, between = self.arrangement.view, exposure.sampler.sample_count() ** -0.5
+        for number, each in enumerate(self.pupil.points):
+            u, v = (float(between * shift) for shift in each.shift)
+            place: dict[str, Any] = {"through": each.view, "shift": (u, v)}
+            if others:
+                film, why = self._film_of(each.straight, each.lit)
+                dark = _without(each.lit.index, view.pixels)
+                self._expose_others(exposure, dark, film, 2 * number + 1, **place)
+            elif exposure.on_film:
+                dark = np.setdiff1d(self.pupil.lit, each.lit.index)
+                exposure.add(dark, _unlit, _LANES["tabulated"], **place)
+            spent = self._expose_lit(exposure, each.lit, fluxes, 2 * number, **place)
+            samples, marched = samples + spent[0], marched + spent[1]
+        report = self.pupil.report(self.lit.report)
+        report = replace(report, reason=why or report.reason)
+        return replace(report, samples=samples, marched_samples=marched)
+
+    def _expose_lit(
+        self,
+        exposure: Exposure,
+        lit: LitPixels,
+        fluxes: Mapping[str, Fluxes],
+        stream: int = 0,
+        **place: Any,
+    ) -> tuple[int, int]:
+        """Expose pixels that are lit, by samples of which so many are searched and marched."""
+        arrangement, samples, marched = self.arrangement, 0, 0
+        of_lights = [fluxes.get(name, steady(arrangement.sources[name])) for name in lit.names]
+        marches = isinstance(lit.tracer, Marched)
 
         def by_tracer(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             nonlocal samples, marched
-            draws = arrangement.draws(sampler)
-            near = dr.gather(Sight, lit.sight, row) if self._marches else None
+            draws = arrangement.draws(exposure.sampler)
+            near = dr.gather(Sight, lit.sight, row) if marches and lit.sight else None
             sight, count = lit.tracer.sight(ray, near)
             samples, marched = samples + dr.width(row), marched + count
             return arrangement.radiances(sight, of_lights, draws), sight.hit
 
-        if others:
-            report = self._expose_others(exposure, sampler)
-        exposure.add(lit.index, by_tracer, _LANES["marched" if self._marches else "tabulated"])
-        return exposure, replace(report, samples=samples, marched_samples=marched)
+        lanes = _LANES["marched" if marches else "tabulated"]
+        exposure.add(lit.index, by_tracer, lanes, stream, **place)
+        return samples, marched
 
-    def _expose_others(self, exposure: Exposure, sampler: mi.Sampler) -> RenderReport:
-        """Expose the pixels that no source lights, and say how."""
-        arrangement, (film, why) = self.arrangement, self.film
-        pixels = None
-        if not exposure.overwrites:
-            dark = np.ones(arrangement.view.pixels, bool)
-            dark[self.lit.index] = False
-            pixels = np.flatnonzero(dark).astype(np.uint32)
+    def _expose_others(
+        self,
+        exposure: Exposure,
+        pixels: NDArray[np.uint32] | None,
+        film: WholeFilm | None,
+        stream: int = 1,
+        **place: Any,
+    ) -> None:
+        """Expose pixels, or all, to the light of the lamps alone."""
+        arrangement = self.arrangement
         marched = replace(arrangement.marched, sources=())
 
         def by_tangents(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             assert film is not None
-            draws = arrangement.draws(sampler)
+            draws = arrangement.draws(exposure.sampler)
             return arrangement.radiance_along(film.bent(ray, pixel), draws)
 
         def by_marching(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
-            draws = arrangement.draws(sampler)
+            draws = arrangement.draws(exposure.sampler)
             sight = marched.hits(ray)
             return arrangement.radiances(sight, [], draws), sight.hit
 
         if film is None:
-            exposure.add(pixels, by_marching, _LANES["marched"], stream=1)
+            exposure.add(pixels, by_marching, _LANES["marched"], stream, **place)
         else:
-            exposure.add(pixels, by_tangents, _LANES["whole film"], stream=1)
-        return replace(self.lit.report, reason=why or self.lit.report.reason)
+            exposure.add(pixels, by_tangents, _LANES["whole film"], stream, **place)
+
+
+def _unlit(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
+    """Of pixels without light."""
+    return [dr.zeros(mi.Spectrum, dr.width(row))], dr.zeros(mi.Bool, dr.width(row))
+
+
+def _without(lit: NDArray[np.uint32], pixels: int) -> NDArray[np.uint32]:
+    """All pixels but those that are lit."""
+    dark = np.ones(pixels, bool)
+    dark[lit] = False
+    return np.flatnonzero(dark).astype(np.uint32)

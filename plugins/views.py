@@ -55,21 +55,38 @@ class View:
     sensor : mitsuba.Sensor
         With the film; its rays are taken where there is no `camera`.
     camera : Pinhole or None
+        A point of a lens's pupil is one too.
+    window : tuple of two slice, optional
+        Rows and columns of the film's crop window; by default all of it.
     """
 
-    def __init__(self, sensor: mi.Sensor, camera: Pinhole | None) -> None:
+    def __init__(
+        self,
+        sensor: mi.Sensor,
+        camera: Pinhole | None,
+        window: tuple[slice, slice] | None = None,
+    ) -> None:
         film = sensor.film()
         self.sensor, self.camera = sensor, camera
         self.width, self.height = (int(n) for n in film.crop_size())
-        self._corner = mi.Point2f(film.crop_offset())
+        self._corner, self._across = mi.Point2f(film.crop_offset()), self.width
+        self.offset = np.array(film.crop_offset(), int)
+        if window is not None:
+            rows, columns = window
+            self.width, self.height = columns.stop - columns.start, rows.stop - rows.start
+            self.offset += [columns.start, rows.start]
+            # Each window has others, and one kernel serves them all.
+            self._corner = dr.opaque(mi.Point2f(*map(float, self.offset)))
+            self._across = dr.opaque(mi.UInt32, self.width)
         if camera is None:
             return
         frame = FamilyFrame.of(camera, mi.Array3f)
         self._axes = frame.x, frame.y, frame.z
         self._far = dr.opaque(mi.Float, float(sensor.far_clip()))
         self._origin = dr.opaque(mi.Array3f(*map(float, camera.pose.origin_mm)))
-        inverse = np.linalg.inv(camera.matrix[:2, :2]).ravel()
-        numbers = [*(camera.matrix[:2, 2] + 0.5), *inverse]  # Mitsuba's half pixel
+        matrix = camera.ideal_matrix
+        inverse = np.linalg.inv(matrix[:2, :2]).ravel()
+        numbers = [*(matrix[:2, 2] + 0.5), *inverse]  # Mitsuba's half pixel
         self._numbers = [dr.opaque(mi.Float, float(n)) for n in numbers]
         self._undistortion = Undistortion(camera) if camera.distorts else None
 
@@ -83,7 +100,7 @@ class View:
 
         Pixels are numbered by rows within the film's crop window.
         """
-        corner = mi.Point2f(mi.Float(index % self.width), mi.Float(index // self.width))
+        corner = mi.Point2f(mi.Float(index % self._across), mi.Float(index // self._across))
         return corner + self._corner + within
 
     def rays(self, place: Any, aperture: Any) -> tuple[Any, Any]:
@@ -116,7 +133,7 @@ class View:
     @property
     def corners(self) -> tuple[Array, Array]:
         """Lowest and highest (p, q) of the film's border, each of shape (2,)."""
-        first = np.array(self.sensor.film().crop_offset(), float) - 0.5
+        first = self.offset - 0.5
         last = first + np.array([self.width, self.height])
         assert self.camera is not None
         count = _ON_BORDER if self.camera.distorts else 2

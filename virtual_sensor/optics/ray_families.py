@@ -180,6 +180,11 @@ class PixelFamily(RayFamily):
         """Whether the camera is no ideal pinhole."""
         return self.fisheye or self.distortion.size > 0
 
+    @property
+    def ideal_matrix(self) -> Array:
+        """From coordinates (s, t, 1) to the pixels of an ideal lens, (3, 3): K."""
+        return self.matrix
+
     def pixels(self, p: ArrayLike, q: ArrayLike) -> Array:
         """The pixels (..., 2) that see rays of coordinates (...); NaN of NaN."""
         return self._distorted(_columns(p, q, 1.0, np.asarray(p, float)))
