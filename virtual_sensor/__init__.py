@@ -41,7 +41,8 @@ Images as a camera gives them
                          it is lost.
     speckled             An image (H, W) as coherent light shows it: with speckle, in the same
                          unit.
-    Aperture             What the camera's lens lets through.
+    Aperture             What the camera's lens lets through, and how coherent the light is:
+                         together the speckle.
     save_png             Write a grey image as a PNG file, as a camera of so many bits gives it.
     read_image           Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
 

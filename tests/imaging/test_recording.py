@@ -11,7 +11,9 @@ from scipy import constants
 import virtual_sensor as vs
 from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.recording import RecordingOptions, aperture_of, part_seed
+from virtual_sensor.imaging.recording import aperture_of
+from virtual_sensor.imaging.recording_options import RecordingOptions
+from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.optics.lens import Lens
 

@@ -35,6 +35,7 @@ from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
 from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
 from virtual_sensor.imaging.render import Frame, arrangement
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
 from virtual_sensor.imaging.sequence import PatternFrames
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.optics.lens import Lens
@@ -45,7 +46,6 @@ Image = NDArray[np.float32]
 
 PEAK = 0.8
 """Of the saturation is where automatic exposure puts the brightest pixel."""
-LARGEST_SEED = 2**63 - 1
 
 _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _MANY = 0.5  # of the line's columns
@@ -283,13 +283,6 @@ def record(
     return replace(shot, notes=(*notes, *_doubts(shot)))
 
 
-def part_seed(seed: int, *parts: int | str) -> int:
-    """Seed of a named or numbered part of what a seed makes: each has random numbers of its own."""
-    words = (zlib.crc32(part.encode()) if isinstance(part, str) else part for part in parts)
-    high, low = np.random.SeedSequence([seed, *words]).generate_state(2, np.uint32).tolist()
-    return int(high >> 1) << 32 | int(low)
-
-
 def surface_of(scene: Scene, number: int = 0) -> int:
     """Seed of the rough surface as a camera sees it: one of many, by its number.
 
@@ -498,72 +491,3 @@ def _doubts(shot: RecordedFrame) -> list[str]:
             f" {shot.sensor.grey_noise:.3g}: expose for a longer time, or leave it to auto"
         )
     return notes
-
-
-@dataclass(frozen=True)
-class RecordingOptions(Displayed):
-    """How a command records what it renders: options of `measure` and its kin.
-
-    Attributes
-    ----------
-    sensor_model : str, optional
-        Record frames by this image sensor: the name of one that comes with the program
-        (cmos_5um5, cmos_3um45, profile_sensor), or a .toml file of your own. By default by that of
-        the scene's camera, if it has one; else frames are ideal.
-    exposure : str, optional
-        Exposure time, such as 2ms or 500us, for which the scene's camera needs an f-number; or
-        auto, which puts the brightest pixel at 80 % of the saturation. By default the camera's own,
-        else auto.
-    seed : int
-        Of the noise and the speckle; each frame's own follows from it.
-    speckle : bool
-        Speckle the laser's light, for which the scene's camera needs an f-number.
-    """
-
-    sensor_model: str | None = None
-    exposure: str | None = None
-    seed: int = 0
-    speckle: bool = False
-
-    def __post_init__(self) -> None:
-        if self.exposure is not None:
-            exposure_time_s("--exposure", self.exposure)
-        whole_number("--seed", self.seed, 0, LARGEST_SEED)
-
-    @property
-    def asked(self) -> bool:
-        """Whether frames are to be recorded, whatever the scene's camera has."""
-        return self.sensor_model is not None or self.exposure is not None or self.speckle
-
-    def of(self, scene: Scene) -> ImageSensor | None:
-        """The sensor that records a scene's frames; None: they stay ideal."""
-        own = scene.camera.sensor
-        return sensor_of(scene, self.sensor_model) if self.asked or own is not None else None
-
-    def frame_seed(self, *parts: int | str) -> int:
-        """Seed of a frame by its number, name or both, such as ("hot", 12); without, the own."""
-        return part_seed(self.seed, *parts) if parts else self.seed
-
-    def recorded(
-        self, scene: Scene, frame: Frame | PatternFrames, *parts: int | str
-    ) -> RecordedFrame | None:
-        """A frame as recorded, with a seed of its own by its number or name; None: it stays ideal.
-
-        Raises
-        ------
-        InputError
-            As `record` does.
-        """
-        sensor = self.of(scene)
-        if sensor is None:
-            return None
-        seed = self.frame_seed(*parts)
-        return record(
-            scene,
-            frame,
-            seed,
-            sensor=sensor,
-            exposure_s=self.exposure,
-            speckle=self.speckle,
-            surface_seed=self.seed,
-        )

@@ -1,0 +1,134 @@
+"""How a command records what it renders: options of `measure` and its kin.
+
+Nothing here starts the engine before a frame is recorded: a command's help is quick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from virtual_sensor.arrays import whole_number
+from virtual_sensor.devices.exposure_time import exposure_time_s
+from virtual_sensor.display import Displayed
+from virtual_sensor.files import exists
+from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
+
+if TYPE_CHECKING:
+    from virtual_sensor.devices.image_sensor import ImageSensor
+    from virtual_sensor.imaging.recording import RecordedFrame
+    from virtual_sensor.imaging.render import Frame
+    from virtual_sensor.imaging.scene import Scene
+    from virtual_sensor.imaging.sequence import PatternFrames
+
+
+@dataclass(frozen=True)
+class RecordingOptions(Displayed):
+    """How a command records what it renders: options of `measure` and its kin.
+
+    Attributes
+    ----------
+    sensor_model : str, optional
+        Record frames by this image sensor: the name of one that comes with the program
+        (cmos_5um5, cmos_3um45, profile_sensor), or a .toml file of your own. By default by that of
+        the scene's camera, if it has one; else frames are ideal.
+    exposure : str, optional
+        Exposure time, such as 2ms or 500us, for which the scene's camera needs an f-number; or
+        auto, which puts the brightest pixel at 80 % of the saturation. By default the camera's own,
+        else auto.
+    seed : int
+        Of the noise and the speckle; each frame's own follows from it.
+    speckle : bool
+        Speckle the laser's light, for which the scene's camera needs an f-number.
+    """
+
+    sensor_model: str | None = None
+    exposure: str | None = None
+    seed: int = 0
+    speckle: bool = False
+
+    def __post_init__(self) -> None:
+        if self.exposure is not None:
+            exposure_time_s("--exposure", self.exposure)
+        whole_number("--seed", self.seed, 0, LARGEST_SEED)
+
+    @property
+    def asked(self) -> bool:
+        """Whether frames are to be recorded, whatever the scene's camera has."""
+        return self.sensor_model is not None or self.exposure is not None or self.speckle
+
+    @property
+    def words(self) -> list[str]:
+        """The options of a command that give these, where they are not the defaults."""
+        said = []
+        for each in fields(self):
+            value, flag = getattr(self, each.name), f"--{each.name.replace('_', '-')}"
+            if value != each.default:
+                said.append(flag if value is True else f"{flag}={value}")
+        return said
+
+    def of(self, scene: Scene) -> ImageSensor | None:
+        """The sensor that records a scene's frames; None: they stay ideal."""
+        from virtual_sensor.imaging.recording import sensor_of
+
+        own = scene.camera.sensor
+        return sensor_of(scene, self.sensor_model) if self.asked or own is not None else None
+
+    def frame_seed(self, *parts: int | str) -> int:
+        """Seed of a frame by its number, name or both, such as ("hot", 12); without, the own."""
+        return part_seed(self.seed, *parts) if parts else self.seed
+
+    def rendered(self, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
+        """The ideal frame, with the light of lamps and glow beside it where speckle needs that."""
+        from virtual_sensor.imaging.render import render_frame
+
+        return render_frame(scene, progress=progress, background=self.speckle)
+
+    def recorded(
+        self, scene: Scene, frame: Frame | PatternFrames, *parts: int | str
+    ) -> RecordedFrame | None:
+        """A frame as recorded, with a seed of its own by its number or name; None: it stays ideal.
+
+        All frames show one surface: its speckle stays while nothing moves.
+
+        Raises
+        ------
+        InputError
+            As `record` does.
+        """
+        from virtual_sensor.imaging.recording import record
+
+        sensor = self.of(scene)
+        if sensor is None:
+            return None
+        return record(
+            scene,
+            frame,
+            self.frame_seed(*parts),
+            sensor=sensor,
+            exposure_s=self.exposure,
+            speckle=self.speckle,
+            surface_seed=self.seed,
+        )
+
+    def anywhere(self) -> RecordingOptions:
+        """The same, with a sensor's file that is found from any folder."""
+        file = Path(self.sensor_model or "")
+        if not (file.suffix and exists(file)):
+            return self
+        return replace(self, sensor_model=str(file.absolute()))
+
+    def inputs(self) -> dict[str, Any]:
+        """What a recorded frame depends on beside the scene: the sensor's data sheet as a whole.
+
+        Raises
+        ------
+        InputError
+            If there is no such sensor.
+        """
+        from virtual_sensor.devices.image_sensor import image_sensor
+
+        sensor = asdict(image_sensor(self.sensor_model)) if self.sensor_model else None
+        return {**asdict(self), "sensor_model": sensor}
