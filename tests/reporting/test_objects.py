@@ -46,6 +46,7 @@ def made():
         "scene": scene,
         "frame": frame,
         "truth": frame.truth,
+        "shot": vs.record(scene, frame, peak=2.0),
         "line": line,
         "points": points,
         "found": vs.ray_search(scene, [0.0, 5.0, 300.0], "newton"),
@@ -77,6 +78,21 @@ def test_all_are_shown_drawn_and_described(made):
         axes = thing.plot(Figure().add_subplot())
         assert axes.lines or axes.collections or axes.images or axes.patches, name
         assert thing.to_dataframe().columns.is_unique, name
+
+
+def test_what_is_clipped_in_a_recorded_frame_is_seen_in_its_picture(made):
+    """By the grey values alone; of a sequence, and of light without its truth, all is shown."""
+    shot, scene = made["shot"], made["scene"]
+    axes = shot.plot(Figure().add_subplot())
+    v, u = np.nonzero(shot.grey >= shot.grey.max())
+    assert len(u) > 10
+    assert set(map(tuple, axes.lines[0].get_xydata())) == set(zip(u, v, strict=True))
+    light = made["frame"].radiance
+    left, right, bottom, top = (
+        vs.record(scene, light).plot(Figure().add_subplot()).images[0].get_extent()
+    )
+    assert (left, right, top, bottom) == (-0.5, 127.5, -0.5, 127.5)
+    assert vs.record(scene, np.stack([light, light])).plot(Figure().add_subplot()).images
 
 
 def test_rays_are_drawn_from_where_they_started(made):

@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # what they are, not what is imported
     from virtual_sensor.devices.image_sensor import ImageSensor
     from virtual_sensor.devices.patterns import Pattern
     from virtual_sensor.devices.projector import Projector
+    from virtual_sensor.imaging.recording import RecordedFrame
     from virtual_sensor.imaging.render import Frame
     from virtual_sensor.imaging.sequence import PatternFrames
     from virtual_sensor.medium.index_field import IndexField
@@ -228,13 +229,33 @@ def _dot_errors(axes: Axes, errors: DotErrors) -> None:
 @draws("imaging.render.Frame")
 def _frame(axes: Axes, frame: Frame) -> None:
     """The part of the frame that is lit."""
+    _image(axes, frame.radiance, _lit(frame))
+
+
+def _lit(frame: Any) -> tuple[slice, slice] | None:
+    """Rows and columns of a frame that hold what is lit; None where nothing is."""
     at = np.divmod(frame.truth.index.astype(int), frame.radiance.shape[1])
     rows, columns = (
         slice(max(i.min(initial=2**31) - _MARGIN_PX, 0), i.max(initial=-1) + 1 + _MARGIN_PX)
         for i in at
     )
-    lit = frame.truth.index.size > 0
-    _image(axes, frame.radiance, (rows, columns) if lit else None)
+    return (rows, columns) if frame.truth.index.size else None
+
+
+@draws("imaging.recording.RecordedFrame")
+def _recorded_frame(axes: Axes, shot: RecordedFrame) -> None:
+    """Grey values where the part is lit, what is clipped in colour; of a sequence, all frames."""
+    if shot.grey.ndim == 3:
+        draw_frames(axes, shot.grey, [f"{number}" for number in range(len(shot.grey))], None)
+        return
+    window = _lit(shot.ideal) if hasattr(shot.ideal, "truth") else None
+    _image(axes, shot.grey, window)
+    limits = axes.axis()
+    if shot.saturated.any():
+        clipped = np.argwhere(shot.saturated)[:, ::-1]
+        _dots(axes, clipped, color=colour("saturated"), label="saturated")
+        axes.legend(markerscale=3.0, labelcolor="linecolor")
+    axes.axis(limits)
 
 
 @draws(
