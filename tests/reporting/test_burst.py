@@ -172,7 +172,7 @@ def test_the_command_passes_on_what_is_asked_for(result, drawn, tmp_path, monkey
     options = ["--start", "5.5", "--duration", "0.5", "--frames", "5", "-y", "-1", "-y", "2"]
     status, out, err = command(*words, *options)
     assert (status, err) == (0, "")
-    assert asked == [(file, 5.5, 0.5, 5, [-1.0, 2.0], [])]
+    assert asked == [(file, 5.5, 0.5, 5, [-1.0, 2.0], ["recording"])]
     assert lead(result.summary) in out
     assert (place / "sway.csv").exists()
     status, _, err = command(*words)

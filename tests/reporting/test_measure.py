@@ -1,8 +1,10 @@
 """A measurement's picture and page: what a reader sees of it, for every kind of scene."""
 
 import contextlib
+import csv
 import json
 import re
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -13,6 +15,8 @@ from data_dictionary import undocumented
 from matplotlib.figure import Figure
 
 from virtual_sensor.engine import activate
+from virtual_sensor.imaging.image_files import read_image
+from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.poses import Pose
@@ -29,7 +33,9 @@ SCENES = {
     "shaft": ("stepped_shaft", {"line_radius": 0.25}),
     "dots": ("hot_cylinder", {"dots": "-3, 0, 4"}),
     "nothing": ("hot_cylinder", {"line_radius": 0.03}),
+    "recorded": ("hot_cylinder", {}),
 }
+RECORDED = RecordingOptions("cmos_5um5", seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +44,8 @@ def measured(tmp_path_factory, without_paint):
     place = tmp_path_factory.mktemp("measured")
     found = {}
     for kind, (name, given) in SCENES.items():
-        result = measure(load_scene(name, **FILM | given))
+        recording = RECORDED if kind == "recorded" else None
+        result = measure(load_scene(name, **FILM | given), recording=recording)
         with without_paint() if kind in ("cold", "dots") else contextlib.nullcontext():
             figures = reporting.save(result, place / kind, f"virtual-sensor measure {name}")
         found[kind] = result, figures, place / kind
@@ -149,6 +156,75 @@ def test_a_cold_part_has_fewer_panels_and_none_that_is_empty(measured, unpainted
     assert micrometres(5e-11) == "below 1e-6 µm"
     assert micrometres(-0.5) == "\N{MINUS SIGN}0.5 µm"
     assert micrometres(None) == "none"
+
+
+def test_a_recorded_measurement_says_what_its_error_is_made_of(measured, unpainted_test):
+    """Rationale: a designer who sees only the whole mends what does not matter.
+
+    In hot air that is refraction, in cold air the noise.
+    """
+    result, figures, folder = measured["recorded"]
+    splits = {name: state.split for name, state in figures.states.items()}
+    assert {name: split.largest for name, split in splits.items()} == {
+        "cold": "noise",
+        "hot": "refraction",
+    }
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    sizes = [each.parts[each.largest].rms_um for each in splits.values()]
+    assert f"In cold air noise makes the largest part of the error, {sizes[0]:.3g} of" in html
+    assert f"In hot air refraction makes the largest part of the error, {sizes[1]:.3g} of" in html
+    assert "Recorded line minus ray search, rms" in html
+    assert "split" in reporting.picture(result, figures)[1]
+    with (folder / "split_hot.csv").open(encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["whole_um"]]
+    assert len(rows) == splits["hot"].points
+    for row in rows:
+        parts = [float(value) for name, value in row.items() if re.fullmatch("part_.*_um", name)]
+        assert len(parts) == 5
+        assert sum(parts) == pytest.approx(float(row["whole_um"]), abs=1e-6)
+    plain = measured["hot"]
+    assert "made of" not in (plain[2] / "report.html").read_text(encoding="utf-8")
+    assert plain[1].states["hot"].split is None
+
+
+def test_the_recorded_frame_lies_beside_the_ideal_one(measured):
+    """Rationale: what a camera would have stored is there for other programs, as it was measured.
+
+    The ideal frame is the one of the measurement that is not recorded.
+    """
+    result, _, folder = measured["recorded"]
+    for name, state in result.states.items():
+        stored = read_image(folder / f"recorded_{name}.png")
+        np.testing.assert_array_equal(stored.pixels, state.shot.grey)
+        assert stored.largest == 4095.0
+        ideal = measured["hot"][0].states[name]
+        np.testing.assert_array_equal(state.frame.radiance, ideal.frame.radiance)
+        assert not np.array_equal(state.line.row, ideal.line.row, equal_nan=True)
+
+
+def test_the_command_records_by_the_sensor_that_is_named(tmp_path):
+    """Rationale: what can't be recorded so is told before any work, with the remedy."""
+    film = [f"-D{name}={value}" for name, value in FILM.items()]
+    place = tmp_path / "out"
+
+    def told(*options):
+        return command("measure", "cold_cylinder", *film, "-o", place, *options)
+
+    status, out, err = told("--sensor-model", "cmos_3um45", "--seed", "5")
+    assert (status, err) == (0, "")
+    assert "What that error is made of, rms" in out
+    assert "In cold air noise makes the largest part of the error" in out
+    assert "Check: recorded line minus ray search" in out
+    shutil.rmtree(place)
+    for options, words in (
+        (["--sensor-model", "cmos"], "there is no such image sensor"),
+        (["--sensor-model", "cmos_5um5", "--exposure", "2ms"], "f_number"),
+        (["--sensor-model", "cmos_5um5", "--speckle"], "f_number"),
+        (["--exposure", "soon"], "--exposure is 'soon'; give an exposure time with its unit"),
+        (["--seed", "-1"], "seed"),
+    ):
+        status, out, err = told(*options)
+        assert (status, words in err, place.exists()) == (2, True, False), err
 
 
 def test_lengths_that_are_rounding_are_drawn_as_zero(measured):

@@ -18,6 +18,7 @@ from swaying_plume import (
 
 from virtual_sensor import cli
 from virtual_sensor.errors import InputError, NothingFoundError
+from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.medium.air import air_refractivity
 from virtual_sensor.medium.index_field import IndexField
@@ -53,7 +54,7 @@ def result(swaying, told, passed):
     """A burst in the last half second, each frame at a stored instant."""
     return burst(
         *(swaying, None, 0.5, FRAMES, lambda *said: told.append(said), RAYS_MM),
-        each_frame=lambda number, instant_s, frame: passed.append((number, instant_s, frame)),
+        each_frame=lambda number, instant_s, frame, _: passed.append((number, instant_s, frame)),
     )
 
 
@@ -189,7 +190,7 @@ def test_the_summary_says_what_was_measured_and_where_it_sways_most(tables, resu
     assert (figures["first_frame_s"], figures["last_frame_s"]) == (5.5, 6.0)
     assert figures["field"]["instants"] == len(STORED_S)
     assert figures["frames"] == FRAMES
-    assert figures["stage_s"].keys() == {"field", "search", "render", "centres"}
+    assert figures["stage_s"].keys() == {"field", "search", "render", "record", "centres"}
     v, height = figures["line"]["v_px"], figures["line"]["height_um"]
     assert v["largest"] == np.nanmax(spread(result.centres_px).std[:, 1])
     at = int(np.nanargmax(sway.std_height_um))
@@ -217,10 +218,36 @@ def test_every_frame_is_passed_on_and_some_are_kept_to_be_looked_at(result, pass
     np.testing.assert_array_equal(views.radiance[5.75], images[2][rows, columns])
 
 
+def test_a_recorded_burst_tells_the_sensors_noise_from_the_sway_of_the_air(swaying, result):
+    """Rationale: a noisy line sways in still air too; and a frame is the same alone or in a burst.
+
+    The ideal frames are those of the burst that is not recorded; noise is independent of the air.
+    """
+    shots, options = [], RecordingOptions("cmos_5um5", seed=4)
+    recorded = burst(
+        *(swaying, None, 0.5, FRAMES),
+        y_mm=RAYS_MM,
+        each_frame=lambda number, instant_s, frame, shot: shots.append((instant_s, frame, shot)),
+        recording=options,
+    )
+    line, known = recorded.sway_table, recorded.sway_table.frames == FRAMES
+    np.testing.assert_array_equal(line.std_ideal_v_px, result.sway_table.std_v_px)
+    expected = np.median([each.sigma[known] for each in recorded.lines])
+    assert np.median(line.std_noise_v_px[known]) == pytest.approx(expected, rel=0.25)
+    parts = line.std_ideal_v_px[known] ** 2 + line.std_noise_v_px[known] ** 2
+    assert np.mean(line.std_v_px[known] ** 2) == pytest.approx(parts.mean(), rel=0.1)
+    assert recorded.summary.line.noise_v_px.median == np.median(line.std_noise_v_px[known])
+    instant_s, frame, shot = shots[3]
+    alone = options.recorded(swaying.at(instant_s), frame, 3)
+    np.testing.assert_array_equal(alone.grey, shot.grey)
+    assert (shots[2][2].grey != shot.grey).mean() > 0.5
+    assert result.summary.line.noise_v_px is None
+
+
 def test_ctrl_c_in_a_ray_march_is_no_error_of_the_program(tmp_path, monkeypatch):
     """Rationale: Dr.Jit's loops turn it into a RuntimeError, and most of a burst is ray marches."""
 
-    def interrupted(*_):
+    def interrupted(*_, **__):
         raise RuntimeError("dr.while_loop(): encountered an exception") from KeyboardInterrupt()
 
     monkeypatch.setattr("virtual_sensor.studies.burst.burst", interrupted)

@@ -23,6 +23,7 @@ from several import two_by_two
 from virtual_sensor import cli
 from virtual_sensor.cli.sweep import values
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.reporting.measure import save as save_case
 from virtual_sensor.studies import cluster, finished_cases, sweep_table
 from virtual_sensor.studies.sweep import MARK, CaseStatus, cases, plan, run
@@ -103,6 +104,50 @@ def test_the_scene_and_what_it_refers_to_are_in_the_key(tmp_path, monkeypatch):
     assert plan("scene.xml", {"mesh": ["part"]})[0].key == keys[-1]  # as seen from elsewhere
 
 
+def test_how_frames_are_recorded_is_in_the_key_and_in_the_command(tmp_path, monkeypatch):
+    """Rationale: results of another sensor, seed or data sheet are other results.
+
+    A sensor's file is found from a worker's folder too.
+    """
+    monkeypatch.chdir(tmp_path)
+    sheet = Path("mine.toml")
+
+    def planned(**given):
+        return plan("hot_cylinder", {"beta": [15]}, recording=RecordingOptions(**given))[0]
+
+    sheet.write_text("gain = 0.5\n")
+    ways = [{}, {"sensor_model": "cmos_5um5"}, {"sensor_model": "mine.toml"}]
+    ways += [{"sensor_model": "cmos_5um5", "seed": 1}, {"exposure": "auto"}, {"speckle": True}]
+    before = [planned(**way) for way in ways]
+    sheet.write_text("gain = 0.25\n")
+    assert len({case.key for case in [*before, planned(sensor_model="mine.toml")]}) == 7
+    assert plan("hot_cylinder", {"beta": [15]})[0] == before[0]
+    assert before[2].command.endswith(f" --sensor-model={tmp_path / 'mine.toml'}")
+    assert before[3].command.endswith(" --sensor-model=cmos_5um5 --seed=1")
+    assert before[5].command.endswith(" --speckle")
+    with pytest.raises(InputError, match="cmos_5um"):
+        planned(sensor_model="cmos_5um")
+
+
+def test_a_recorded_sweep_has_columns_of_width_shift_and_noise(tmp_path):
+    """Rationale: who chooses a sensor asks what its noise makes of the line, case by case.
+
+    Half as wide a line has more noise in its columns of one brightest pixel: as the root of it.
+    """
+    film = {name: values for name, values in FILM.items() if name != "line_radius"}
+    given = film | {"line_radius": ["0.8", "0.4"]}
+    planned = plan("cold_cylinder", given, recording=RecordingOptions("cmos_5um5"))
+    finished = run(planned, tmp_path / "swept", save_case)
+    found = sweep_table.results(finished, tmp_path / "swept").table
+    wide, narrow = found.cold_line_width_px
+    assert wide / narrow == pytest.approx(2.0, rel=0.05)
+    ratio = found.cold_noise_px[0] / found.cold_noise_px[1]
+    assert ratio == pytest.approx(np.sqrt(2.0), rel=0.25)
+    assert (np.abs(found.cold_line_shift_px) < found.cold_line_rms_px).all()
+    assert np.isfinite(found.cold_detector_px).all()
+    assert np.isnan([found.cold_speckle_px, found.hot_noise_px]).all()
+
+
 def test_a_file_of_the_users_is_found_from_another_folder_too(tmp_path, monkeypatch):
     """Rationale: a worker runs in a folder of its own."""
     monkeypatch.chdir(tmp_path)
@@ -115,7 +160,7 @@ def test_a_file_of_the_users_is_found_from_another_folder_too(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ("hot_cylinder -D bate=0,15", "no parameter 'bate'; the scene has: along, alpha, beta"),
+        ("hot_cylinder -D bate=0,15", "no parameter 'bate'; the scene has: along, alpha"),
         ("hot_cylinder -D beta", "-D beta: write it as NAME=VALUE"),
         ("nope -D beta=0", "nope: there is no such scene file"),
         ("hot_cylinder -D beta=0 -D beta=15", "twice; give all values at once, as -D beta=0,15"),

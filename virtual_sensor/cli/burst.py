@@ -7,6 +7,7 @@ import typer
 
 from virtual_sensor.cli import shared
 from virtual_sensor.files import folder_written_whole
+from virtual_sensor.imaging.recording_options import RecordingOptions
 
 EPILOG = (
     "Examples:\n\n"
@@ -14,10 +15,12 @@ EPILOG = (
     "    virtual-sensor burst hot_cylinder -D field=plume.nc --start 4 --duration 2 --frames 21"
     " -o sway_4s\n\n"
     "    virtual-sensor burst hot_cylinder -D field=plume.nc --images -o with_frames\n\n"
-    "    virtual-sensor burst stepped_shaft -D field=plume.nc -D width=1024 -D height=1024"
+    "    virtual-sensor burst stepped_shaft -D field=plume.nc -D width=1024 -D height=1024\n\n"
+    "    virtual-sensor burst hot_cylinder -D field=plume.nc --sensor-model cmos_5um5 --seed 1"
 )
 
 
+@shared.with_options
 def burst(
     scene: shared.SceneArgument,
     define: shared.Definitions = None,
@@ -35,6 +38,8 @@ def burst(
     ] = False,
     output: shared.Folder = Path("sway"),
     overwrite: shared.Overwrite = False,
+    *,
+    recording: RecordingOptions,
 ) -> None:
     """Measure a burst of frames in moving air: how much the line and the measured points sway.
 
@@ -59,6 +64,7 @@ def burst(
             lambda stage, fraction: report(stage, 0.95 * fraction),
             y or None,
             **({"each_frame": FrameFiles(place, loaded)} if images else {}),
+            recording=recording,
         )
         report("writing the results", 0.95)
         save(result, place, shared.command_line())

@@ -6,16 +6,21 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli import shared
+from virtual_sensor.imaging.recording_options import RecordingOptions
 
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor measure hot_cylinder\n\n"
     "    virtual-sensor measure hot_cylinder -D beta=15 -D line_radius=0.1 -o turned\n\n"
     "    virtual-sensor measure stepped_shaft -o shaft\n\n"
-    "    virtual-sensor measure hot_cylinder --tolerance 0.01"
+    "    virtual-sensor measure hot_cylinder --tolerance 0.01\n\n"
+    "    virtual-sensor measure hot_cylinder --sensor-model cmos_5um5 --seed 1 -o recorded\n\n"
+    "    virtual-sensor measure hot_cylinder -D f_number=8 --sensor-model cmos_5um5 --exposure 2ms"
+    " --speckle"
 )
 
 
+@shared.with_options
 def measure(
     scene: shared.SceneArgument,
     define: shared.Definitions = None,
@@ -31,8 +36,13 @@ def measure(
     ] = None,
     output: shared.Folder = Path("measured"),
     overwrite: shared.Overwrite = False,
+    *,
+    recording: RecordingOptions,
 ) -> None:
     """Measure a part cold and hot: frames, line centres, points, ray search, a picture and a page.
+
+    Recorded by an image sensor, the error is split into refraction, detector, pixels, speckle,
+    noise and rounding.
 
     Of several cameras or lasers each pair is measured by itself, into a folder of its own.
 
@@ -50,7 +60,11 @@ def measure(
 
             command = shared.command_line()
             pairs = save_pairs(
-                loaded, lambda pair: run(pair, report, y or None), output, command, overwrite
+                loaded,
+                lambda pair: run(pair, report, y or None, recording),
+                output,
+                command,
+                overwrite,
             )
             shared.print_results([pairs_table(pairs)], pair_notes(pairs))
             shared.print_end(output)
@@ -65,7 +79,9 @@ def measure(
             loaded = configured(loaded, configuration)
             shared.console.print(f"{tolerance:g} px: {configuration}")
             shared.console.print(f"  because {'; '.join(configuration.why)}")
-        result = run(loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None)
+        result = run(
+            loaded, lambda stage, fraction: report(stage, 0.9 * fraction), y or None, recording
+        )
         report("writing the results", 0.92)
         figures = save(result, output, shared.command_line(), overwrite)
     shared.print_notes(result.caveats)

@@ -9,6 +9,7 @@ import typer
 
 from virtual_sensor.cli import shared
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.recording_options import RecordingOptions
 
 EPILOG = (
     "Examples:\n\n"
@@ -17,7 +18,8 @@ EPILOG = (
     "    virtual-sensor sweep stepped_shaft -D beta=-20:20:10 -o shafts\n\n"
     "    virtual-sensor sweep hot_cylinder -D transport=straight,marched,tabulated -o transports"
     "\n\n"
-    "    virtual-sensor sweep hot_cylinder -D beta=0:15:5 --scheduler tcp://127.0.0.1:8786"
+    "    virtual-sensor sweep hot_cylinder -D beta=0:15:5 --scheduler tcp://127.0.0.1:8786\n\n"
+    "    virtual-sensor sweep hot_cylinder -D f_number=4,8,16 --sensor-model cmos_5um5 -o lenses"
 )
 _MOST_VALUES = 10_000
 _SHOWN = 10  # cases whose notes are printed
@@ -34,6 +36,7 @@ Choices = Annotated[
 ]
 
 
+@shared.with_options
 def sweep(
     scene: shared.SceneArgument,
     define: Choices = None,
@@ -42,6 +45,8 @@ def sweep(
     y: shared.ProbeRays = None,
     output: shared.FolderToGoOnIn = Path("swept"),
     scheduler: shared.Scheduler = None,
+    *,
+    recording: RecordingOptions,
 ) -> None:
     """Measure a scene over any of its parameters: a page and a table, and a folder for each case.
 
@@ -61,7 +66,7 @@ def sweep(
 
     shared.check_folder_name(output)
     with shared.reporting("planning the cases", shared.FINISHED_STAYS) as report:
-        cases = plan(scene, choices, y or None, camera, source)
+        cases = plan(scene, choices, y or None, camera, source, recording)
         finished = run(
             cases,
             output,

@@ -1,6 +1,6 @@
 """How a command records what it renders: options of `measure` and its kin.
 
-Nothing here starts the engine before a frame is recorded: a command's help is quick.
+Nothing here loads the engine or NumPy before a frame is recorded: a command's help is quick.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from virtual_sensor.arrays import whole_number
 from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.display import Displayed
 from virtual_sensor.files import exists
@@ -52,7 +51,10 @@ class RecordingOptions(Displayed):
     def __post_init__(self) -> None:
         if self.exposure is not None:
             exposure_time_s("--exposure", self.exposure)
-        whole_number("--seed", self.seed, 0, LARGEST_SEED)
+        if type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED:
+            from virtual_sensor.arrays import whole_number  # which loads NumPy
+
+            whole_number("--seed", self.seed, 0, LARGEST_SEED)
 
     @property
     def asked(self) -> bool:
@@ -91,7 +93,7 @@ class RecordingOptions(Displayed):
     ) -> RecordedFrame | None:
         """A frame as recorded, with a seed of its own by its number or name; None: it stays ideal.
 
-        All frames show one surface: its speckle stays while nothing moves.
+        All frames show one surface: a part at rest keeps its speckle.
 
         Raises
         ------

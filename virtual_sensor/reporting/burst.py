@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.imaging.image_files import save_png
+from virtual_sensor.imaging.recording import RecordedFrame
 from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import write_ply
@@ -45,7 +46,8 @@ FILES = (
     FileOf(f"{FRAMES}/*.exr", "With --images, each frame with its ground truth.", EXR_LAYERS),
     FileOf(
         f"{FRAMES}/*.png",
-        f"With --images, each frame in 16 bits; white is {_WHITE:g} times the first one's maximum.",
+        f"With --images, each frame in 16 bits; white is {_WHITE:g} times the first one's maximum."
+        " Of recorded frames those that end with _recorded.png are the sensor's grey values.",
     ),
 )
 
@@ -68,13 +70,17 @@ class FrameFiles:
         self._header = {f"virtual_sensor/{k}": v for k, v in scene.parameters.items()}
         self._white = 0.0
 
-    def __call__(self, number: int, instant_s: float, frame: Frame) -> None:
+    def __call__(
+        self, number: int, instant_s: float, frame: Frame, shot: RecordedFrame | None = None
+    ) -> None:
         """Write one frame."""
         self._white = self._white or _WHITE * float(frame.radiance.max())
         name = f"{number:04d}_{instant_s:.6f}s"
         header = self._header | {"virtual_sensor/time": f"{instant_s:.9g}"}
         write_exr(self._folder / f"{name}.exr", frame, header)
         save_png(frame.radiance, self._folder / f"{name}.png", 16, white=self._white or None)
+        if shot is not None:
+            save_png(shot.grey, self._folder / f"{name}_recorded.png", shot.sensor.bit_depth)
 
 
 def save(result: Burst, folder: Path, command: str) -> None:
@@ -102,13 +108,19 @@ def table(figures: BurstSummary) -> TextTable:
     """What sways how much, and where most."""
     rows = {
         "line: centre v, px": figures.line.v_px,
+        "... by moving air alone, px": figures.line.ideal_v_px,
+        "... by the sensor alone, px": figures.line.noise_v_px,
         "line: measured y, µm": figures.line.y_um,
         "line: measured height, µm": figures.line.height_um,
         "probe rays: pixel u, px": figures.rays.u_px,
         "probe rays: pixel v, px": figures.rays.v_px,
         "probe rays: measured height, µm": figures.rays.measured_height_um,
     }
-    shown = [{"what": what, "sway": sway} for what, sway in rows.items() if sway.largest_frames]
+    shown = [
+        {"what": what, "sway": sway}
+        for what, sway in rows.items()
+        if sway is not None and sway.largest_frames
+    ]
     return text_table(
         shown,
         [

@@ -24,6 +24,12 @@ from virtual_sensor.metrology.calibration import calibration_of, calibration_tex
 from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
+from virtual_sensor.reporting.error_split import (
+    split_on_console,
+    split_panel,
+    split_table,
+    split_words,
+)
 from virtual_sensor.reporting.files import FileOf, write_results
 from virtual_sensor.reporting.page import LIMITS, PAGE, Details, Page, Section
 from virtual_sensor.reporting.pictures import (
@@ -46,6 +52,8 @@ from virtual_sensor.reporting.words import (
     rounded,
     time_in_words,
 )
+from virtual_sensor.studies import error_split
+from virtual_sensor.studies.error_split import SplitSummary, SplitTable
 from virtual_sensor.studies.measure import (
     DenseTable,
     DotTable,
@@ -89,12 +97,12 @@ _FIGURES = (  # key, words in the table of all, heading on the console ("" where
     ("section.largest_um", "... the largest", "largest, µm", _UM),
     ("section.largest_y_mm", "... at y along the line, from its middle", _AT_Y, "{:.3g} mm"),
     ("section.points", "", "points", _COUNT),
-    ("dots_minus_search.rms_px", "Rendered dots minus ray search, rms", "rms, px", _PX),
+    ("dots_minus_search.rms_px", "{seen} dots minus ray search, rms", "rms, px", _PX),
     ("dots_minus_search.largest_u_px", "... at most, along the line", "largest in u, px", _PX),
     ("dots_minus_search.largest_v_px", "... at most, across the line", "largest in v, px", _PX),
     ("dots_minus_search.found", "Dots found", "found", _COUNT),
     ("dots_minus_search.dots", "", "dots", _COUNT),
-    ("line_minus_search.rms_px", "Rendered line minus ray search, rms", "rms, px", _PX),
+    ("line_minus_search.rms_px", "{seen} line minus ray search, rms", "rms, px", _PX),
     ("line_minus_search.largest_px", "... at most, line ends included", "largest, px", _PX),
     ("line_minus_search.centres", "Centres found", "centres", _COUNT),
     ("line_minus_search.compared", "... compared with the search", "compared", _COUNT),
@@ -105,6 +113,7 @@ _FIGURES = (  # key, words in the table of all, heading on the console ("" where
     ("newton_search.largest_distance_um", "Newton's search: the same", "", _UM),
     ("newton_search.iterations", "Newton's search: marches a ray", "", _COUNT),
     ("render_time_s", "Frame of {film} px, {spp} samples per pixel", "rendered in", "{:.2f} s"),
+    ("record_time_s", "Recording it", "", "{:.2f} s"),
     ("search_time_s", "Search of {rays} rays", "", "{:.2f} s"),
 )
 
@@ -116,6 +125,11 @@ FILES = (
     FileOf("table.md", "Accuracy and speed as a table."),
     FileOf("*.exr", "The frame, cold or hot, with its ground truth.", EXR_LAYERS),
     FileOf("*.png", "The frame as a picture of 16 bits; cold and hot have one white."),
+    FileOf(
+        "recorded_*.png",
+        "The frame as it was recorded: grey values of the sensor's bits, with what made them.",
+    ),
+    FileOf("split_*.csv", "What the error of each recorded point is made of.", SplitTable),
     FileOf("line_*.csv", "The line's centres and the points measured there.", LineTable),
     FileOf("dots_*.csv", "The laser's dots, where it makes some.", DotTable),
     FileOf("points_*.ply", "The measured points, mm, world, with the line's brightness."),
@@ -151,6 +165,11 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             image = state.frame.radiance
             written.append(aside.submit(save_png, image, place / f"{name}.png", 16, white=white))
             tables[f"line_{name}.csv"] = line_table(state)
+            if state.shot is not None:
+                shot, path = state.shot, place / f"recorded_{name}.png"
+                written.append(aside.submit(save_png, shot.grey, path, shot.sensor.bit_depth))
+            if state.split is not None:
+                tables[f"split_{name}.csv"] = error_split.split_table(state.split)
             if state.dots:
                 tables[f"dots_{name}.csv"] = dot_table(state)
             write_ply(place / f"points_{name}.ply", state.points_mm, state.brightness)
@@ -179,13 +198,14 @@ def table(result: Measurement, figures: Summary) -> TextTable:
         "spp": figures.made_with.samples_per_pixel,
         "probes": len(result.probe_y_mm),
         "rays": result.rays,
+        "seen": _seen(figures).capitalize(),
     }
     other = "line_" if result.cold.dots else "dots_"
-    states = figures.states
+    states, shots = figures.states, _splits(figures)
     rows = tuple(
         (words.format(**facts), *(_cell(attrgetter(key)(each), shape) for each in states.values()))
         for key, words, _, shape in _FIGURES
-        if words and not key.startswith(other)
+        if words and not key.startswith(other) and not (key == "record_time_s" and not shots)
     )
     return TextTable(("", *states), rows, numeric=(False, *(True for _ in states)))
 
@@ -205,7 +225,21 @@ def _table_page(result: Measurement, figures: Summary, command: str) -> str:
 
 def on_console(figures: Summary) -> list[TextTable | str]:
     """What the command prints: how wrong the section is, why, and whether the check holds."""
-    return [section_table(figures), *why(figures), check_table(figures)]
+    splits = _splits(figures)
+    said: list[TextTable | str] = [section_table(figures), *why(figures)]
+    if splits:
+        said += [split_on_console(splits), *split_words(splits)]
+    return [*said, check_table(figures)]
+
+
+def _splits(figures: Summary) -> dict[str, SplitSummary]:
+    """What the error is made of, by the states that were recorded."""
+    return {name: state.split for name, state in figures.states.items() if state.split}
+
+
+def _seen(figures: Summary) -> str:
+    """What the line was found in."""
+    return "recorded" if _splits(figures) else "rendered"
 
 
 def section_table(figures: Summary) -> TextTable:
@@ -217,7 +251,9 @@ def section_table(figures: Summary) -> TextTable:
 def check_table(figures: Summary) -> TextTable:
     """Whether renderer and ray search agree."""
     what = "dots" if any(s.dots_minus_search for s in figures.states.values()) else "line"
-    return _on_console(figures, f"Check: rendered {what} minus ray search", f"{what}_minus_search")
+    return _on_console(
+        figures, f"Check: {_seen(figures)} {what} minus ray search", f"{what}_minus_search"
+    )
 
 
 def _on_console(figures: Summary, caption: str, *keys: str) -> TextTable:
@@ -276,6 +312,21 @@ def page(
         ),
         Section("What the camera sees", beside(panels, "frame", "air")),
     ]
+    if splits := _splits(figures):
+        sections.insert(
+            1,
+            Section(
+                "What the error is made of",
+                *split_words(splits),
+                beside(panels, "split"),
+                split_table(splits),
+                "Stage by stage, from straight light to grey values, the line's place moves. What a"
+                " stage adds is the distance of the point measured there from the true section,"
+                " minus the one before it: the parts of each point add up to its error, those of"
+                " all points are split_*.csv. Squares of parts that have nothing to do with each"
+                " other add up to that of the whole.",
+            ),
+        )
     if result.hot:
         sections.append(
             Section(
@@ -289,9 +340,9 @@ def page(
     each = figures.states.items()
     sections += [
         Section(
-            "Check: rendered line against ray search",
-            "The line's centres in the rendered frames stand beside a search by rays, without any"
-            " image: what separates them is the error of rendering and detecting.",
+            f"Check: {_seen(figures)} line against ray search",
+            f"The line's centres in the {_seen(figures)} frames stand beside a search by rays,"
+            " without any image: what separates them is the error of rendering and detecting.",
             beside(panels, "check"),
             table(result, figures),
             *starmap(_compared, each),
@@ -367,6 +418,8 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
     """Draw a measurement: the whole picture, and its panels by name; of a cold part fewer."""
     hot = result.hot
     panels = {"section": _section_panel(result, figures)}
+    if splits := _splits(figures):
+        panels["split"] = split_panel(splits)
     check = {"check": _check_panel(result)} if result.centres else {}
     if hot:
         panels |= {"paths": _paths_panel(hot), "frame": _frame_panel(result, 2)}
@@ -521,11 +574,12 @@ def _check_panel(result: Measurement) -> Panel:
             style["lw"] = 0.9
         curves.append(_curve(u, 1e3 * dv, name, label, **style))
     what = "dots" if result.cold.dots else "line"
+    seen = "recorded" if result.cold.shot is not None else "rendered"
     return _curve_panel(
-        f"Check: rendered {what} minus search",
+        f"Check: {seen} {what} minus search",
         _U,
         "difference in v, 0.001 px",
-        f"The rendered {what} minus the ray search, px, along the line.",
+        f"The {seen} {what} minus the ray search, px, along the line.",
         curves,
     )
 

@@ -69,6 +69,7 @@ _MOST_CURVES, _MOST_FACETS = 8, 6  # that a reader can distinguish in one panel;
 _WRITTEN_CELLS = 100  # of a heat map with numbers in them
 _SAME = 0.015  # of the axis: curves that are no farther apart coincide
 _BESIDE = 0.06  # of a word's place: marks of several curves
+_WIDER = 1.1  # widths of lines, from which on they are shown
 _LOGARITHMIC = 30.0  # largest over least value, from which on an axis is so
 _SHOWN_NOTES = 10
 
@@ -117,6 +118,7 @@ class _Quantity:
     label: str
     values: Array
     shape: str = "{:.3g}"
+    signed: bool = False
 
     @property
     def known(self) -> Array:
@@ -144,10 +146,32 @@ def _quantities(table: SweepTable) -> dict[str, _Quantity]:
             "Shift of the probe rays' points by hot air", "largest in µm", shift
         ),
         f"{size}, px": _Quantity(
-            f"Rendered minus ray search, {state}", f"{size} in px", apart, "{:.4f}"
+            f"Found minus ray search, {state}", f"{size} in px", apart, "{:.4f}"
         ),
         count: _Quantity(f"{things} found, {state}", "number", centres, "{:.0f}"),
+        **_of_profiles(table, state),
     }
+
+
+def _of_profiles(table: SweepTable, state: str) -> dict[str, _Quantity]:
+    """What blur and noise make of the line, where frames are recorded or its width is another."""
+    width, shift, noise, speckle = (
+        getattr(table, f"{state}_{name}_px")
+        for name in ("line_width", "line_shift", "noise", "speckle")
+    )
+    known = width[np.isfinite(width)]
+    recorded = np.isfinite(noise).any()
+    if not recorded and not (known.size and known.max() > _WIDER * known.min()):
+        return {}
+    found = {
+        "width, px": _Quantity(f"Width of the line, {state}", "standard deviation in px", width),
+        "shift, px": _Quantity(
+            f"Line minus ray search, {state}", "mean in px", shift, "{:+.4f}", signed=True
+        ),
+        "noise, px": _Quantity(f"What noise makes of it, {state}", "rms in px", noise),
+        "speckle, px": _Quantity(f"What speckle makes of it, {state}", "rms in px", speckle),
+    }
+    return {head: each for head, each in found.items() if each.known.size}
 
 
 # The picture.
@@ -312,9 +336,11 @@ def _draw_curves(
                     clip_on=False,
                 )
     known = quantity.known
-    if _wide(known):
+    if _wide(known) and not quantity.signed:
         axes.set(yscale="log", ylim=(known.min() / 1.3, known.max() * 1.3))
         decimal_ticks(axes.yaxis, fine=True)
+    elif quantity.signed:
+        axes.axhline(0.0, color="0.6", lw=0.8)
     else:
         axes.set_ylim(0.0, 1.12 * (known.max(initial=0.0) or 1.0))
     _ticks(axes, first)
@@ -411,7 +437,7 @@ def _draw_map(
     }
     for row, at in places.items():
         cells[at] = quantity.values[row]
-    wide, few = _wide(quantity.known), cells.size <= _WRITTEN_CELLS
+    wide, few = _wide(quantity.known) and not quantity.signed, cells.size <= _WRITTEN_CELLS
     drawn = axes.imshow(cells, aspect="auto", origin="lower", norm="log" if wide else "linear")
     if np.isfinite(cells).any():
         drawn.set_clim(quantity.known.min(), quantity.known.max())
@@ -464,8 +490,8 @@ def table(result: Sweep, links: bool = False) -> TextTable:
 
 _TABLE_WORDS = (
     "Error: distance of the measured points from the part's true section, rms. Shift: how far hot"
-    " air moves the measured points of the probe rays, at most. In px: rendered line (or dots)"
-    " minus ray search. A case's name leads to its own page."
+    " air moves the measured points of the probe rays, at most. In px: the line (or dots) that was"
+    " found minus ray search. A case's name leads to its own page."
 )
 
 

@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, NothingFoundError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import Frame, render_frame
+from virtual_sensor.imaging.recording import RecordedFrame
+from virtual_sensor.imaging.recording_options import RecordingOptions
+from virtual_sensor.imaging.render import Frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.netcdf import field_times
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -40,8 +42,8 @@ _MARGIN_PX = 12  # around what is lit in them
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-EachFrame = Callable[[int, float, Frame], None]
-"""Called with each frame's number and instant in s, and the frame itself."""
+EachFrame = Callable[[int, float, Frame, RecordedFrame | None], None]
+"""Called with each frame's number and instant in s, the frame itself, and as it was recorded."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,11 @@ class SwayTable(Table):
         Standard deviation of the measured point's height.
     static_error_um : ndarray of shape (W,)
         Distance of the mean point from the part's true section, positive outside the part.
+    std_ideal_v_px : ndarray of shape (W,)
+        Of recorded frames: standard deviation of the centre in the ideal ones, by moving air alone.
+    std_noise_v_px : ndarray of shape (W,)
+        Of recorded frames: standard deviation of the centre minus that in the ideal one, by the
+        sensor alone.
     status : ndarray of str of shape (W,)
         "ok", or why most frames have no centre there.
     """
@@ -120,6 +127,8 @@ class SwayTable(Table):
     std_um: Array
     std_height_um: Array
     static_error_um: Array
+    std_ideal_v_px: Array | None
+    std_noise_v_px: Array | None
     status: NDArray[np.str_]
 
 
@@ -230,11 +239,16 @@ class LineSway(Record):
         Of the centre's row.
     y_um, height_um : Sway
         Of the measured point: along y, world, and against the laser's axis.
+    ideal_v_px, noise_v_px : Sway or None
+        Of the centre's row by moving air alone, and by the sensor alone; None where nothing was
+        recorded.
     """
 
     v_px: Sway
     y_um: Sway
     height_um: Sway
+    ideal_v_px: Sway | None
+    noise_v_px: Sway | None
 
 
 @dataclass(frozen=True)
@@ -343,7 +357,9 @@ class Burst(Displayed):
     notes : tuple of str
         What the user should know.
     stage_s : dict
-        Time spent on field, render, centres and search, over all frames, s.
+        Time spent on field, render, record, centres and search, over all frames, s.
+    ideal : tuple of F LineCentres
+        The line in the ideal frames, where they were recorded; else empty.
     """
 
     scene: Scene
@@ -355,6 +371,7 @@ class Burst(Displayed):
     views: Views
     notes: tuple[str, ...]
     stage_s: dict[str, float]
+    ideal: tuple[LineCentres, ...] = ()
 
     def _line(self) -> str:
         span_s = f"{self.time_s.min():g} to {self.time_s.max():g} s" if self.time_s.size else ""
@@ -387,6 +404,7 @@ class Burst(Displayed):
     def sway_table(self) -> SwayTable:
         """The line's sway in every column."""
         line, points = spread(self.centres_px), _of_points("", self.points_mm, self.up)
+        ideal_px = _stacked(self.ideal, "pixel") if self.ideal else None
         return SwayTable(
             column=self.lines[0].column,
             frames=line.frames,
@@ -395,6 +413,10 @@ class Burst(Displayed):
             y_mm=self._section.along_mm(points["mean_mm"]),
             **points,
             static_error_um=self._section.distance_um(points["mean_mm"]),
+            std_ideal_v_px=None if ideal_px is None else spread(ideal_px).std[:, 1],
+            std_noise_v_px=None
+            if ideal_px is None
+            else spread(self.centres_px - ideal_px).std[:, 1],
             status=_commonest(_stacked(self.lines, "status"), Status),
         )
 
@@ -453,6 +475,8 @@ class Burst(Displayed):
                 v_px=_sway(line, line.std_v_px),
                 y_um=_sway(line, line.std_um[:, 1]),
                 height_um=height,
+                ideal_v_px=_of_column(line, line.std_ideal_v_px),
+                noise_v_px=_of_column(line, line.std_noise_v_px),
             ),
             rays=RaySway(
                 u_px=_sway(rays, rays.std_px[:, 0]),
@@ -528,9 +552,10 @@ def burst(
     frames: int = 11,
     report: Report = lambda stage, fraction: None,
     y_mm: ArrayLike | None = None,
-    each_frame: EachFrame = lambda number, instant_s, frame: None,
+    each_frame: EachFrame = lambda number, instant_s, frame, shot: None,
+    recording: RecordingOptions | None = None,
 ) -> Burst:
-    """Render frames of moving air, find the line in each, and search the probe rays.
+    """Render frames of moving air, record them, find the line in each, and search the probe rays.
 
     Parameters
     ----------
@@ -549,6 +574,9 @@ def burst(
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
     each_frame : callable
         Called with each frame (see `EachFrame`); afterwards it is gone.
+    recording : RecordingOptions, optional
+        How the frames are recorded, each with noise of its own, all of one surface; by default as
+        the scene's camera says, ideally if it has no sensor.
 
     Raises
     ------
@@ -560,8 +588,9 @@ def burst(
     times, stored = instants(scene, start_s, duration_s, frames)
     if laser.dots_mm.size:
         raise InputError(f'{scene.path}: a burst follows a line; take the dots away (-D dots="")')
-    stage_s = dict.fromkeys(("field", "search", "render", "centres"), 0.0)
-    lines, rays = [], []
+    recording = recording or RecordingOptions()
+    stage_s = dict.fromkeys(("field", "search", "render", "record", "centres"), 0.0)
+    lines, rays, ideal, of_shots = [], [], [], list[str]()
     y = probe_rays(scene, y_mm)
     notes = [*scene.loading_notes, *unlit_rays(laser, y), *coarse_grid(scene)]
     notes += _coarse_instants(times, stored)
@@ -573,24 +602,40 @@ def burst(
         def tell(part: float, number: int = number, instant: float = instant) -> None:
             report(f"frame {number + 1} of {frames}, {instant:.3f} s", (number + part) / frames)
 
-        frame, line, found, border = _one_frame(scene, y, instant, tell, stage_s)
+        one = _one_frame(scene, y, instant, tell, stage_s, recording, number)
+        frame, shot, line, without_noise, found, border = one
         lines.append(line)
+        if shot is not None:
+            ideal.append(without_noise)
+            of_shots += [f"at {instant:g} s: {text}" for text in shot.notes]
         rays.append(found)
         total += frame.radiance
         if number in shown:
             some[instant] = frame.radiance
-        each_frame(number, instant, frame)
+        each_frame(number, instant, frame, shot)
         # At one instant: at the others it is much the same.
         at_border = at_border or [f"at {instant:g} s: {text}" for text in border]
-    notes += at_border
+    notes += [*at_border, *of_shots[:1]]
+    if len(of_shots) > 1:
+        notes.append(f"so it is of {len(of_shots)} frames; expose them otherwise")
     views = _views(total / frames, some)
-    return Burst(scene, times, stored, tuple(lines), tuple(rays), y, views, tuple(notes), stage_s)
+    found_lines = tuple(lines), tuple(rays)
+    return Burst(scene, times, stored, *found_lines, y, views, tuple(notes), stage_s, tuple(ideal))
 
 
 def _one_frame(
-    scene: Scene, y: Array, instant: float, tell: Callable[[float], None], stage_s: dict[str, float]
-) -> tuple[Frame, LineCentres, FoundPixels, list[str]]:
-    """Frame, line, probe rays and notes of one instant; `stage_s` grows by what each part took."""
+    scene: Scene,
+    y: Array,
+    instant: float,
+    tell: Callable[[float], None],
+    stage_s: dict[str, float],
+    recording: RecordingOptions,
+    number: int,
+) -> tuple[Frame, RecordedFrame | None, LineCentres, LineCentres, FoundPixels, list[str]]:
+    """Frame, as recorded, its line, that of the ideal frame, probe rays and notes of one instant.
+
+    `stage_s` grows by what each part took.
+    """
     tell(0.0)
     with _timed(stage_s, "field"):
         now = scene.at(instant)
@@ -599,15 +644,20 @@ def _one_frame(
         found = ray_search(now, y, "newton")
     tell(0.1)
     with _timed(stage_s, "render"):
-        frame = render_frame(now, progress=lambda part: tell(0.3 + 0.7 * part))
+        frame = recording.rendered(now, lambda part: tell(0.3 + 0.6 * part))
+    with _timed(stage_s, "record"):
+        shot = recording.recorded(now, frame, number)
     with _timed(stage_s, "centres"):
-        line = line_centres(frame.radiance)
+        ideal = line_centres(frame.radiance)
+        line = ideal if shot is None else line_centres(shot)
+    tell(1.0)
     if not np.any(line.status == Status.OK):
+        why = f" (of the recorded one: {', '.join(shot.notes)})" if shot and shot.notes else ""
         raise NothingFoundError(
-            f"{scene.path}: no line in the frame at {instant:g} s; give a wider or longer line"
+            f"{scene.path}: no line in the frame at {instant:g} s{why}; give a wider or longer line"
             " (line_radius, line_length), or more samples (spp)"
         )
-    return frame, line, found, notes
+    return frame, shot, line, ideal, found, notes
 
 
 def _views(mean: Array, some: dict[float, Image]) -> Views:
@@ -650,6 +700,10 @@ def _sway(table: SwayTable | RayTable, std: Array) -> Sway:
     at = known[np.argmax(std[known])]
     median = float(np.median(std[known]))
     return Sway(median, float(std[at]), float(table.y_mm[at]), int(table.frames[at]))
+
+
+def _of_column(table: SwayTable, std: Array | None) -> Sway | None:
+    return None if std is None else _sway(table, std)
 
 
 def _coarse_instants(times: Array, stored: Array) -> list[str]:

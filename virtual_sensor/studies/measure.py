@@ -1,8 +1,12 @@
-"""The main job: measure a part cold and hot by rendered frames, beside the ray-by-ray search."""
+"""The main job: measure a part cold and hot by rendered frames, beside the ray-by-ray search.
+
+The line is found in the ideal frames or, if a recording is asked for, in the grey values that the
+camera's sensor makes of them; then the error of what is measured is split into its parts.
+"""
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -13,7 +17,9 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
-from virtual_sensor.imaging.render import Frame, RenderReport, render_frame
+from virtual_sensor.imaging.recording import RecordedFrame
+from virtual_sensor.imaging.recording_options import RecordingOptions
+from virtual_sensor.imaging.render import Frame, RenderReport
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.metrology.centres import LineCentres, Status
@@ -40,6 +46,15 @@ from virtual_sensor.metrology.truth import (
 from virtual_sensor.optics.field_border import FACES
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
+from virtual_sensor.studies.error_split import (
+    ErrorSplit,
+    SplitSummary,
+    half_a_pixel_lower,
+    in_16_bits,
+    nearest_rows,
+    split_error,
+    split_summary,
+)
 from virtual_sensor.studies.notes import (
     beside_solid,
     centre_notes,
@@ -87,6 +102,12 @@ class State(Displayed):
     section : Section
         The true one.
     search_time_s, render_time_s : float
+    shot : RecordedFrame or None
+        The frame as it was recorded, in which the line was found; None: in the ideal one.
+    split : ErrorSplit or None
+        What the error of the points is made of; None where nothing was recorded.
+    record_time_s : float or None
+        Time that recording took.
     """
 
     scene: Scene
@@ -100,6 +121,9 @@ class State(Displayed):
     section: Section
     search_time_s: float
     render_time_s: float
+    shot: RecordedFrame | None = None
+    split: ErrorSplit | None = None
+    record_time_s: float | None = None
 
     def _line(self) -> str:
         return listed(self.line._line(), f"rendered in {self.render_time_s:.3g} s")
@@ -232,8 +256,9 @@ def measure(
     scene: Scene,
     report: Report = lambda stage, fraction: None,
     y_mm: ArrayLike | None = None,
+    recording: RecordingOptions | None = None,
 ) -> Measurement:
-    """Render, find the line, triangulate, search: first cold, then hot.
+    """Render, record, find the line, triangulate, search: first cold, then hot.
 
     Parameters
     ----------
@@ -242,12 +267,15 @@ def measure(
         Called with what is being done, and the fraction of the whole that is done.
     y_mm : array_like of shape (N,), optional
         Positions of the probe rays along the line, mm; by default the scene's own (`probe_rays`).
+    recording : RecordingOptions, optional
+        How the frames are recorded; by default as the scene's camera says, ideally if it has no
+        sensor.
 
     Raises
     ------
     InputError
-        If a ray's position is not finite, the scene can't be measured (see `imaging.checks`), or
-        its frame stays black.
+        If a ray's position is not finite, the scene can't be measured (see `imaging.checks`), its
+        frame stays black, or can't be recorded so.
     """
     started = time.perf_counter()
     report("checking the scene", 0.0)
@@ -261,6 +289,8 @@ def measure(
     section = true_section(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
 
+    options = recording or RecordingOptions()
+
     def state(name: str, scene: Scene, low: float, high: float) -> State:
         return _measure_state(
             scene,
@@ -268,6 +298,9 @@ def measure(
             dense_y,
             section,
             lambda stage, part: report(f"{name} part: {stage}", low + (high - low) * part),
+            options,
+            name,
+            None if name == "cold" else cold.dense,
         )
 
     cold = state("cold", scene.cold(), 0.0, share)
@@ -286,8 +319,16 @@ def measure(
 
 
 def _measure_state(
-    scene: Scene, probe_y: Array, dense_y: Array, section: Section, report: Report
+    scene: Scene,
+    probe_y: Array,
+    dense_y: Array,
+    section: Section,
+    report: Report,
+    recording: RecordingOptions,
+    name: str,
+    straight: FoundPixels | None,
 ) -> State:
+    """Measure a state; `straight` are the rays of the dense search in cold air, if this is hot."""
     clock = time.perf_counter
     report("searching, ray by ray", 0.0)
     began = clock()
@@ -296,21 +337,58 @@ def _measure_state(
     search_s = clock() - began
     report("finding the lit pixels", 0.2)
     began = clock()
-    frame = render_frame(scene, progress=lambda part: report("rendering", 0.5 + 0.5 * part))
+    frame = recording.rendered(scene, lambda part: report("rendering", 0.5 + 0.3 * part))
     render_s = clock() - began
     if not np.any(frame.radiance > 0.0):
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
-    line = line_centres(frame.radiance)
+    report("recording", 0.8)
+    began = clock()
+    shot = recording.recorded(scene, frame, name)
+    record_s = clock() - began if shot else None
+    seen = frame if shot is None else shot
+    line = line_centres(seen)
     laser, across_mm = scene.sensor.laser, frame.coordinates()[:, :, 0]
     by_frame = compare_line(line, frame, cut=True)
     compared: LineErrors | DotErrors
     if laser.dots_mm.size:
-        compared = compare_dots(dot_centres(frame.radiance), dense.pixel)
+        compared = compare_dots(dot_centres(seen), dense.pixel)
     else:
         searched = searched_line(scene, dense).seen_in(across_mm, laser.working_radius_mm)
         compared = compare_line(line, searched)
     found = line, paper, newton, dense, by_frame, compared
-    return State(scene, frame, *found, section, search_s, render_s)
+    state = State(scene, frame, *found, section, search_s, render_s, shot, None, record_s)
+    if shot is not None:
+        report("splitting the error", 0.9)
+        state = replace(state, split=_split(state, straight or dense))
+    report("done", 1.0)
+    return state
+
+
+def _split(state: State, straight: FoundPixels) -> ErrorSplit:
+    """What the error of a recorded state is made of; `straight` are its rays in cold air."""
+    scene, shot, found = state.scene, state.shot, state.centres_px
+    assert shot is not None
+
+    def centres(image: Any) -> Array:
+        if state.dots:
+            return compare_dots(dot_centres(image), state.dense.pixel).pixel
+        return line_centres(image).pixel
+
+    if state.dots:
+        before, after = straight.pixel, state.dense.pixel
+    else:
+        column, row = state.line.column, state.line.row
+        before, after = (
+            np.stack([column, nearest_rows(searched_line(scene, rays), row)], axis=1)
+            for rays in (straight, state.dense)
+        )
+    images: dict[str, Any] = {"pixels": state.frame}
+    if shot.speckled is not None:
+        images["speckle"] = shot.speckled
+    images["noise"] = in_16_bits(shot)
+    places = {name: centres(image) for name, image in images.items()} | {"rounding": found}
+    lower = centres(half_a_pixel_lower(scene))
+    return split_error(scene, state.section, before, after, lower, places)
 
 
 def searched_line(scene: Scene, found: FoundPixels) -> TrueLine:
@@ -349,7 +427,7 @@ class LineAgreement(Record):
 
     Attributes
     ----------
-    rms_px, largest_px : float
+    rms_px, largest_px, mean_px : float
         Of the centres that were compared.
     compared : int
         Centres that were compared.
@@ -367,6 +445,7 @@ class LineAgreement(Record):
 
     rms_px: float
     largest_px: float
+    mean_px: float
     compared: int
     centres: int
     expected: int
@@ -470,6 +549,10 @@ class StateSummary(Record):
         The same of dots.
     line_minus_truth : TruthAgreement
         The line's centres beside the frame's truth.
+    line_width_px : float
+        Median of the widths of the line's profile: their standard deviations.
+    split : SplitSummary or None
+        What the error of the section is made of; None where nothing was recorded.
     line_status : dict
         How many of the frame's columns have each status.
     search_status : dict
@@ -480,6 +563,8 @@ class StateSummary(Record):
         How the frame was made.
     render_time_s, search_time_s : float
         Time that rendering and searching took.
+    record_time_s : float or None
+        Time that recording took; None where nothing was recorded.
     """
 
     section: SectionErrors
@@ -487,6 +572,8 @@ class StateSummary(Record):
     line_minus_search: LineAgreement | None
     dots_minus_search: DotAgreement | None
     line_minus_truth: TruthAgreement
+    line_width_px: float
+    split: SplitSummary | None
     line_status: dict[str, int]
     search_status: dict[str, int]
     paper_search: SearchFacts
@@ -494,6 +581,7 @@ class StateSummary(Record):
     frame: RenderReport
     render_time_s: float
     search_time_s: float
+    record_time_s: float | None
 
 
 @dataclass(frozen=True)
@@ -644,6 +732,8 @@ def _state_summary(state: State) -> StateSummary:
         line_minus_truth=TruthAgreement(
             state.by_frame.count, int(state.by_frame.wrong().sum()), state.by_frame.largest_px
         ),
+        line_width_px=_median(state.line.width),
+        split=split_summary(state.split) if state.split else None,
         line_status=counts_of(state.line.status, Status),
         search_status=counts_of(state.dense.status, SearchStatus),
         paper_search=_search_facts(state.paper),
@@ -651,7 +741,13 @@ def _state_summary(state: State) -> StateSummary:
         frame=state.frame.report,
         render_time_s=round(state.render_time_s, 3),
         search_time_s=round(state.search_time_s, 3),
+        record_time_s=None if state.record_time_s is None else round(state.record_time_s, 3),
     )
+
+
+def _median(values: Array) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else np.nan
 
 
 def _path_errors(state: State) -> PathErrors:
@@ -663,6 +759,7 @@ def _line_agreement(compared: LineErrors, centres: int) -> LineAgreement:
     return LineAgreement(
         rms_px=compared.rms_px,
         largest_px=compared.largest_px,
+        mean_px=float(compared.error_px.mean()) if compared.count else np.nan,
         compared=compared.count,
         centres=centres,
         expected=compared.expected,

@@ -18,6 +18,7 @@ from typing import Any
 
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.studies.cluster import completed
 from virtual_sensor.studies.finished_cases import (
     file_hash,
@@ -47,6 +48,7 @@ into them: the same command, or an extended one, makes only those that are missi
 _VALUE_LENGTH, _NAME_LENGTH = 40, 120
 _ONE_AT_A_TIME = threading.Lock()  # a case uses all cores, and what it holds is one process's
 _Ending = tuple[str, str]  # status and message
+_IDEAL = RecordingOptions()
 _REFUSED = "refused"  # for all cases: which camera or source is meant
 
 
@@ -79,6 +81,8 @@ class Case(Displayed):
         Positions of the probe rays along the line; None: the scene's own.
     camera, source : str or None
         Names of the scene's; None: it has only one.
+    recording : RecordingOptions
+        How its frames are recorded; all cases have the same seed.
     """
 
     scene: str
@@ -89,6 +93,7 @@ class Case(Displayed):
     y_mm: tuple[float, ...] | None = None
     camera: str | None = None
     source: str | None = None
+    recording: RecordingOptions = _IDEAL
 
     def _line(self) -> str:
         return f"{Path(self.scene).stem}, {self.name}"
@@ -101,6 +106,7 @@ class Case(Displayed):
         words += [f"--camera={self.camera}"] if self.camera else []
         words += [f"--source={self.source}"] if self.source else []
         words += [f"-y{y:g}" for y in self.y_mm or ()]
+        words += self.recording.words
         return shlex.join(words)
 
 
@@ -139,13 +145,14 @@ def plan(
     y_mm: Sequence[float] | None = None,
     camera: str | None = None,
     source: str | None = None,
+    recording: RecordingOptions | None = None,
 ) -> list[Case]:
     """All combinations of parameters' values, the last parameter's changing fastest.
 
     `choices` has texts or numbers by the parameters' names; a single one is that of all cases, and
     one that is given twice is taken once.  `y_mm` are the positions of the probe rays; by default
     each case has its scene's own.  `camera` and `source` are names of the scene's, where it has
-    several.
+    several.  `recording` says how all cases' frames are recorded.
 
     Raises
     ------
@@ -165,7 +172,7 @@ def plan(
         raise InputError(f"{scene}: {count} cases; give at most {MOST_CASES} combinations")
     combined = itertools.product(*different.values())
     given = [dict(zip(different, values, strict=True)) for values in combined]
-    return cases(scene, given, y_mm=y_mm, camera=camera, source=source)
+    return cases(scene, given, y_mm=y_mm, camera=camera, source=source, recording=recording)
 
 
 def _different(values: Sequence[str]) -> list[str]:
@@ -186,6 +193,7 @@ def cases(
     y_mm: Sequence[float] | None = None,
     camera: str | None = None,
     source: str | None = None,
+    recording: RecordingOptions | None = None,
 ) -> list[Case]:
     """A list of cases, each with the values that are given for it.
 
@@ -201,6 +209,8 @@ def cases(
         Positions of the probe rays along the line, mm; by default each scene's own.
     camera, source : str, optional
         Names of the scene's, where it has several.
+    recording : RecordingOptions, optional
+        How all cases' frames are recorded; by default as the scene's camera says.
 
     Raises
     ------
@@ -212,9 +222,10 @@ def cases(
     path = find_scene(scene)
     which = str(scene) if path.parent == shipped_scenes() else str(path.absolute())
     planned, probes = [], None if y_mm is None else tuple(map(float, y_mm))
+    recording = (recording or RecordingOptions()).anywhere()
     for given in parameters:
         whole = {name: _anywhere(path, str(value)) for name, value in given.items()}
-        case = Case(which, whole, {}, "", "", probes, camera, source)
+        case = Case(which, whole, {}, "", "", probes, camera, source, recording)
         values, inputs = _inputs(case)
         planned.append(replace(case, values=values, key=key_of(inputs)))
     chosen = names or [_name(path.stem, case, differing(planned)) for case in planned]
@@ -259,7 +270,8 @@ def _inputs(case: Case) -> tuple[dict[str, str], dict[str, Any]]:
     values = scene_parameters(path, case.parameters)
     files = sorted(file_hash(file) for file in scene_files(path, values))
     found = {"scene": file_hash(path), "parameters": values, "files": files}
-    return values, found | {"probe rays": case.y_mm, "camera": case.camera, "source": case.source}
+    chosen = {"probe rays": case.y_mm, "camera": case.camera, "source": case.source}
+    return values, found | chosen | {"recording": case.recording.inputs()}
 
 
 def run(
@@ -335,7 +347,9 @@ def _make(case: Case, place: str, save: Save | str, report: Report | None) -> _E
     progress = report or (lambda stage, fraction: None)
 
     def fill(folder: Path) -> None:
-        result = measure(scene, lambda stage, part: progress(stage, 0.85 * part), case.y_mm)
+        result = measure(
+            scene, lambda stage, part: progress(stage, 0.85 * part), case.y_mm, case.recording
+        )
         progress("writing the results", 0.85)
         write = pkgutil.resolve_name(save) if isinstance(save, str) else save
         write(result, folder, case.command, overwrite=True)

@@ -66,6 +66,16 @@ class SweepTable(Table):
         Rendered line minus ray search, across the line, rms.
     cold_line_largest_px, hot_line_largest_px : ndarray of shape (N,)
         Rendered line minus ray search, across the line, at most.
+    cold_line_shift_px, hot_line_shift_px : ndarray of shape (N,)
+        Rendered line minus ray search, across the line, on average: by blur, say.
+    cold_line_width_px, hot_line_width_px : ndarray of shape (N,)
+        Median of the widths of the line's profile: their standard deviations.
+    cold_detector_px, hot_detector_px : ndarray of shape (N,)
+        What the detector makes of the place of a recorded line: its error in ideal frames, rms.
+    cold_noise_px, hot_noise_px : ndarray of shape (N,)
+        What the sensor's noise makes of it, rms.
+    cold_speckle_px, hot_speckle_px : ndarray of shape (N,)
+        What speckle makes of it, rms.
     cold_dots_largest_u_px, hot_dots_largest_u_px : ndarray of shape (N,)
         Rendered dots minus ray search, along the line, at most.
     cold_dots_largest_v_px, hot_dots_largest_v_px : ndarray of shape (N,)
@@ -100,6 +110,16 @@ class SweepTable(Table):
     hot_line_rms_px: Array
     cold_line_largest_px: Array
     hot_line_largest_px: Array
+    cold_line_shift_px: Array
+    hot_line_shift_px: Array
+    cold_line_width_px: Array
+    hot_line_width_px: Array
+    cold_detector_px: Array
+    hot_detector_px: Array
+    cold_noise_px: Array
+    hot_noise_px: Array
+    cold_speckle_px: Array
+    hot_speckle_px: Array
     cold_dots_largest_u_px: Array
     hot_dots_largest_u_px: Array
     cold_dots_largest_v_px: Array
@@ -280,6 +300,7 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
         state = summary.get("states", {}).get(name, {})
         parts = ("section", "dots_minus_search", "line_minus_search", "line_minus_truth")
         section, dots, line, truth = (state.get(part) or {} for part in parts)
+        split = (state.get("split") or {}).get("parts", {})
         figures |= {
             f"{name}_centres": dots.get("found", line.get("centres")),
             f"{name}_compared": dots.get("found", line.get("compared")),
@@ -288,9 +309,13 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
             f"{name}_section_largest_um": section.get("largest_um"),
             f"{name}_line_rms_px": line.get("rms_px"),
             f"{name}_line_largest_px": line.get("largest_px"),
+            f"{name}_line_shift_px": line.get("mean_px"),
+            f"{name}_line_width_px": state.get("line_width_px") if line else None,
             f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
             f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
         }
+        for part in ("detector", "noise", "speckle"):
+            figures[f"{name}_{part}_px"] = split.get(part, {}).get("rms_px")
     rays = summary.get("probe_rays", {})
     figures["rays_lit"] = rays.get("lit")
     for name in ("incidence_shift", "hot_error", "measured_shift"):

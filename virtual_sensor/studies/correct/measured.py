@@ -400,7 +400,7 @@ def _of_image(path: Path, scene: Scene) -> Measured:
             f"{error}; or find its line by `virtual-sensor detect`, and give that folder"
         ) from None
     _check_size(path, image.pixels.shape[::-1], scene)
-    line = line_centres(image.pixels, saturation=image.largest)
+    line = line_centres(image)
     return replace(_of_line(path.stem, line, scene), notes=tuple(image.notes))
 
 

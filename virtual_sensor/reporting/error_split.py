@@ -1,0 +1,135 @@
+"""What the error of a recorded measurement is made of, as a table, a picture and in words."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from virtual_sensor.reporting.pictures import Panel
+from virtual_sensor.reporting.style import colour
+from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.words import NIL_UM, listed
+from virtual_sensor.studies.error_split import PartErrors, SplitSummary
+
+Splits = Mapping[str, SplitSummary]
+"""By "cold" and "hot"."""
+
+PART_WORDS = {
+    "refraction": "hot air bends the light: by the ray search, without an image",
+    "detector": "the detector, in ideal frames, wherever the pixels lie: blur, slope, curvature",
+    "pixels": "where the pixels happen to lie below the line: half a pixel lower it is the reverse",
+    "speckle": "the laser's light is speckled",
+    "noise": "shot noise, dark noise and current, fixed pattern, clipping",
+    "rounding": "grey values of the sensor's bits, in place of 16",
+}
+_LEAST_SHOWN = 1e-3  # of the largest part, on a logarithmic axis
+_SMALL_UM = 1e-3
+_HALF = 0.38  # of a bar's place
+
+
+def split_table(splits: Splits) -> TextTable:
+    """Each part's rms and mean on the points and in the image, cold and hot."""
+    rows = []
+    for part in dict.fromkeys(name for each in splits.values() for name in each.parts):
+        rows.append({"part": part, "what": PART_WORDS[part], **_figures(splits, part)})
+    rows.append({"part": "whole error", "what": "all of it", **_figures(splits, None)})
+    columns = [Column("part", " "), Column("what", "what makes it")]
+    for state in splits:
+        columns += [
+            Column(f"{state}_rms_um", f"{state}: rms, µm", _short, "none"),
+            Column(f"{state}_mean_um", "mean, µm", "{:+.2f}", "none"),
+            Column(f"{state}_rms_px", "rms, px", "{:.4f}", "none"),
+        ]
+    caption = "What the error of the measured section is made of"
+    return text_table(rows, columns, caption, [*(False for _ in rows[1:]), True])
+
+
+def split_on_console(splits: Splits) -> TextTable:
+    """Each part's rms, in a table that a console has room for."""
+    parts = dict.fromkeys(name for each in splits.values() for name in each.parts)
+    rows = [{"part": part, **_figures(splits, part)} for part in parts]
+    rows.append({"part": "whole error", **_figures(splits, None)})
+    columns = [Column("part", " ")]
+    for state in splits:
+        columns += [
+            Column(f"{state}_rms_um", f"{state}: µm", _short, "none"),
+            Column(f"{state}_rms_px", "px", "{:.4f}", "none"),
+        ]
+    return text_table(rows, columns, "What that error is made of, rms")
+
+
+def _figures(splits: Splits, part: str | None) -> dict[str, float]:
+    """A part's figures, or the whole error's, by the state and their names."""
+    found: dict[str, float] = {}
+    for state, split in splits.items():
+        each = split.whole if part is None else split.parts.get(part)
+        if each is not None:
+            found |= {f"{state}_{name}": value + 0.0 for name, value in vars(each).items()}
+    return found
+
+
+def split_words(splits: Splits) -> list[str]:
+    """Sentences on which part is the largest, cold and hot."""
+    said = []
+    for state, split in splits.items():
+        if not split.largest:
+            said.append(f"In {state} air no point has a known error, nor its parts.")
+            continue
+        sizes = {name: part.rms_um for name, part in split.parts.items()}
+        first, *others = sorted(sizes, key=lambda name: -sizes[name])
+        rest = listed([f"{name} {_short(sizes[name])}" for name in others])
+        said.append(
+            f"In {state} air {first} makes the largest part of the error, {_short(sizes[first])} of"
+            f" {_short(split.whole.rms_um)} µm rms; {rest} µm."
+        )
+    return said
+
+
+def _short(size_um: float) -> str:
+    """A size with three digits; the smallest ones without."""
+    if 0.0 < size_um < _SMALL_UM:
+        return f"below {_SMALL_UM:g}" if size_um >= NIL_UM else "0"
+    return f"{size_um:.3g}"
+
+
+def split_panel(splits: Splits, width: int = 1) -> Panel:
+    """Bars of the parts, cold and hot, on a logarithmic axis."""
+    parts = list(dict.fromkeys(name for each in splits.values() for name in each.parts))
+    names = [*parts, "whole error"]
+
+    def draw(axes: Axes) -> None:
+        rows = np.arange(len(names))[::-1]
+        thick = 2.0 * _HALF / max(len(splits), 1)
+        largest = max((_rms(each.whole) for each in splits.values()), default=0.0)
+        largest = max([largest, *(_rms(p) for s in splits.values() for p in s.parts.values())])
+        left = max(largest * _LEAST_SHOWN, NIL_UM)
+        for number, (state, split) in enumerate(splits.items()):
+            sizes = [*(split.parts.get(name) for name in parts), split.whole]
+            rms_um = np.array([_rms(each) for each in sizes])
+            at = rows + _HALF - thick * (number + 0.5)
+            shown = np.maximum(rms_um, left)
+            axes.barh(at, shown - left, left=left, height=thick, color=colour(state), label=state)
+            for place, size, end in zip(at, rms_um, shown, strict=True):
+                beside: dict[str, Any] = {"va": "center", "fontsize": 9}
+                axes.annotate(
+                    _short(size), (end, place), (3, 0), textcoords="offset points", **beside
+                )
+        axes.axhline(0.5, color="0.6", lw=0.8)
+        axes.set_yticks(rows, names)
+        axes.set(xscale="log", xlim=(left, 4.0 * max(largest, 2.0 * left)))
+        axes.set_xlabel("error of the section, rms, µm")
+        axes.grid(False, axis="y")
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
+
+    said = listed([f"{name}: {split.largest or 'none'}" for name, split in splits.items()])
+    return Panel(
+        "What the error is made of",
+        draw,
+        f"The parts of the measured section's error, rms, as bars. The largest part: {said}.",
+        width,
+    )
+
+
+def _rms(part: PartErrors | None) -> float:
+    return 0.0 if part is None or np.isnan(part.rms_um) else part.rms_um
