@@ -396,7 +396,7 @@ def _radiance(ideal: Ideal) -> NDArray[np.floating]:
 
 def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Image:
     """Radiance with the laser's light speckled; light of lamps and glow stays as it is."""
-    light = np.asarray(_radiance(ideal), float)
+    light = _radiance(ideal)
     if light.ndim != 2:
         raise InputError(
             "record: speckle is of a laser's line, and this is a sequence; record its frames one"
@@ -408,8 +408,10 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
             "record: lamps, or the part's glow, light this frame too, and laser light alone is"
             " speckled; render it by vs.render_frame(scene, background=True)"
         )
-    other = 0.0 if background is None else background.astype(float)
-    return (speckled(np.maximum(light - other, 0.0), aperture, seed) + other).astype(np.float32)
+    if background is None:
+        return speckled(light, aperture, seed).astype(np.float32)
+    seen = speckled(np.maximum(light - background, 0.0), aperture, seed).astype(np.float32)
+    return seen + background
 
 
 def _exposure(

@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,11 +47,11 @@ Array = NDArray[np.float64]
 Box = tuple[slice, slice]
 
 _APRON_GRAINS = 8  # about what is lit, and about each window; 1 % of the light is scattered farther
-_WINDOW = 256  # px: width of the strips in which lit runs are looked for, and their most height
+_WINDOW = 128  # px: width of the strips in which lit runs are looked for, and their most height
 _MOST_SAMPLES = 1 << 22  # of a window
 _MOST_FINE = 32  # samples per pixel's side
 _MOST_PATTERNS = 256
-_BLOCK = 16, 32  # px, rows and columns: of the surface, each with random numbers of its own
+_BLOCK = 8, 16  # px, rows and columns: of the surface, each with random numbers of its own
 _AT_ONCE = 4  # windows
 _DARK = 1e-30  # of the brightest pixel
 _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
@@ -208,7 +208,7 @@ def speckled(
             f" {faint} make linewidth_nm, roughness_um or modes smaller"
         )
     key = int(generator_of("speckled: seed", seed).integers(2**63))
-    seen = np.zeros_like(image)
+    seen = np.zeros(image.shape)
     brightest = image.max(initial=0.0)
     if not brightest:
         return seen
@@ -217,13 +217,12 @@ def speckled(
 
     def fill(box: Box) -> None:
         near = _lit_about(box, lit, apron)
-        light = _at(image, near, 1) / brightest
-        amplitude = np.sqrt(_finer(_finer(light, fine).T, fine).T).astype(np.float32)
+        surface = _Surface.of(_at(image, near, 1) / brightest, key, near, fine)
         radius = float(np.average(_at(blur, near), weights=_at(image, near)))
         pupil = _Pupil.of(aperture, fine, radius, box, near, apron)
         total = np.zeros([fine * (side.stop - side.start) + 2 for side in box], np.float32)
-        for number, part in enumerate(weights_of(aperture.patterns)):
-            field = pupil.passes(amplitude * _scatterers(key, number, near, fine))
+        for part in weights_of(aperture.patterns):
+            field = pupil.passes(surface.scatters())
             total += np.float32(part) * (field.real**2 + field.imag**2)
         seen[box] = brightest * _integrated(_integrated(total, fine).T, fine).T
 
@@ -285,28 +284,64 @@ def _at(image: NDArray, box: Box, margin: int = 0) -> NDArray:
     return image[np.ix_(*inside)]
 
 
-def _scatterers(key: int, number: int, box: Box, fine: int) -> NDArray[np.complex64]:
-    """Circular complex Gaussian numbers of a pattern's samples in a box of pixels.
+@dataclass(frozen=True)
+class _Surface:
+    """The lit part of a rough surface: blocks with random numbers of their own, by counters.
 
-    By counters: each block of the surface has its own, whatever box is asked for.
+    Attributes
+    ----------
+    amplitude : ndarray of float32
+        Of the light in its samples.
+    blocks : list
+        Of each lit block the samples, where they lie in the block, and the generator.
+    shape : tuple of int
+        Samples of a block, as real and imaginary parts.
     """
-    blocks = [
-        range(side.start // size, (side.stop - 1) // size + 1)
-        for side, size in zip(box, _BLOCK, strict=True)
-    ]
-    shape = fine * _BLOCK[0], 2 * fine * _BLOCK[1]
 
-    def drawn(row: int, column: int) -> NDArray[np.float32]:
-        counter = np.array([0, 0, row % 2**64, column % 2**64], np.uint64)
-        bits = np.random.Philox(key=np.array([key, number], np.uint64), counter=counter)
-        return np.random.Generator(bits).standard_normal(shape, np.float32)
+    amplitude: NDArray[np.float32]
+    blocks: list[tuple[Box, Box, np.random.Generator]]
+    shape: tuple[int, int]
 
-    pairs = np.block([[drawn(row, column) for column in blocks[1]] for row in blocks[0]])
-    within = tuple(
-        slice(fine * (side.start - first[0] * size), fine * (side.stop - first[0] * size))
-        for side, first, size in zip(box, blocks, _BLOCK, strict=True)
-    )
-    return pairs.view(np.complex64)[within]
+    @staticmethod
+    def of(light: Array, key: int, near: Box, fine: int) -> _Surface:
+        """From the light in the pixels of a box and one more on each side."""
+        amplitude = np.sqrt(_finer(_finer(light, fine).T, fine).T).astype(np.float32)
+        height, width = (fine * size for size in _BLOCK)
+        rows = _cut(fine * near[0].start, len(amplitude), height)
+        columns = _cut(fine * near[1].start, amplitude.shape[1], width)
+        blocks = [
+            ((v, u), (of_v, of_u), _numbers_of(key, row, column))
+            for (row, v, of_v), (column, u, of_u) in product(rows, columns)
+            if amplitude[v, u].any()
+        ]
+        return _Surface(amplitude, blocks, (height, 2 * width))
+
+    def scatters(self) -> NDArray[np.complex64]:
+        """The field of the next pattern: circular complex Gaussian, by its light."""
+        field = np.zeros(self.amplitude.shape, np.complex64)
+        for here, within, numbers in self.blocks:
+            drawn = numbers.standard_normal(self.shape, np.float32).view(np.complex64)
+            np.multiply(self.amplitude[here], drawn[within], out=field[here])
+        return field
+
+
+def _cut(start: int, many: int, size: int) -> list[tuple[int, slice, slice]]:
+    """Numbers of the blocks that hold so many samples from `start` on, which they hold and where.
+
+    The samples are counted from `start`, and from the block's own first.
+    """
+    cuts = []
+    for number in range(start // size, (start + many - 1) // size + 1):
+        first = number * size - start
+        low, high = max(first, 0), min(first + size, many)
+        cuts.append((number, slice(low, high), slice(low - first, high - first)))
+    return cuts
+
+
+def _numbers_of(key: int, row: int, column: int) -> np.random.Generator:
+    """Random numbers of one block of the surface; its row and its column may be below 0."""
+    counter = np.array([0, 0, row % 2**64, column % 2**64], np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))
 
 
 @dataclass(frozen=True)
