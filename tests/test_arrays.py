@@ -72,6 +72,7 @@ OTHERS = {
     "read_image",
     "speckled",
     "save_png",
+    "save_tiff",
     "compare_line",
     "reconstruct",
     "load_scene",

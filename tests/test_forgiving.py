@@ -69,6 +69,7 @@ CALLS = {
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
     "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),
     "save_png": (vs.save_png, {"image": LINE, "path": "a.png"}),
+    "save_tiff": (vs.save_tiff, {"image": LINE, "path": "a.tif"}),
     "read_image": (vs.read_image, {"path": "line.png"}),
     "survey": (vs.survey, {"path": "part.obj"}),
     "line_centres": (vs.line_centres, {"image": LINE}),

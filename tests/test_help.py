@@ -47,7 +47,7 @@ def test_the_lines_of_the_help_run(tmp_path, monkeypatch):
     names: dict = {}
     exec("\n".join(lines).replace('load_scene("hot_cylinder", ', SMALL), names)
     assert np.isfinite(names["points_mm"]).all(axis=1).sum() > 200
-    assert vs.read_image("shot.png").largest == 4095
+    assert vs.read_image("shot.png").largest == names["shot"].sensor.saturation
 
 
 def test_signatures_can_be_read():

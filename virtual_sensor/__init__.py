@@ -4,7 +4,7 @@
 >>> scene = vs.load_scene("hot_cylinder", beta=15)  # a part, its air, a camera, a laser
 >>> frame = vs.render_frame(scene)                  # radiance, and the truth at each pixel
 >>> shot = vs.record(scene, frame, seed=0)          # grey values of a 12-bit camera, with the truth
->>> vs.save_png(shot, "shot.png", bits=12)
+>>> vs.save_png(shot, "shot.png")                   # of 12 bits, with gain, noise, saturation
 >>> line = vs.line_centres(shot)                    # .row .column .sigma .width .status
 >>> vs.Status.counts(line.status)                   # why columns have a centre, or none
 >>> points_mm = vs.triangulate(scene, line)         # (W, 3), as if light ran straight
@@ -44,6 +44,7 @@ Images as a camera gives them
     Aperture             What the camera's lens lets through, and how coherent the light is:
                          together the speckle.
     save_png             Write a grey image as a PNG file, as a camera of so many bits gives it.
+    save_tiff            Write a grey image as a TIFF file, as a camera of so many bits gives it.
     read_image           Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
 
 From images to numbers
@@ -177,6 +178,7 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.grey_values import grey_values as grey_values
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
+    from virtual_sensor.imaging.image_files import save_tiff as save_tiff
     from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
     from virtual_sensor.imaging.part_survey import survey as survey
@@ -340,6 +342,7 @@ _HOME = {
     "render_frame": "imaging.render",
     "render_sequence": "imaging.sequence",
     "save_png": "imaging.image_files",
+    "save_tiff": "imaging.image_files",
     "speckled": "imaging.speckle",
     "survey": "imaging.part_survey",
     "trace": "optics.trace",

@@ -50,11 +50,17 @@ def detect(
     ] = None,
     noise: Annotated[
         float | None,
-        typer.Option(help="Standard deviation of dark grey values; by default as the image shows."),
+        typer.Option(
+            help="Standard deviation of dark grey values; by default as the file says, else as the"
+            " image shows."
+        ),
     ] = None,
     gain: Annotated[
         float,
-        typer.Option(help="Grey values per electron (EMVA 1288's K), for the shot noise; 0: none."),
+        typer.Option(
+            help="Grey values per electron (EMVA 1288's K), for the shot noise; 0: as the file"
+            " says, else none."
+        ),
     ] = 0.0,
     min_amplitude: Annotated[
         float, typer.Option(help="Smallest height of a line, relative to the image's highest.")

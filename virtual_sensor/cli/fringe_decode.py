@@ -54,15 +54,25 @@ def decode(
     ] = "usual",
     noise: Annotated[
         float | None,
-        typer.Option(help="Standard deviation of dark grey values; by default as the images show."),
+        typer.Option(
+            help="Standard deviation of dark grey values; by default as the files say, else as the"
+            " images show."
+        ),
     ] = None,
     gain: Annotated[
         float,
-        typer.Option(help="Grey values per electron (EMVA 1288's K), for the shot noise; 0: none."),
+        typer.Option(
+            help="Grey values per electron (EMVA 1288's K), for the shot noise; 0: as the files"
+            " say, else none."
+        ),
     ] = 0.0,
     black: Annotated[
-        float, typer.Option(help="Grey value of a pixel without light: the black level.")
-    ] = 0.0,
+        float | None,
+        typer.Option(
+            help="Grey value of a pixel without light: the black level; by default as the files"
+            " say, else 0."
+        ),
+    ] = None,
     saturation: Annotated[
         float | None, typer.Option(help="Grey value from which on pixels are clipped.")
     ] = None,

@@ -176,6 +176,16 @@ class ImageSensor(Displayed):
         return float(min(self.white, np.floor(self.black_level + self.gain * self.full_well_e)))
 
     @property
+    def detector_options(self) -> dict[str, float]:
+        """What a detector or a codec is to know of the grey values, and an image's file says."""
+        return {
+            "noise": self.grey_noise,
+            "gain": self.gain,
+            "saturation": self.saturation,
+            "black": self.black_level,
+        }
+
+    @property
     def dark_current(self) -> float:
         """Electrons per second and pixel at the sensor's temperature."""
         warmer = (self.temperature_c - self.dark_current_at_c) / self.doubling_c

@@ -1,13 +1,15 @@
 """Images of cameras and of renderers as arrays: PNG, TIFF, JPEG, BMP and OpenEXR.
 
-`save_png` writes grey values as a camera gives them.  One image (H, W) of a file is read by
-`read_image`, its grey values as the camera gave them.  What the formats say:
+`save_png` and `save_tiff` write grey values as a camera gives them.  One image (H, W) of a file is
+read by `read_image`, its grey values as the camera gave them.  What the formats say:
 
 ===================================  =============================================================
 grey, RGB, palettes                  used: one colour is chosen, where they differ by `channel`
 8 and 16 bits, 32- and 64-bit float  used; half, 32-bit and signed integers become floats
 BitsPerSample (10, 12, 14), sBIT     used: the grey values and the level of clipping are theirs
 "Camera bits" (PNG, by `save_png`)   used likewise
+"virtual_sensor" (PNG, TIFF, EXR)    used: noise, gain, saturation, black level, as by
+                                     `image_metadata`; and what a JSON file beside says of them
 PNG of 1, 2, 4 bits                  noted: spread to 0 ... 255
 white is zero (TIFF)                 used and noted
 planes, tiles, compression (TIFF)    used; big-endian and BigTIFF too
@@ -30,20 +32,29 @@ more than 179 million pixels         refused; truncated and damaged files as wel
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+import tifffile
 from numpy.typing import ArrayLike, NDArray
 from PIL.PngImagePlugin import putchunk
 
-from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, unmasked, whole_number
+from virtual_sensor.arrays import (
+    LARGEST,
+    SMALLEST,
+    number_within,
+    truth_of,
+    unmasked,
+    whole_number,
+)
 from virtual_sensor.calls import public
+from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import Displayed, listed, span
-from virtual_sensor.errors import InputError, few
+from virtual_sensor.errors import InputError, few, naming, short
 from virtual_sensor.files import exists, path_of, readable, written_whole
 from virtual_sensor.imaging.image_formats import (
     CAMERA_BITS,
@@ -52,12 +63,22 @@ from virtual_sensor.imaging.image_formats import (
     read_picture,
     read_tiff,
 )
+from virtual_sensor.imaging.image_metadata import (
+    BITS,
+    KEY,
+    bits_of,
+    detector_options_of,
+    read_sidecar,
+    sidecar_of,
+    text_of,
+)
 
 ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
 
 _MOST_NAMES = 5  # of files in a note
 _FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
 _TOPS = {2.0**bits - 1.0: bits for bits in (10, 12, 14)}  # where cameras clip, in files of 16
+_USUAL_BITS = 12
 _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, unless a white is given
 _PNG_HEADER = 33  # bytes before the first chunk that may describe the image
 _TURNS: dict[int, Callable[[NDArray], NDArray]] = {
@@ -84,11 +105,18 @@ class Image(Displayed):
         Grey value at which the camera clips, as far as the file says; None for floats.
     notes : tuple of str
         What was converted, assumed or left out, each with the file's name first.
+    detector_options : dict
+        What the file says of the grey values: noise, gain, saturation, black, as far as it does.
+        `line_centres` and codecs heed it.
+    metadata : dict
+        All that it says: see `image_metadata`.
     """
 
     pixels: NDArray
     largest: float | None
     notes: tuple[str, ...] = ()
+    detector_options: dict[str, float] = field(default_factory=dict)
+    metadata: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def _line(self) -> str:
         height, width = self.pixels.shape
@@ -102,7 +130,13 @@ class Image(Displayed):
 
 @public
 def save_png(
-    image: ArrayLike, path: str | Path, bits: int = 12, *, white: float | None = None
+    image: ArrayLike,
+    path: str | Path,
+    bits: int | None = None,
+    *,
+    white: float | None = None,
+    sensor: ImageSensor | None = None,
+    metadata: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write a grey image as a PNG file, as a camera of so many bits gives it.
 
@@ -115,14 +149,19 @@ def save_png(
     ----------
     image : array_like of shape (H, W)
         Of integers: grey values, which are stored as they are.  Of floats, such as radiance: 0
-        becomes 0 and `white` the largest grey value; brighter pixels are clipped to it.
+        becomes 0 and `white` the largest grey value; brighter pixels are clipped to it.  A
+        `RecordedFrame` brings its bits and metadata along.
     path : str or Path
         Ends with .png.  A file that is there is replaced.
-    bits : int
-        From 1 to 16.
+    bits : int, optional
+        From 1 to 16; by default the sensor's, else 12.
     white : float, optional
         In the image's unit; give the same for images that are to be compared.  By default no pixel
         is clipped: the brightest one gets nine tenths of the largest grey value.
+    sensor : ImageSensor, optional
+        That made the grey values: the file then says their noise, gain, saturation and black level.
+    metadata : Mapping, optional
+        What else the file is to say, for JSON.
 
     Returns
     -------
@@ -138,32 +177,133 @@ def save_png(
     path = path_of("save_png: path", path)
     if path.suffix.lower() != ".png":
         raise InputError(f"{path}: is no name of a PNG file; end it with .png")
-    largest = 2 ** whole_number("save_png: bits", bits, 1, 16) - 1
+    with naming("save_png"):
+        stored = _to_store(image, bits, white, sensor, metadata)
+        texts = {CAMERA_BITS: f"{stored.bits}", "White level": stored.level}
+        if len(stored.metadata) > 1:  # the bits alone are said already
+            texts[KEY] = text_of(stored.metadata)
+        data = _png(stored.grey, texts)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(data)
+    return path
+
+
+@public
+def save_tiff(
+    image: ArrayLike,
+    path: str | Path,
+    bits: int | None = None,
+    *,
+    packed: bool = False,
+    white: float | None = None,
+    sensor: ImageSensor | None = None,
+    metadata: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write a grey image as a TIFF file, as a camera of so many bits gives it.
+
+    The file's ImageDescription says bits and metadata, which `read_image` and ``virtual-sensor
+    detect`` know.
+
+    Parameters
+    ----------
+    image : array_like of shape (H, W)
+        As of `save_png`.
+    path : str or Path
+        Ends with .tif or .tiff.  A file that is there is replaced.
+    bits, white, sensor, metadata
+        As of `save_png`.
+    packed : bool
+        Whether pixels take as many bits as they have, one behind the other, as BitsPerSample says:
+        12 bits three quarters of the room of 16.  Not all programs read that.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    InputError
+        As `save_png`.
+    """
+    path = path_of("save_tiff: path", path)
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        raise InputError(f"{path}: is no name of a TIFF file; end it with .tif")
+    with naming("save_tiff"):
+        packed = truth_of("packed", packed)
+        stored = _to_store(image, bits, white, sensor, metadata)
+        text = text_of({KEY: stored.metadata, "White level": stored.level})
+    with written_whole(path) as temporary:
+        tifffile.imwrite(
+            temporary,
+            stored.grey,
+            photometric="minisblack",
+            metadata=None,
+            description=text,
+            software="virtual_sensor",
+            bitspersample=stored.bits if packed else None,
+        )
+    return path
+
+
+@dataclass(frozen=True)
+class _ToStore:
+    """Grey values of so many bits, in words what their largest is, and what else is to be known."""
+
+    grey: NDArray[np.uint8] | NDArray[np.uint16]
+    bits: int
+    level: str
+    metadata: dict[str, Any]
+
+
+def _to_store(
+    image: Any,
+    bits: int | None,
+    white: float | None,
+    sensor: ImageSensor | None,
+    metadata: Mapping[str, Any] | None,
+) -> _ToStore:
+    said: dict[str, Any] = {}
+    for name, each in (("metadata", metadata), ("metadata", getattr(image, "metadata", None))):
+        if isinstance(each, Mapping):
+            said = {**each, **said}
+        elif each is not None and each is metadata:
+            raise InputError(f"{name} is {short(each)}; give a mapping of names to values")
+    sensor = getattr(image, "sensor", None) if sensor is None else sensor
+    if isinstance(sensor, ImageSensor):
+        bits = sensor.bit_depth if bits is None else bits
+        said = {**sensor.detector_options, "sensor": asdict(sensor), **said}
+    elif sensor is not None:
+        raise InputError(f"sensor is {short(sensor)}; give an ImageSensor, or leave it out")
+    bits = whole_number("bits", _USUAL_BITS if bits is None else bits, 1, 16)
+    largest = 2**bits - 1
     values = _grey_values(image)
+    if values.dtype.kind == "f" and isinstance(sensor, ImageSensor):
+        raise InputError(
+            "sensor is of grey values, and the image holds floats; give grey_values(image, sensor)"
+        )
     if values.dtype.kind in "iu":
         if white is not None:
             raise InputError(
-                "save_png: white is of floats, and these integers are stored as they are; leave it"
-                " out, or give image.astype(float)"
+                "white is of floats, and these integers are stored as they are; leave it out, or"
+                " give image.astype(float)"
             )
         if (brightest := int(values.max())) > largest:
             raise InputError(
-                f"save_png: image has grey values up to {brightest}, but {bits} bits end at"
-                f" {largest}; give more bits, or np.clip(image, 0, {largest})"
+                f"image has grey values up to {brightest}, but {bits} bits end at {largest}; give"
+                f" more bits, or np.clip(image, 0, {largest})"
             )
         level = f"{largest}, stored as it is"
     else:
         if white is None:
             white = float(values.max()) / _EXPOSED or 1.0
-        white = number_within("save_png: white", white, SMALLEST, LARGEST, "a level above 0")
+        white = number_within("white", white, SMALLEST, LARGEST, "a level above 0")
         with np.errstate(over="ignore"):  # far above a white that is tiny
             values = np.rint(np.minimum(values / white, 1.0) * largest)
         level = f"{largest} is {white:.9g} of the image"
-    grey = values.astype(np.uint8 if bits <= 8 else np.uint16)
-    data = _png(grey, {CAMERA_BITS: f"{bits}", "White level": level})
-    with written_whole(path) as temporary:
-        temporary.write_bytes(data)
-    return path
+    kind: type[np.uint8 | np.uint16] = np.uint8 if bits <= 8 else np.uint16
+    grey: NDArray[Any] = values.astype(kind)
+    return _ToStore(grey, bits, level, {**said, BITS: bits})
 
 
 def _grey_values(image: ArrayLike) -> NDArray:
@@ -171,25 +311,21 @@ def _grey_values(image: ArrayLike) -> NDArray:
     values = unmasked(image)
     values = values[..., 0] if values.ndim == 3 and values.shape[2] == 1 else values
     if values.dtype.kind not in "iuf":
-        raise InputError(
-            f"save_png: image is of type {values.dtype}; give grey values: integers, or floats"
-        )
+        raise InputError(f"image is of type {values.dtype}; give grey values: integers, or floats")
     if values.ndim != 2 or not values.size:
         colours = "; of a colour image take one channel, such as image[..., 1]" * (values.ndim == 3)
-        raise InputError(
-            f"save_png: image has the shape {values.shape}; give (height, width){colours}"
-        )
+        raise InputError(f"image has the shape {values.shape}; give (height, width){colours}")
     if values.dtype.kind == "f":
         values = values.astype(np.float32) if values.dtype.itemsize == 2 else values
         if missing := int(np.sum(~np.isfinite(values))):
             raise InputError(
-                f"save_png: image has {missing} pixels that are NaN or infinite, which a PNG can't"
-                " hold; give them a value, such as np.nan_to_num(image)"
+                f"image has {missing} pixels that are NaN or infinite, which a file of grey values"
+                " can't hold; give them a value, such as np.nan_to_num(image)"
             )
     if (darkest := values.min()) < 0:
         raise InputError(
-            f"save_png: image has negative values, down to {darkest:g}, which a PNG can't hold; add"
-            " a black level, or np.maximum(image, 0)"
+            f"image has negative values, down to {darkest:g}, which a file of grey values can't"
+            " hold; add a black level, or np.maximum(image, 0)"
         )
     return values
 
@@ -198,7 +334,7 @@ def _png(grey: NDArray, texts: Mapping[str, str]) -> bytes:
     """A PNG file's bytes: OpenCV compresses quicker than Pillow, which writes texts."""
     coded, data = cv2.imencode(".png", grey)
     if not coded:
-        raise InputError(f"save_png: OpenCV can't encode an image of the shape {grey.shape}")
+        raise InputError(f"OpenCV can't encode an image of the shape {grey.shape}")
     described, encoded = BytesIO(), data.tobytes()
     described.write(encoded[:_PNG_HEADER])
     for name, text in texts.items():
@@ -234,7 +370,8 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
             inside = [p for p in entries if p.suffix.lower() in ENDINGS and p.is_file()]
             if not inside:
                 raise InputError(f"{place}: holds no image; known are {', '.join(ENDINGS)}")
-            if others := [p.name for p in entries if p not in set(inside)]:
+            known = {*inside, *map(sidecar_of, inside)}
+            if others := [p.name for p in entries if p not in known]:
                 names = few(others, _MOST_NAMES)
                 notes.append(f"{place}: left out, as no images known here: {names}.")
             found += inside
@@ -274,8 +411,12 @@ def read_image(path: str | Path, channel: str | None = None, bits: int | None = 
     else:
         stored = (read_tiff if suffix in (".tif", ".tiff") else read_picture)(path, channel)
     stored = _plain(path, stored)
+    stored = replace(stored, metadata=stored.metadata | (read_sidecar(path) or {}))
     stored, largest = _levelled(stored, bits)
     remarks = list(stored.remarks)
+    known = _known(stored, bits, largest, remarks)
+    if "saturation" in known:
+        largest = min(known["saturation"], np.inf if largest is None else largest)
     turn = _TURNS.get(stored.orientation)
     if turn is None:
         remarks.append(f"its orientation, {stored.orientation}, means nothing and is not used")
@@ -285,7 +426,31 @@ def read_image(path: str | Path, channel: str | None = None, bits: int | None = 
             " turned image"
         )
     pixels = np.ascontiguousarray(turn(stored.values) if turn else stored.values)
-    return Image(pixels, largest, tuple(f"{path}: {remark}." for remark in remarks))
+    notes = tuple(f"{path}: {remark}." for remark in remarks)
+    return Image(pixels, largest, notes, known, stored.metadata)
+
+
+def _known(
+    stored: StoredImage, bits: int | None, largest: float | None, remarks: list[str]
+) -> dict[str, float]:
+    """What the metadata say of the grey values, unless these have been changed since."""
+    own = bits_of(stored.metadata)
+    known = detector_options_of(stored.metadata, remarks)
+    if not known:
+        return {}
+    top = 2.0**own - 1.0 if own else known.get("saturation", np.inf)
+    brightest = float(np.max(stored.values, initial=0.0, where=np.isfinite(stored.values)))
+    names = " and ".join([", ".join([*known][:-1]), [*known][-1]] if len(known) > 1 else known)
+    if own and bits is not None and bits != own:
+        remarks.append(f"says its {names} for {own} bits, not {bits}: they are not used")
+        return {}
+    if brightest > top:
+        remarks.append(
+            f"says its {names} for grey values up to {top:g}, but has {brightest:g}: was it changed"
+            " since? They are not used"
+        )
+        return {}
+    return known
 
 
 def _plain(path: Path, stored: StoredImage) -> StoredImage:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.image_metadata import KEY, bits_of, described, metadata_of
 from virtual_sensor.imaging.piz import holds_its_claim
 
 COLOURS = ("red", "green", "blue")
@@ -44,6 +45,7 @@ class StoredImage(Displayed):
     """One channel (H, W) as it is stored, its bits (None: floats), and notes on it.
 
     `scaled`: its grey values are of fewer bits, spread over those of the array's type.
+    `metadata`: what the file says of them, see `image_metadata`.
     """
 
     values: NDArray
@@ -51,6 +53,7 @@ class StoredImage(Displayed):
     scaled: bool = False
     orientation: int = 1
     remarks: list[str] = field(default_factory=list)
+    metadata: dict[str, Any] = field(default_factory=dict)
 
     def _line(self) -> str:
         height, width = self.values.shape
@@ -172,9 +175,9 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
         channels = {
             name: image[:, :, names.index(name)] for name in (*COLOURS, _ALPHA)[: len(names)]
         }
-    return StoredImage(
-        _channel(path, channels, channel, remarks), bits, scaled, orientation, remarks
-    )
+    chosen = _channel(path, channels, channel, remarks)
+    metadata = metadata_of(header.info.get(KEY)) or {}
+    return StoredImage(chosen, bits, scaled, orientation, remarks, metadata)
 
 
 def _decoded(path: Path, data: bytes) -> NDArray:
@@ -245,6 +248,7 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         channels = {name: values[:, :, n] for n, name in enumerate(names)}
         chosen = _channel(path, channels, channel, remarks)
         tags = {tag.name: tag.value for tag in page.tags.values()}
+        metadata = described(page.description) or {}
         most = float(np.max(tags.get("MaxSampleValue", 0)))
         orientation = int(tags.get("Orientation", 1))
         if chosen.dtype.kind != "u":
@@ -263,7 +267,9 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         remarks.append("has images within its page, which are left out")
     if count > 1:
         remarks.append(f"has {count} pages; one is read, the others are left out")
-    return StoredImage(chosen, bits or None, orientation=orientation, remarks=remarks)
+    said = bits_of(metadata) or bits
+    bits = said if bits and said <= 8 * chosen.itemsize else bits
+    return StoredImage(chosen, bits or None, False, orientation, remarks, metadata)
 
 
 def _without(values: NDArray, mark: str) -> NDArray:
@@ -307,8 +313,9 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
         raise InputError(f"{path}: its channel is subsampled; choose another or save it in full")
     if heads[part].get("pixelAspectRatio", 1.0) != 1.0:
         remarks.append("its pixels are not square, which is not used")
+    metadata = metadata_of(heads[part].get(KEY)) or {}
     if windows[part][:2] == windows[part][2:]:
-        return StoredImage(values, remarks=remarks)
+        return StoredImage(values, remarks=remarks, metadata=metadata)
     remarks.append(
         f"its data window of {width} x {height} px begins at ({left - left_shown},"
         f" {top - top_shown}) of its {shown[0]} x {shown[1]} px: pixels beside it are missing"
@@ -317,7 +324,7 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
     rows, columns = np.arange(height) + top - top_shown, np.arange(width) + left - left_shown
     inside = (rows >= 0) & (rows < shown[1]), (columns >= 0) & (columns < shown[0])
     whole[np.ix_(rows[inside[0]], columns[inside[1]])] = values[np.ix_(*inside)]
-    return StoredImage(whole, remarks=remarks)
+    return StoredImage(whole, remarks=remarks, metadata=metadata)
 
 
 def _whole_piz(

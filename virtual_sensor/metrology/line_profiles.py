@@ -122,8 +122,11 @@ def checked_image(image: ArrayLike) -> NDArray:
 def known_of(image: Any) -> dict[str, float]:
     """What a recorded frame says of its grey values: noise, gain, saturation and black level.
 
-    It is the attribute `detector_options` of whatever has one.
+    It is the attribute `detector_options` of whatever has one; of several, what all say.
     """
+    if isinstance(image, list | tuple) and image:
+        first, *others = map(known_of, image)
+        return {n: x for n, x in first.items() if all(each.get(n) == x for each in others)}
     known = getattr(image, "detector_options", None)
     return {name: value for name, value in (known or {}).items() if value is not None}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,9 +45,9 @@ class Settings(Record):
     saturation : float or None
         Grey value from which on pixels are clipped; None: as the file says.
     noise : float or None
-        Standard deviation of dark grey values; None: as the image shows.
+        Standard deviation of dark grey values; None: as the file says, else as the image shows.
     gain : float
-        Grey values per electron, for the shot noise; 0: none.
+        Grey values per electron, for the shot noise; 0: as the file says, else none.
     min_amplitude : float
         Smallest height of a line, relative to the highest of the image.
     max_width_px : float
@@ -64,6 +64,17 @@ class Settings(Record):
     gain: float = 0.0
     min_amplitude: float = 0.01
     max_width_px: float = 32.0
+
+    def knowing(self, known: Mapping[str, float]) -> tuple[Settings, tuple[str, ...]]:
+        """The settings with what a file says of its grey values, and a remark on it."""
+        asked = {"noise": self.noise, "gain": self.gain or None}
+        used: dict[str, Any] = {
+            name: known[name] for name in asked if asked[name] is None and name in known
+        }
+        if not used:
+            return self, ()
+        words = " and ".join(f"{name} {value:.4g}" for name, value in used.items())
+        return replace(self, **used), (f"says that it has {words}: so it is taken.",)
 
     def centres(self, image: NDArray) -> LineCentres:
         """Find the line in an image (H, W).
@@ -251,7 +262,8 @@ def detect(
                 f" {width} x {height} px; take the one that belongs to it"
             )
         remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
-        here = settings
+        here, said = settings.knowing(read.detector_options)
+        remarks += said
         if read.largest is not None:
             asked = settings.saturation
             least = read.largest if asked is None else min(asked, read.largest)

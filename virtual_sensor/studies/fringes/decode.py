@@ -61,11 +61,11 @@ class DecodeSettings(Record):
     bits : int or None
         Of the camera, where the files have more.
     noise : float or None
-        Standard deviation of dark grey values; None: as the images show.
+        Standard deviation of dark grey values; None: as the files say, else as the images show.
     gain : float
-        Grey values per electron, for the shot noise; 0: none.
-    black : float
-        Grey value of a pixel without light.
+        Grey values per electron, for the shot noise; 0: as the files say, else none.
+    black : float or None
+        Grey value of a pixel without light; None: as the files say, else 0.
     saturation : float or None
         Grey value from which on pixels are clipped; None: as the files say.
     least_modulation : float
@@ -81,7 +81,7 @@ class DecodeSettings(Record):
     bits: int | None = None
     noise: float | None = None
     gain: float = 0.0
-    black: float = 0.0
+    black: float | None = None
     saturation: float | None = None
     least_modulation: float = LEAST_MODULATION
     border_px: float = 0.0
@@ -214,7 +214,7 @@ def decode_sequence(
         size.
     """
     codec = codec_of(settings.codec, settings.size_px)
-    images, largest, remarks = _read(paths, settings, report)
+    images, largest, known, remarks = _read(paths, settings, report)
     saturation = largest if settings.saturation is None else min(settings.saturation, largest)
     if len(images) != len(codec):
         raise InputError(_wrong_number(codec, paths, images))
@@ -250,7 +250,7 @@ def decode_sequence(
     report("decoding", 0.7)
     began = time.perf_counter()
     decoded = codec.decode(
-        stack,
+        _Stack(stack, known),
         noise=settings.noise,
         gain=settings.gain,
         black=settings.black,
@@ -266,11 +266,23 @@ def decode_sequence(
     return DecodedSequence(codec, chosen, stack, decoded, table, summary, tuple(notes))
 
 
+@dataclass(frozen=True)
+class _Stack:
+    """Images (K, H, W), and what their files say of the grey values."""
+
+    images: NDArray[Any]
+    detector_options: dict[str, float]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return np.array(self.images, dtype) if copy else np.asarray(self.images, dtype)
+
+
 def _read(
     paths: Sequence[Path], settings: DecodeSettings, report: Report
-) -> tuple[list[NDArray[Any]], float, list[tuple[Path, Sequence[str]]]]:
-    """All images, the least level at which one is clipped, and remarks on each."""
+) -> tuple[list[NDArray[Any]], float, dict[str, float], list[tuple[Path, Sequence[str]]]]:
+    """All images, the least level at which one is clipped, what all files say, and remarks."""
     images: list[NDArray[Any]] = []
+    known: dict[str, float] = {}
     levels: list[float] = []
     remarks: list[tuple[Path, Sequence[str]]] = []
     for number, path in enumerate(paths):
@@ -290,10 +302,12 @@ def _read(
                 f"{path}: holds {here}, but {paths[0].name} {there}; save the images of one"
                 " sequence alike"
             )
+        said = read.detector_options
+        known = {n: x for n, x in known.items() if said.get(n) == x} if images else dict(said)
         images.append(read.pixels)
         levels.append(np.inf if read.largest is None else read.largest)
         remarks.append((path, [note.removeprefix(f"{path}: ") for note in read.notes]))
-    return images, min(levels), remarks
+    return images, min(levels), known, remarks
 
 
 def _wrong_number(codec: Codec, paths: Sequence[Path], images: Sequence[NDArray[Any]]) -> str:
