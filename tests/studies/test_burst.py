@@ -238,7 +238,7 @@ def test_a_recorded_burst_tells_the_sensors_noise_from_the_sway_of_the_air(swayi
     assert np.mean(line.std_v_px[known] ** 2) == pytest.approx(parts.mean(), rel=0.1)
     assert recorded.summary.line.noise_v_px.median == np.median(line.std_noise_v_px[known])
     instant_s, frame, shot = shots[3]
-    alone = options.recorded(swaying.at(instant_s), frame, 3)
+    alone = options.recorded(swaying.at(instant_s), frame, 3, "camera", "laser")
     np.testing.assert_array_equal(alone.grey, shot.grey)
     assert (shots[2][2].grey != shot.grey).mean() > 0.5
     assert result.summary.line.noise_v_px is None

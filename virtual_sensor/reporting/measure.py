@@ -394,7 +394,19 @@ def _frame_words(name: str, state: StateSummary) -> str:
         text += f" ({frame.reason})"
     if frame.map_error_px > 0.0:
         text += f", by ray maps with an estimated error of {frame.map_error_px:.2g} px"
-    return f"{text}; rendered in {time_in_words(state.render_time_s)}."
+    text += f"; rendered in {time_in_words(state.render_time_s)}"
+    if (recording := state.recording) is None:
+        return f"{text}."
+    sensor, time_s = recording.sensor, recording.exposure_s
+    exposed = f"for {time_in_words(time_s)}" if time_s else "automatically"
+    speckled = ", its laser light speckled" * recording.speckled
+    clipped = counted(recording.saturated_columns, "column")
+    return (
+        f"{text}. It was exposed {exposed} on the sensor {sensor['name'] or 'given'}, of"
+        f" {sensor['bit_depth']} bits{speckled}: {clipped} of the line"
+        f" {'has' if recording.saturated_columns == 1 else 'have'} clipped pixels; seed"
+        f" {recording.seed}."
+    )
 
 
 def _probe_rays_table(result: Measurement) -> TextTable:

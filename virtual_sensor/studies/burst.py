@@ -646,7 +646,7 @@ def _one_frame(
     with _timed(stage_s, "render"):
         frame = recording.rendered(now, lambda part: tell(0.3 + 0.6 * part))
     with _timed(stage_s, "record"):
-        shot = recording.recorded(now, frame, number)
+        shot = recording.recorded(now, frame, number, now.camera_name, now.source_name)
     with _timed(stage_s, "centres"):
         ideal = line_centres(frame.radiance)
         line = ideal if shot is None else line_centres(shot)

@@ -6,7 +6,7 @@ camera's sensor makes of them; then the error of what is measured is split into 
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -310,7 +310,7 @@ def measure(
     for name, each in (("cold", cold), ("hot", hot)):
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
-            words += frame_notes(each.frame.report)
+            words += [*frame_notes(each.frame.report), *(each.shot.notes if each.shot else ())]
             judged = centre_notes(each.line, each.compared, each.by_frame, each.gap_y_mm)
             notes += [f"{name}: {word}" for word in [*words, *judged]]
             caveats += [f"{name}: {word}" for word, poor in judged.items() if poor]
@@ -343,7 +343,7 @@ def _measure_state(
         raise InputError(f"{scene.path}: the frame is black. {why_dark(scene)}")
     report("recording", 0.8)
     began = clock()
-    shot = recording.recorded(scene, frame, name)
+    shot = recording.recorded(scene, frame, name, scene.camera_name, scene.source_name)
     record_s = clock() - began if shot else None
     seen = frame if shot is None else shot
     line = line_centres(seen)
@@ -534,6 +534,37 @@ class PathErrors(Record):
 
 
 @dataclass(frozen=True)
+class RecordingFacts(Record):
+    """How a frame was recorded: `vs.record` with these makes the same bits.
+
+    Attributes
+    ----------
+    sensor : dict
+        Its data sheet.
+    exposure_s : float or None
+        None where a pinhole was exposed automatically: without an aperture there is no time.
+    electrons_per_radiance : float
+        Mean electrons of a pixel for 1 W/(mm² sr).
+    seed : int
+        Of this frame.
+    drawn : dict
+        The seeds of its parts, which follow from it.
+    speckled : bool
+        Whether the laser's light was speckled.
+    saturated_columns : int
+        Columns of the line that have clipped pixels.
+    """
+
+    sensor: dict[str, Any]
+    exposure_s: float | None
+    electrons_per_radiance: float
+    seed: int
+    drawn: dict[str, Any]
+    speckled: bool
+    saturated_columns: int
+
+
+@dataclass(frozen=True)
 class StateSummary(Record):
     """The figures of the part measured cold, or hot.
 
@@ -553,6 +584,8 @@ class StateSummary(Record):
         Median of the widths of the line's profile: their standard deviations.
     split : SplitSummary or None
         What the error of the section is made of; None where nothing was recorded.
+    recording : RecordingFacts or None
+        How the frame was recorded; None where it was not.
     line_status : dict
         How many of the frame's columns have each status.
     search_status : dict
@@ -574,6 +607,7 @@ class StateSummary(Record):
     line_minus_truth: TruthAgreement
     line_width_px: float
     split: SplitSummary | None
+    recording: RecordingFacts | None
     line_status: dict[str, int]
     search_status: dict[str, int]
     paper_search: SearchFacts
@@ -734,6 +768,7 @@ def _state_summary(state: State) -> StateSummary:
         ),
         line_width_px=_median(state.line.width),
         split=split_summary(state.split) if state.split else None,
+        recording=_recording_facts(state.shot) if state.shot else None,
         line_status=counts_of(state.line.status, Status),
         search_status=counts_of(state.dense.status, SearchStatus),
         paper_search=_search_facts(state.paper),
@@ -742,6 +777,19 @@ def _state_summary(state: State) -> StateSummary:
         render_time_s=round(state.render_time_s, 3),
         search_time_s=round(state.search_time_s, 3),
         record_time_s=None if state.record_time_s is None else round(state.record_time_s, 3),
+    )
+
+
+def _recording_facts(shot: RecordedFrame) -> RecordingFacts:
+    clipped = shot.saturated & np.asarray(getattr(shot.ideal, "lit", False))
+    return RecordingFacts(
+        sensor=asdict(shot.sensor),
+        exposure_s=shot.exposure_s,
+        electrons_per_radiance=shot.electrons_per_radiance,
+        seed=shot.seed,
+        drawn=dict(shot.drawn),
+        speckled=shot.speckled is not None,
+        saturated_columns=int(clipped.any(axis=0).sum()),
     )
 
 
