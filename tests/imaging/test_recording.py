@@ -259,3 +259,30 @@ def test_times_are_read_with_their_units():
     for text in ("0", "-1ms", "2m", "nan", "1e9", "ms", "inf"):
         with pytest.raises(InputError, match="such as 2ms"):
             exposure_time_s("t", text)
+
+
+def test_grey_values_beyond_a_knee_are_stretched_back_in_proportion_to_the_light():
+    """Rationale: means of even light, over its whole range: six full wells."""
+    sensor = vs.ImageSensor(knee=(0.5, 6.0), prnu=0.0, dsnu_e=0.0)
+    electrons = np.array([0.1, 0.4, 0.7, 2.0, 4.0, 5.5]) * sensor.full_well_e
+    light = np.broadcast_to(electrons[:, None, None] / sensor.quantum_efficiency, (6, 64, 64))
+    grey = vs.grey_values(light, sensor)
+    linear = sensor.without_knee(grey).mean(axis=(1, 2)) - sensor.black_level
+    np.testing.assert_allclose(linear, sensor.gain * electrons, rtol=0.01)
+    assert grey[-1].mean() - sensor.black_level < 0.2 * sensor.gain * electrons[-1]
+    plain = vs.ImageSensor()
+    np.testing.assert_array_equal(plain.without_knee(grey), grey)
+
+
+def test_a_line_that_a_knee_flattens_is_found_as_wide_as_it_is(scene, frame):
+    """Rationale: flat profiles are no line's; of wider lines no column had a centre."""
+    shot = vs.record(scene, frame, sensor="profile_sensor")
+    found, flat, ideal = map(vs.line_centres, (shot, shot.grey, frame))
+    width = np.nanmedian(found.width / ideal.width)
+    assert width == pytest.approx(1.0, abs=0.02)
+    assert np.nanmedian(flat.width / ideal.width) > 1.2
+    errors = vs.compare_line(found, frame)
+    assert errors.count > 0.9 * errors.expected
+    assert errors.rms_px < 0.05
+    ordinary = vs.record(scene, frame)
+    assert ordinary.linear_grey is ordinary

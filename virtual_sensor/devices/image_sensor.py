@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, points_of, whole_number
 from virtual_sensor.calls import public
@@ -174,6 +175,20 @@ class ImageSensor(Displayed):
     def saturation(self) -> float:
         """Grey value from which on pixels are clipped, by the well or by the converter."""
         return float(min(self.white, np.floor(self.black_level + self.gain * self.full_well_e)))
+
+    def without_knee(self, grey: ArrayLike) -> NDArray[np.floating]:
+        """Grey values in proportion to the light: those beyond the knee-point are stretched back.
+
+        As a sensor of the same gain without a knee, and of a larger well, would give them; without
+        a knee they stay as they are.
+        """
+        grey = np.asarray(grey)
+        if self.knee is None:
+            return grey if grey.dtype.kind == "f" else grey.astype(np.float32)
+        share, ratio = self.knee
+        knee = np.float32(self.black_level + self.gain * share * self.full_well_e)
+        beyond = np.maximum(grey - knee, np.float32(0.0))
+        return np.asarray(grey + beyond * np.float32((ratio - 1.0) / (1.0 - share)))
 
     @property
     def detector_options(self) -> dict[str, float]:

@@ -56,6 +56,29 @@ _REMEDY = (
 
 
 @dataclass(frozen=True, eq=False)
+class LinearGrey(Displayed):
+    """Grey values in proportion to the light, of a frame that was recorded with a knee-point.
+
+    Attributes
+    ----------
+    grey : ndarray of shape (H, W) or (K, H, W)
+        float32.
+    detector_options : dict
+        As that of a `RecordedFrame`; beyond the knee the noise is more than they say.
+    """
+
+    grey: NDArray[np.floating]
+    detector_options: Mapping[str, float]
+
+    def _line(self) -> str:
+        return span("", self.grey)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The grey values, wherever an image is asked for."""
+        return np.array(self.grey, dtype) if copy else np.asarray(self.grey, dtype)
+
+
+@dataclass(frozen=True, eq=False)
 class RecordedFrame(Displayed):
     """What a camera stored of a frame, or of a sequence, and all that made it.
 
@@ -185,6 +208,18 @@ class RecordedFrame(Displayed):
             "saturation": sensor.saturation,
             "black": sensor.black_level + sensor.gain * dark_e,
         }
+
+    @cached_property
+    def linear_grey(self) -> RecordedFrame | LinearGrey:
+        """What detectors are given: grey values in proportion to the light, without a knee-point.
+
+        Those that are, are the frame's own.
+        """
+        if self.sensor.knee is None:
+            return self
+        straight, known = self.sensor.without_knee, self.detector_options
+        levels = {name: float(straight(known[name])) for name in ("saturation", "black")}
+        return LinearGrey(straight(self.grey), known | levels)
 
     @property
     def metadata(self) -> dict[str, Any]:

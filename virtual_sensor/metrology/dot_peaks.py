@@ -12,7 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import SMALLEST, number_within, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span, tally
-from virtual_sensor.metrology.line_profiles import QUARTILE, checked_image, saturation_level
+from virtual_sensor.metrology.line_profiles import (
+    QUARTILE,
+    checked_image,
+    linear_of,
+    saturation_level,
+)
 from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
@@ -111,6 +116,7 @@ def dot_centres(
     InputError
         Where the image is not a grey image of a known type, or `threshold` is not in (0, 1).
     """
+    image = linear_of(image)
     clipped = saturation_level(image, saturation)
     image = checked_image(image)
     below_1 = np.nextafter(1.0, 0.0)

@@ -39,6 +39,7 @@ from virtual_sensor.metrology.line_profiles import (
     checked_image,
     find_peaks,
     known_of,
+    linear_of,
     noise_beside,
     saturation_level,
     window,
@@ -124,6 +125,7 @@ def line_centres(
             raise InputError(f"line_centres: sensor is {short(sensor)}; give an ImageSensor")
         noise = sensor.grey_noise if noise is None else noise
         gain, saturation = gain or sensor.gain, saturation or sensor.saturation
+    image = linear_of(image)
     told = known_of(image)
     clipped = saturation_level(image, saturation)
     image = checked_image(image)

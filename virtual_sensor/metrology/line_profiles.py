@@ -131,6 +131,15 @@ def known_of(image: Any) -> dict[str, float]:
     return {name: value for name, value in (known or {}).items() if value is not None}
 
 
+def linear_of(image: Any) -> Any:
+    """The grey values of a recorded frame in proportion to the light; other images as they are.
+
+    It is the attribute `linear_grey` of whatever has one: a profile that a sensor's knee-point
+    flattens is no line's.
+    """
+    return getattr(image, "linear_grey", image)
+
+
 def saturation_level(image: ArrayLike, saturation: float | None) -> float:
     """Grey value from which on the pixels of `image` are clipped; infinity where there is none.
 

@@ -21,7 +21,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
-from virtual_sensor.metrology.line_profiles import known_of, saturation_level
+from virtual_sensor.metrology.line_profiles import known_of, linear_of, saturation_level
 
 Block = NDArray[Any]
 """Grey values (K, P) of P pixels in K images."""
@@ -203,6 +203,7 @@ class Codec(Displayed, ABC):
             If there is another number of images than of patterns, they are not of one size, or an
             option is out of its range.
         """
+        images = linear_of(images)
         told = known_of(images)
         stack, clipped = _stack(images, saturation, self)
         light = _noise_of(noise, gain, sensor, black, stack, told)
