@@ -21,6 +21,7 @@ from virtual_sensor.studies.field_info import inside_part
 NONE = np.zeros(0)
 POINTS, PIXELS = np.zeros((0, 3)), np.zeros((0, 2))
 HOT = load_scene("hot_cylinder", width=64, height=64)
+LENS = vs.Lens(75.0, 300.0, 3.75)
 PROJECTED = load_scene("fringe_cylinder", width=64, height=64)
 CAMERA, PROJECTOR = PROJECTED.camera, PROJECTED.projector.family
 
@@ -32,6 +33,8 @@ EMPTY = {
     "ray_search, of a list, by Newton": lambda: vs.ray_search(HOT, [], "newton"),
     "ray_search, by maps": lambda: vs.ray_search(HOT, NONE, "tabulated"),
     "ray_search, of a projector": lambda: vs.ray_search(PROJECTED, projector_pixel=[]),
+    "pupil_search": lambda: vs.pupil_search(HOT, NONE, lens=LENS, points=2).pixel,
+    "circle_of_confusion_px": lambda: vs.circle_of_confusion_px(HOT, POINTS, lens=LENS),
     "projector_pixels": lambda: vs.projector_pixels(PROJECTED, PIXELS),
     "epipolar_residual": lambda: vs.epipolar_residual(CAMERA, PROJECTOR, [], PIXELS),
     "project": lambda: vs.project(HOT, POINTS),

@@ -28,6 +28,7 @@ ARRAYS = [
 ]
 IMAGES = [np.full((6, 8), 1, kind) for kind in (bool, np.uint8, np.int32, np.uint64, np.float16)]
 GIVEN = [*WORDS, *THINGS, *NUMBERS, *LISTS, *ARRAYS, *IMAGES, -np.ones((6, 8))]
+LENS = vs.Lens(75.0, 300.0, 3.75)
 SCENE = vs.load_scene("hot_cylinder", width=64, height=64, spp=1)
 PROJECTED = vs.load_scene("fringe_cylinder", width=64, height=64)
 FRINGES = vs.load_scene("fringe_cylinder", width=16, height=16, spp=1).cold()
@@ -96,6 +97,18 @@ CALLS = {
     "compare_line": (vs.compare_line, {"line": CENTRES, "truth": np.full(16, 11.3)}),
     "read_calibration": (vs.read_calibration, {"path": "no.yaml"}),
     "ray_search": (vs.ray_search, {"scene": SCENE, "laser_y_mm": [0.0], "method": "newton"}),
+    "pupil_search": (
+        vs.pupil_search,
+        {"scene": SCENE, "laser_y_mm": [0.0], "lens": LENS, "points": 2},
+    ),
+    "circle_of_confusion_px": (
+        vs.circle_of_confusion_px,
+        {"scene": SCENE, "points_mm": [[0.0, 0.0, 0.0]], "lens": LENS},
+    ),
+    "Lens": (
+        vs.Lens,
+        {"image_distance_mm": 75.0, "focus_distance_mm": 300.0, "pupil_radius_mm": 3.75},
+    ),
     "pattern_of": (vs.pattern_of, {"text": "sine u 16"}),
     "Uniform": (vs.Uniform, {}),
     "Sine": (vs.Sine, {"axis": "u", "period_px": 16}),

@@ -100,6 +100,11 @@ Fringes
 Light through air
     ray_search           Find the pixels that see the incidence points of a laser's or
                          projector's rays.
+    pupil_search         Find where incidence points are seen through a lens, in bent air:
+                         `ray_search` for its pupil.
+    circle_of_confusion_px  How wide a lens out of focus shows points, by the formula of the thin
+                         lens, in cold air.
+    Lens                 A thin lens, its pupil and the sensor behind it.
     projector_pixels     Find the projector's pixels that light what camera pixels see, by
                          marched rays.
     epipolar_residual    How far camera pixels lie from the straight epipolar lines of their
@@ -244,11 +249,16 @@ if TYPE_CHECKING:
     from virtual_sensor.optics.bent_points import bent_points as bent_points
     from virtual_sensor.optics.crossing_status import CrossingStatus as CrossingStatus
     from virtual_sensor.optics.epipolar import epipolar_residual as epipolar_residual
+    from virtual_sensor.optics.lens import Lens as Lens
     from virtual_sensor.optics.projection import ProjectionStatus as ProjectionStatus
     from virtual_sensor.optics.projection import project as project
     from virtual_sensor.optics.projection import projected_points as projected_points
     from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus as ProjectorPixelStatus
     from virtual_sensor.optics.projector_pixels import projector_pixels as projector_pixels
+    from virtual_sensor.optics.pupil_search import PupilPixels as PupilPixels
+    from virtual_sensor.optics.pupil_search import PupilStatus as PupilStatus
+    from virtual_sensor.optics.pupil_search import circle_of_confusion_px as circle_of_confusion_px
+    from virtual_sensor.optics.pupil_search import pupil_search as pupil_search
     from virtual_sensor.optics.ray_search import SearchStatus as SearchStatus
     from virtual_sensor.optics.ray_search import ray_search as ray_search
     from virtual_sensor.optics.ray_status import RayStatus as RayStatus
@@ -278,6 +288,7 @@ _HOME = {
     "ImageSensor": "devices.image_sensor",
     "IndexField": "medium.index_field",
     "InputError": "errors",
+    "Lens": "optics.lens",
     "LineCentres": "metrology.centres",
     "MarkStatus": "metrology.fringes.target",
     "Observation": "metrology.observations",
@@ -292,6 +303,8 @@ _HOME = {
     "ProjectionStatus": "optics.projection",
     "Projector": "devices.projector",
     "ProjectorPixelStatus": "optics.projector_pixels",
+    "PupilPixels": "optics.pupil_search",
+    "PupilStatus": "optics.pupil_search",
     "RangeImage": "metrology.range_image",
     "RayStatus": "optics.ray_status",
     "RecordedFrame": "imaging.recording",
@@ -308,6 +321,7 @@ _HOME = {
     "air_refractivity": "medium.air",
     "bent_points": "optics.bent_points",
     "calibrate_fringes": "metrology.fringes.calibration",
+    "circle_of_confusion_px": "optics.pupil_search",
     "codec_of": "metrology.fringes.codecs",
     "compare_line": "metrology.truth",
     "dot_centres": "metrology.dot_peaks",
@@ -333,6 +347,7 @@ _HOME = {
     "projected_points": "optics.projection",
     "projector_marks": "metrology.fringes.target",
     "projector_pixels": "optics.projector_pixels",
+    "pupil_search": "optics.pupil_search",
     "ray_search": "optics.ray_search",
     "read_calibration": "metrology.calibration",
     "read_image": "imaging.image_files",

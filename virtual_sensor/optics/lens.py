@@ -26,7 +26,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.arrays import number_within, whole_number
+from virtual_sensor.arrays import number_within, numbers_of, whole_number
+from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.optics.ray_families import Pinhole
@@ -42,6 +43,7 @@ _STEEPEST_DEG = 80.0
 _ON_A_RING = 3  # points, so that all directions count alike
 
 
+@public
 @dataclass(frozen=True)
 class Lens(Displayed):
     """A thin lens, its pupil and the sensor behind it.
@@ -77,7 +79,7 @@ class Lens(Displayed):
             advice = "a length in mm" if least else "a length in mm, 0 for a pinhole"
             value = number_within(f"Lens: {name}", getattr(self, name), least, _MOST_MM, advice)
             object.__setattr__(self, name, value)
-        tilt = np.asarray(self.sensor_tilt_deg, float)
+        tilt = numbers_of("Lens: sensor_tilt_deg", self.sensor_tilt_deg)
         if tilt.shape != (2,) or not np.all(np.abs(tilt) <= _STEEPEST_DEG):
             raise InputError(
                 f"Lens: sensor_tilt_deg is {short(self.sensor_tilt_deg)}; give two angles, about x"

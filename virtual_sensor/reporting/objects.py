@@ -192,6 +192,7 @@ def _true_line(axes: Axes, line: TrueLine) -> None:
 @draws(
     "optics.ray_search.FoundPixels",
     "optics.projection.ProjectedPoints",
+    "optics.pupil_search.PupilPixels",
     "studies.search.SearchTable",
 )
 def _pixels(axes: Axes, found: Any) -> None:
