@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from virtual_sensor_plugins.drift import Drift
 from virtual_sensor_plugins.views import View
 
 from virtual_sensor.arrays import in_own_memory
@@ -76,6 +77,8 @@ class Exposure:
     passes : int
         Through so many points of a lens's pupil pixels are exposed, one after the other, and the
         image is the mean of all; 1: pixels that are exposed again are those of the last time.
+    drift : Drift, optional
+        What is on its way, and which rows are exposed; by default nothing, and all.
     """
 
     def __init__(
@@ -88,7 +91,9 @@ class Exposure:
         on_film: bool = False,
         frames: int = 1,
         passes: int = 1,
+        drift: Drift | None = None,
     ) -> None:
+        self.drift = drift
         self.view, self.sampler, self.film = view, sampler, view.sensor.film()
         # Each pixel's samples are averaged in their order: added to the film one by one, as other
         # filters need it, the last bits would depend on which thread comes first.
@@ -161,11 +166,15 @@ class Exposure:
             By how much the samples are moved within their pixels, px.
         """
         view = through or self.view
+        kept = None
+        if self.drift is not None:
+            pixels, kept = self._in_rows(pixels, self.drift.rows)
         total = self.view.pixels if pixels is None else pixels.size
         if not total:
             return
         spp = self.sampler.sample_count()
         numbers = None if pixels is None else in_own_memory(pixels, mi.UInt32)
+        kept = None if kept is None else in_own_memory(kept, mi.UInt32)
         chunk = max(1, lanes // spp)
         most = min(max(_VALUES // (chunk * spp * self._frames), 1), _UNDER_WAY)
         for number, first in enumerate(range(0, total, chunk), stream * _STREAM):
@@ -180,10 +189,15 @@ class Exposure:
             if shift is not None:
                 within = within + dr.opaque(mi.Point2f(*shift))
                 within = within - dr.floor(within)
+            if self.drift is not None:
+                within = self.drift.within(within)
             place = self.view.place(pixel, within)
             lens = self.view.sensor.needs_aperture_sample()
             aperture = self.sampler.next_2d() if lens else mi.Point2f(0.5)
             ray, weight = view.rays(place, aperture)
+            if self.drift is not None and kept is not None:
+                row = dr.gather(mi.UInt32, kept, row)
+                ray = self.drift.ray(ray, self.view.row_of(pixel))
             values, alpha = shade(ray, row, pixel)
             values = [value * weight for value in values]
             if self._blocks:
@@ -198,6 +212,16 @@ class Exposure:
             if self._progress:
                 dr.sync_thread()
                 self._progress(min(1.0, self._done / self._pixels))
+
+    def _in_rows(
+        self, pixels: NDArray[np.uint32] | None, rows: slice
+    ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """Those pixels that lie in rows of the film, and their places among those given."""
+        if pixels is None:
+            pixels = np.arange(self.view.pixels, dtype=np.uint32)
+        row = self.view.row_of(pixels)
+        kept = np.flatnonzero((row >= rows.start) & (row < rows.stop)).astype(np.uint32)
+        return pixels[kept], kept
 
     def _average(self, values: list[Any], pixel: Any) -> None:
         """Average the samples of each pixel."""

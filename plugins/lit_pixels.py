@@ -129,6 +129,20 @@ class LitPixels:
         maps = self.tracer.maps if isinstance(self.tracer, Tabulated) else ()
         return dict(zip(self.names, maps, strict=False))
 
+    def with_edges(self, view: View, px: int) -> "LitPixels":
+        """With the pixels up to so many beside them, which see past edges from somewhere else."""
+        row, column = np.divmod(self.index, np.uint32(view.width))
+        ends = _ends((row, column), 1)
+        first = np.maximum(ends[0] - px, 0).astype(int)
+        last = np.minimum(ends[1] + 1 + px, (view.height, view.width)).astype(int)
+        window = slice(first[0], last[0]), slice(first[1], last[1])
+        mask, square = _mask(window), np.ones((2 * px + 1, 2 * px + 1), np.uint8)
+        mask[_places_in(window, self.index, view.width)] = 1
+        row, column = np.nonzero(cv2.dilate(mask, square))
+        index = ((row + first[0]) * view.width + column + first[1]).astype(np.uint32)
+        sight, _ = self.tracer.sight(view.centres(index))
+        return replace(self, index=index, sight=sight, sight_px=self.sight_px + px)
+
 
 def find_lit_pixels(
     straight: StraightSight,
@@ -136,6 +150,7 @@ def find_lit_pixels(
     sources: Mapping[str, Source],
     transport: Transport,
     column: Columns | None = None,
+    drift_mm: float = 0.0,
     maps: Mapping[str, InverseMap] = MappingProxyType({}),
 ) -> LitPixels:
     """Find the pixels that sources light; of some columns, if they are given.
@@ -144,7 +159,9 @@ def find_lit_pixels(
     2. Maps of what is there are made to the tolerance, if the transport is by maps.
     3. The transport finds which pixels are lit; their neighbours count too.
 
-    `maps` are of sources, made to the same tolerance: those that hold what is there are taken.
+    Camera and sources may drift by up to a distance, for which the sources have room: they are
+    `Widened`.  `maps` are of sources, made to the same tolerance: those that hold what is there are
+    taken.
     """
     field, march = (None if transport.name == "straight" else medium), transport.march
     by_maps = transport.name in ("tabulated", "straight")
@@ -177,7 +194,10 @@ def find_lit_pixels(
     sight = dr.gather(Sight, sight, in_own_memory(lit, mi.UInt32))
     margins = {name: beam.margin for name, beam in beams.items()}
     what = region.candidates[lit], tuple(beams), tracer, report, sight
-    return LitPixels(*what, margins, region.sight_px)
+    found = LitPixels(*what, margins, region.sight_px)
+    if not drift_mm:
+        return found
+    return found.with_edges(straight.view, int(np.ceil(drift_mm / region.pixel_mm)) + 1)
 
 
 def _with_maps(

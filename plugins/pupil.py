@@ -83,6 +83,7 @@ class Pupil:
         sources: Mapping[str, Source],
         transport: Transport,
         column: Columns | None = None,
+        drift_mm: float = 0.0,
     ) -> "Pupil":
         """Find the pixels that are lit as seen from each point.
 
@@ -96,7 +97,7 @@ class Pupil:
         points : tuple of PupilPoint
         chief : LitPixels
             As the chief rays see them.
-        medium, sources, transport, column
+        medium, sources, transport, column, drift_mm
             As of `find_lit_pixels`.
         """
         surface, found = straight.surface, []
@@ -110,7 +111,7 @@ class Pupil:
                 within = View(view.sensor, point, window)
                 some = None if column is None else np.asarray(column) - window[1].start
                 near = StraightSight(within, surface)
-                given = medium, sources, transport, some, chief.maps
+                given = medium, sources, transport, some, drift_mm, chief.maps
                 lit = find_lit_pixels(near, *given)
                 row, across = np.divmod(lit.index, np.uint32(within.width))
                 index = (row + window[0].start) * view.width + across + window[1].start

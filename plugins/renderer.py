@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins import glow
+from virtual_sensor_plugins.drift import Drift, Widened
 from virtual_sensor_plugins.exposure import Exposure, own_sampler, shared_sampler
-from virtual_sensor_plugins.lit_pixels import Columns, LitPixels, RenderReport, find_lit_pixels
+from virtual_sensor_plugins.lit_pixels import (
+    Columns,
+    LitPixels,
+    RenderReport,
+    find_lit_pixels,
+    units_per_mm,
+)
 from virtual_sensor_plugins.pupil import Pupil
 from virtual_sensor_plugins.views import StraightSight, View
 from virtual_sensor_plugins.whole_film import WholeFilm
 
+from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
@@ -22,6 +30,7 @@ from virtual_sensor.optics.illumination import Illumination
 from virtual_sensor.optics.lens import PupilPoint
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_maps import NoMapError
+from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface, own_variant, slab
 from virtual_sensor.optics.transports import Marched, Sight, Transport
 
@@ -70,6 +79,8 @@ class Arrangement:
     transport : Transport
     hot : bool
         Whether surfaces glow, those that can.
+    drift_mm : float
+        How far camera and sources may be on their way from there while the film is exposed.
     """
 
     scene: mi.Scene
@@ -79,6 +90,7 @@ class Arrangement:
     medium: Field | None
     transport: Transport
     hot: bool = True
+    drift_mm: float = 0.0
 
     def __post_init__(self) -> None:
         own_variant(self.scene)
@@ -127,6 +139,17 @@ class Arrangement:
     def refracting(self) -> Field | None:
         """The air that bends light."""
         return None if self.transport.name == "straight" else self.medium
+
+    @property
+    def searched(self) -> Mapping[str, Source]:
+        """The sources, with room for the drift."""
+        if not self.drift_mm:
+            return self.sources
+        drifting = {}
+        for name, source in self.sources.items():
+            per_mm = units_per_mm(source, self.surface)
+            drifting[name] = Widened.of(source, self.drift_mm, per_mm)
+        return drifting
 
     @property
     def marched(self) -> Marched:
@@ -249,11 +272,29 @@ class Prepared:
     @staticmethod
     def of(arrangement: Arrangement, column: Columns | None = None) -> "Prepared":
         """Find the lit pixels, all or those of some columns, and what traces their samples."""
-        given = arrangement.medium, arrangement.sources, arrangement.transport, column
+        light = arrangement.medium, arrangement.searched, arrangement.transport
+        given = *light, column, arrangement.drift_mm
         lit, points = find_lit_pixels(arrangement.straight, *given), arrangement.pupil
         if not points:
             return Prepared(arrangement, lit)
         return Prepared(arrangement, lit, Pupil.of(arrangement.straight, points, lit, *given))
+
+    def seen(self, drift: Drift | None = None) -> tuple[NDArray[np.uint32], Sight | None]:
+        """Pixels that may be lit, and what is seen at their centres; None if there are none.
+
+        With a drift: those of its rows, from where the camera is then.
+        """
+        lit, view = self.lit, self.arrangement.view
+        if drift is None:
+            return lit.index, lit.sight
+        row = view.row_of(lit.index)
+        index = lit.index[(row >= drift.rows.start) & (row < drift.rows.stop)]
+        if not index.size:
+            return index, None
+        at = in_own_memory(view.row_of(index), mi.Float)
+        sight, _ = lit.tracer.sight(drift.ray(view.centres(index), at))
+        of_names = tuple(self.arrangement.sources[name] for name in lit.names)
+        return index, replace(sight, lights=drift.lights(sight.lights, of_names, sight.point, at))
 
     @cached_property
     def film(self) -> tuple[WholeFilm | None, str]:
@@ -279,6 +320,7 @@ class Prepared:
         on_film: bool = False,
         frames: int = 1,
         fluxes: Mapping[str, Fluxes] = MappingProxyType({}),
+        drift: Drift | None = None,
     ) -> tuple[Exposure, RenderReport]:
         """Samples of frames, and how they were made.
 
@@ -300,6 +342,9 @@ class Prepared:
             How many are made of the same rays.
         fluxes : Mapping
             By name, of the sources that differ from frame to frame.
+        drift : Drift, optional
+            Where camera and sources are meanwhile, no farther off than the arrangement's, and which
+            rows are exposed; others stay dark.
         """
         arrangement, lit = self.arrangement, self.lit
         view, sampler = arrangement.view, own_sampler(arrangement.sensor, spp)
@@ -309,10 +354,10 @@ class Prepared:
             pixels = sum(through) + (len(through) * view.pixels if others else 0)
             sampler = shared_sampler(sampler, len(through))
             kind = on_film, frames, len(through)
-            exposure = Exposure(view, sampler, seed, pixels, progress, *kind)
+            exposure = Exposure(view, sampler, seed, pixels, progress, *kind, drift)
             return exposure, self._expose_pupil(exposure, others, fluxes)
         pixels = lit.index.size + (view.pixels if others else 0)
-        exposure = Exposure(view, sampler, seed, pixels, progress, on_film, frames)
+        exposure = Exposure(view, sampler, seed, pixels, progress, on_film, frames, drift=drift)
         report = lit.report
         if others:
             film, why = self.film
@@ -364,6 +409,10 @@ class Prepared:
             near = dr.gather(Sight, lit.sight, row) if marches and lit.sight else None
             sight, count = lit.tracer.sight(ray, near)
             samples, marched = samples + dr.width(row), marched + count
+            if (drift := exposure.drift) is not None:
+                of_names = tuple(arrangement.sources[name] for name in lit.names)
+                at = arrangement.view.row_of(pixel)
+                sight.lights = drift.lights(sight.lights, of_names, sight.point, at)
             return arrangement.radiances(sight, of_lights, draws), sight.hit
 
         lanes = _LANES["marched" if marches else "tabulated"]

@@ -103,6 +103,13 @@ class View:
         corner = mi.Point2f(mi.Float(index % self._across), mi.Float(index // self._across))
         return corner + self._corner + within
 
+    def row_of(self, index: Any) -> Any:
+        """Rows of the whole film that hold pixels, of NumPy's numbers as of Dr.Jit's."""
+        top = int(self.sensor.film().crop_offset()[1])
+        if isinstance(index, np.ndarray):
+            return (index // np.uint32(self.width)).astype(float) + top
+        return mi.Float(index // dr.opaque(mi.UInt32, self.width)) + dr.opaque(mi.Float, top)
+
     def rays(self, place: Any, aperture: Any) -> tuple[Any, Any]:
         """Straight rays through places on the film, and their weights."""
         if self.camera is None:

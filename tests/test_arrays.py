@@ -82,6 +82,7 @@ OTHERS = {
     "new_scene",
     "survey",
     "render",
+    "render_exposure",
     "render_frame",
     "render_sequence",
     "grey_values",

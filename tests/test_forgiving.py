@@ -64,6 +64,7 @@ CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
     "render": (vs.render, {"scene": SCENE}),
     "render_frame": (vs.render_frame, {"scene": SCENE}),
+    "render_exposure": (vs.render_exposure, {"scene": SCENE, "exposure_s": 1e-3}),
     "render_sequence": (vs.render_sequence, {"scene": FRINGES, "patterns": ["white"]}),
     "grey_values": (vs.grey_values, {"photons": 100.0 * LINE}),
     "record": (vs.record, {"scene": SCENE, "frame": np.ones((64, 64))}),

@@ -24,6 +24,9 @@ Scenes, and what a camera sees of them
                          that light it.
     render               Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
     render_frame         Render a camera's image together with its ground truth.
+    render_exposure      Render a frame that takes time: the part moves, and rows may be skewed.
+    ExposedFrame         A frame that took time, and the truth at the middle of each row's
+                         exposure.
     Frame                A rendered frame, and the truth at its pixels' centres.
     render_sequence      Render a camera's images while a projector shows patterns.
     PatternFrames        Frames of a sequence of K patterns.
@@ -180,6 +183,8 @@ if TYPE_CHECKING:
     from virtual_sensor.devices.projector import Projector as Projector
     from virtual_sensor.errors import EngineError as EngineError
     from virtual_sensor.errors import InputError as InputError
+    from virtual_sensor.imaging.exposures import ExposedFrame as ExposedFrame
+    from virtual_sensor.imaging.exposures import render_exposure as render_exposure
     from virtual_sensor.imaging.grey_values import grey_values as grey_values
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
@@ -280,6 +285,7 @@ _HOME = {
     "ErrorBudget": "metrology.error_budget",
     "EstimateStatus": "metrology.identifiability",
     "FittedShape": "metrology.shape_fits",
+    "ExposedFrame": "imaging.exposures",
     "Frame": "imaging.render",
     "FringeCalibration": "metrology.fringes.calibration",
     "FringeStatus": "metrology.fringes.decoded",
@@ -354,6 +360,7 @@ _HOME = {
     "record": "imaging.recording",
     "reconstruct": "metrology.range_image",
     "render": "imaging.render",
+    "render_exposure": "imaging.exposures",
     "render_frame": "imaging.render",
     "render_sequence": "imaging.sequence",
     "save_png": "imaging.image_files",

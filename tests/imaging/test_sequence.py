@@ -127,7 +127,7 @@ def test_of_several_traces_the_worst_is_reported():
         replace(report, samples=5, reason="one", transport="marched", map_error_px=0.2),
         replace(report, samples=7, reason="two", map_error_px=0.1, march_px=0.1),
     ]
-    found = sequence._of_all(traced)
+    found = sequence.report_of_all(traced)
     assert (found.samples, found.reason, found.transport) == (15, "one; two", "marched")
     assert (found.map_error_px, found.march_px) == (0.2, 0.3)
 

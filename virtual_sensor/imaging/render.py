@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from virtual_sensor_plugins.drift import Drift
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Columns
 from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
@@ -248,7 +249,7 @@ def render_frame(
     with ONE_FRAME:
         prepared = prepared_for(scene)
         frames = 2 if background else 1
-        fluxes = {name: _on_and_off(each) for name, each in scene.sources.items() if background}
+        fluxes = {name: on_and_off(each) for name, each in scene.sources.items() if background}
         exposure, report = prepared.exposed(samples, seed, progress, frames=frames, fluxes=fluxes)
         lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
         radius_mm = {name: line.working_radius_mm for name, line in lines.items()}
@@ -256,7 +257,7 @@ def render_frame(
         return Frame(radiance, truth_of(prepared), radius_mm, report, *other)
 
 
-def _on_and_off(device: Device) -> Fluxes:
+def on_and_off(device: Device) -> Fluxes:
     """The flux of a source in a frame in which it shines, and in one in which it does not."""
 
     def fluxes(s: Any, t: Any, depth: Any) -> list[Any]:
@@ -291,8 +292,8 @@ def lit_pixels(scene: Scene) -> PixelTruth:
         return truth_of(prepared_for(scene))
 
 
-def arrangement(scene: Scene) -> Arrangement:
-    """What the renderer is given of a scene."""
+def arrangement(scene: Scene, drift_mm: float = 0.0) -> Arrangement:
+    """What the renderer is given of a scene, whose sensor may drift by up to a distance."""
     return Arrangement(
         scene.mitsuba,
         scene.mitsuba_camera,
@@ -301,21 +302,22 @@ def arrangement(scene: Scene) -> Arrangement:
         scene.medium,
         scene.transport,
         scene.hot,
+        drift_mm,
     )
 
 
-def prepared_for(scene: Scene, column: Columns | None = None) -> Prepared:
+def prepared_for(scene: Scene, column: Columns | None = None, drift_mm: float = 0.0) -> Prepared:
     """What frames of a scene need: cached while the scene lives and stays as it is.
 
     A frame is equal to the bit to a first one, as its samples are of the same rays by the same
     maps.  What is cached is found by identity: what a scene consists of never changes.
     """
-    given = arrangement(scene)
+    given = arrangement(scene, drift_mm)
     film = given.sensor.film()
     parts = scene.loaded, given.sensor, given.camera, given.medium, *given.sources.values()
     window = (*film.crop_offset(), *film.crop_size())
     columns = None if column is None else np.asarray(column).tobytes()
-    what = tuple(given.sources), window, given.transport, given.hot, columns
+    what = tuple(given.sources), window, given.transport, given.hot, columns, drift_mm
     key = *(id(part) for part in parts), what
     prepared = _PREPARED.pop(key, None)
     if prepared is None:
@@ -327,10 +329,15 @@ def prepared_for(scene: Scene, column: Columns | None = None) -> Prepared:
     return prepared
 
 
-def truth_of(prepared: Prepared) -> PixelTruth:
-    """The truth at the centres of lit pixels; a black pixel of a projector lights too."""
+def truth_of(prepared: Prepared, drift: Drift | None = None) -> PixelTruth:
+    """The truth at the centres of lit pixels; a black pixel of a projector lights too.
+
+    With a drift: of the rows that it exposes, with points as the camera sees them from where the
+    arrangement has it.
+    """
     lit, sources = prepared.lit, prepared.arrangement.sources
-    index, sight, count = lit.index, lit.sight, lit.index.size
+    index, sight = prepared.seen(drift)
+    count = index.size
     coordinates = {name: np.full((count, 2), np.nan, np.float32) for name in sources}
     statuses = {name: np.full(count, LightStatus.NO_POINT, np.uint8) for name in sources}
     point, depth = np.full((count, 3), np.nan, np.float32), np.full(count, np.nan, np.float32)
@@ -345,6 +352,8 @@ def truth_of(prepared: Prepared) -> PixelTruth:
             statuses[name] = np.array(light.status, np.uint8)
             reached |= shines
         points, camera = to_numpy(sight.point), prepared.arrangement.camera
+        if drift is not None:
+            points = points - drift.shifts(prepared.arrangement.view.row_of(index))
         for some in shares(count):
             point[some] = points[some]
             if camera:

@@ -188,7 +188,7 @@ def render_sequence(
                 first_truth = each.projector.with_pattern(Uniform()), truth_of(prepared)
     radiance = images[0] if len(images) == 1 else np.concatenate(images)
     assert first_truth is not None
-    return PatternFrames(radiance, shown, name, *first_truth, len(reports), _of_all(reports))
+    return PatternFrames(radiance, shown, name, *first_truth, len(reports), report_of_all(reports))
 
 
 def _patterns(patterns: Iterable[Pattern | str | Path]) -> tuple[Pattern, ...]:
@@ -279,7 +279,7 @@ def _within(
     return progress and (lambda part: progress(first + (last - first) * part))
 
 
-def _of_all(reports: Sequence[RenderReport]) -> RenderReport:
+def report_of_all(reports: Sequence[RenderReport]) -> RenderReport:
     """How frames of several traces were made: nothing that went otherwise than asked is lost."""
     first = reports[0]
     if len(reports) == 1:

@@ -1,0 +1,349 @@
+"""Frames that take time: the sensor or the part moves while the shutter is open.
+
+A frame is the mean of instants: two Gauss points in each of equal parts of the exposure, so that
+the smear of a line has the right width however few they are.  Instants close to each other share
+the lit pixels and the ray maps of one of them, and see the part from where they are themselves.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from virtual_sensor_plugins.drift import Drift
+from virtual_sensor_plugins.exposure import ONE_FRAME
+from virtual_sensor_plugins.renderer import Prepared
+
+from virtual_sensor.arrays import SMALLEST, number_within, vector_of, whole_number
+from virtual_sensor.arrays import truth_of as boolean
+from virtual_sensor.calls import public
+from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.display import listed
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.render import (
+    Frame,
+    Image,
+    PixelTruth,
+    RenderReport,
+    checked,
+    on_and_off,
+    prepared_for,
+    truth_of,
+)
+from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.imaging.sequence import report_of_all
+from virtual_sensor.optics.sight import check_progress
+from virtual_sensor.poses import Pose
+
+Array = NDArray[np.float64]
+
+_GAUSS = 0.5 / math.sqrt(3.0)  # the two points of an interval of length 1, from its middle
+# Where instants with one sample have it within pixels: at Gauss points too, in an order in which
+# neither coordinate goes with the time, nor with the other.
+_WITHIN = _GAUSS * np.array([[1, 1, -1, -1, -1, -1, 1, 1], [1, -1, -1, 1, 1, -1, -1, 1]])
+_STRATUM_PX = 1.0  # the image moves by no more within a part of the exposure
+_DRIFT_PX = 4.0  # nor by more to either side of where lit pixels and maps are made
+_MOST_INSTANTS = 4096
+_LONGEST_S = 3600.0
+_FASTEST_MM_S = 1e7
+
+
+@dataclass(frozen=True, eq=False)
+class ExposedFrame(Frame):
+    """A frame that took time, and the truth at the middle of each row's exposure.
+
+    Attributes
+    ----------
+    radiance : ndarray of shape (H, W)
+        W/(mm^2 sr), the mean over the pixel and the time in which its row was exposed.
+    truth : PixelTruth
+        Where the part was in the middle of each row's exposure, and what lit it then.
+    radius_mm, report, background
+        As those of a `Frame`.
+    exposure_s : float
+        Of each row.
+    velocity_mm_s : ndarray of shape (3,)
+        Of the part, world.
+    row_time_s : float
+        From the start of a row's exposure to the next row's; 0: a global shutter.
+    instants : int
+        Of each row, of which the frame is the mean.
+    traces : int
+        Places for which lit pixels were searched.
+    """
+
+    exposure_s: float = 0.0
+    velocity_mm_s: Array = None  # type: ignore[assignment]
+    row_time_s: float = 0.0
+    instants: int = 1
+    traces: int = 1
+
+    def _line(self) -> str:
+        speed = float(np.linalg.norm(self.velocity_mm_s))
+        moved = f"{speed * self.exposure_s:.4g} mm of motion in {1e3 * self.exposure_s:.4g} ms"
+        shutter = f"rows {1e6 * self.row_time_s:g} us apart" if self.row_time_s else ""
+        return listed(super()._line(), moved, shutter, f"{self.instants} instants")
+
+
+@public
+def render_exposure(
+    scene: Scene | str | Path,
+    exposure_s: float,
+    velocity_mm_s: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    row_time_s: float = 0.0,
+    instants: int | None = None,
+    spp: int | None = None,
+    seed: int = 0,
+    background: bool = False,
+    progress: Callable[[float], None] | None = None,
+    camera: str | None = None,
+    source: str | None = None,
+) -> ExposedFrame:
+    """Render a frame while the part moves past the sensor: smeared by its way, skewed by rows.
+
+    The part is where the scene has it in the middle of the exposure of the film's middle row.  Its
+    air and the scene's lamps move with it.  A sensor that moves by v over a part at rest sees the
+    same as one at rest that the part passes by -v.
+
+    >>> frame = vs.render_exposure("stepped_shaft", 2e-3, velocity_mm_s=(0, 100, 0))
+    >>> rolling = vs.render_exposure(scene, 1e-3, (50, 0, 0), row_time_s=15e-6)
+
+    Parameters
+    ----------
+    scene, spp, seed, camera, source
+        As those of `render`; the instants share the samples of a pixel, and each has one at least.
+    exposure_s : float
+        How long each row is exposed.
+    velocity_mm_s : array_like of shape (3,)
+        Of the part, world.
+    row_time_s : float
+        From the start of a row's exposure to the next row's, as of a rolling shutter; of a negative
+        one the last row is the first.
+    instants : int, optional
+        Of each row: by default so many that the image moves by half a pixel in between.
+    background : bool
+        Whether the frame's `background` is wanted: without the sources, as if they were off.
+    progress : callable, optional
+        Is called with the fraction done.
+
+    Raises
+    ------
+    InputError
+        As `render` does; and if a time or the velocity is no number, or the part would move out of
+        all sight.
+    EngineError
+        If the scene was loaded under another Mitsuba variant.
+    """
+    check_progress("render_exposure", progress)
+    boolean("render_exposure: background", background)
+    scene, samples, seed = checked("render_exposure", scene, spp, seed, camera, source)
+    motion = _motion(exposure_s, velocity_mm_s, row_time_s)
+    pixel_mm = _pixel_mm(scene)
+    smear_px = motion.speed_mm_s * motion.exposure_s / pixel_mm
+    if instants is None:
+        instants = 2 * math.ceil(smear_px / _STRATUM_PX) if motion.speed_mm_s else 1
+        if instants > _WITHIN.shape[1] / 2:
+            instants = _WITHIN.shape[1] * math.ceil(instants / _WITHIN.shape[1])
+        if instants > _MOST_INSTANTS:
+            raise InputError(
+                f"render_exposure: the image would smear by {smear_px:.0f} px; shorten exposure_s,"
+                f" or say how many instants are to be rendered, up to {_MOST_INSTANTS}"
+            )
+    count = whole_number("render_exposure: instants", instants, 1, _MOST_INSTANTS)
+    reach_mm = _DRIFT_PX * pixel_mm
+    return _exposed(scene, motion, count, reach_mm, (samples, seed), background, progress)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """How the part moves (world), and when rows are exposed."""
+
+    exposure_s: float
+    velocity_mm_s: Array
+    row_time_s: float
+
+    @property
+    def speed_mm_s(self) -> float:
+        return float(np.linalg.norm(self.velocity_mm_s))
+
+    def middles_s(self, rows: int) -> Array:
+        """When the middle of each row's exposure is, (rows,); 0 for the film's middle."""
+        rows_from_middle = np.arange(rows, dtype=np.float64) - (rows - 1) / 2.0
+        return rows_from_middle * self.row_time_s
+
+    def sensor_shift_mm(self, time_s: float) -> Array:
+        """Where the sensor is then, as seen from the part."""
+        return -self.velocity_mm_s * time_s
+
+    def drift(self, rows: slice, height: int, offset_s: float, from_s: float) -> Drift:
+        """The sensor's way from where it is at an instant to where it is for each row.
+
+        `offset_s` is the time after the middle of a row's exposure.
+        """
+        first_s = self.middles_s(height)[0] + offset_s - from_s
+        per_row_mm = self.sensor_shift_mm(self.row_time_s)
+        return Drift(self.sensor_shift_mm(first_s), per_row_mm, rows)
+
+
+def _motion(exposure_s: Any, velocity_mm_s: Any, row_time_s: Any) -> _Motion:
+    name = "render_exposure"
+    exposure = number_within(
+        f"{name}: exposure_s", exposure_s, SMALLEST, _LONGEST_S, "a time above 0 s, in s"
+    )
+    velocity = vector_of(f"{name}: velocity_mm_s", velocity_mm_s)
+    if np.linalg.norm(velocity) > _FASTEST_MM_S:
+        raise InputError(f"{name}: velocity_mm_s is {velocity_mm_s}; give mm per s")
+    row_time = number_within(
+        f"{name}: row_time_s", row_time_s, -_LONGEST_S, _LONGEST_S, "a time in s, such as 15e-6"
+    )
+    return _Motion(exposure, velocity, row_time)
+
+
+def _pixel_mm(scene: Scene) -> float:
+    """A pixel's size on the part, about."""
+    source = next(iter(scene.sources.values()), None)
+    target = np.zeros(3) if source is None else source.target_mm
+    size = float(scene.camera.pixel_mm(target[None])[0])
+    return abs(size) or 1.0
+
+
+def _instants(count: int) -> Array:
+    """Of an exposure from -1/2 to 1/2: of an even number two Gauss points in each part."""
+    if count % 2:
+        return (np.arange(count) + 0.5) / count - 0.5
+    middles = np.arange(count // 2)[:, None] + 0.5 + np.array([-_GAUSS, _GAUSS])
+    return middles.ravel() / (count // 2) - 0.5
+
+
+def _runs(number: NDArray[np.intp]) -> list[tuple[int, slice]]:
+    """Runs of rows with the same number."""
+    ends = [0, *(np.flatnonzero(np.diff(number)) + 1).tolist(), len(number)]
+    return [(int(number[first]), slice(first, last)) for first, last in pairwise(ends)]
+
+
+def _exposed(
+    scene: Scene,
+    motion: _Motion,
+    count: int,
+    reach_mm: float,
+    sampling: tuple[int, int],
+    background: bool,
+    progress: Callable[[float], None] | None,
+) -> ExposedFrame:
+    """The frame: place by place of the sensor, the rows and instants that are near each."""
+    width, height = scene.camera.size
+    middles = motion.middles_s(height)
+    moves = motion.speed_mm_s > 0.0
+    window_s = 2.0 * reach_mm / motion.speed_mm_s if moves else math.inf
+    offsets = motion.exposure_s * _instants(count)
+
+    def places(offset_s: float) -> list[tuple[int, slice]]:
+        return _runs(np.rint((middles + offset_s) / window_s).astype(int))
+
+    work: dict[int, list[tuple[int, slice]]] = {}
+    for number, offset in enumerate(offsets.tolist()):
+        for place, rows in places(offset):
+            work.setdefault(place, []).append((number, rows))
+    truths = dict(places(0.0))
+    total = np.zeros((1 + background, height, width), np.float32)
+    known: list[PixelTruth] = []
+    reports: list[RenderReport] = []
+    done, whole = 0, count * height
+    for place in sorted(work.keys() | truths.keys()):
+        at_s = place * window_s if moves else 0.0
+        moved = _moved(scene, motion.sensor_shift_mm(at_s))
+        with ONE_FRAME:
+            prepared = prepared_for(moved, drift_mm=reach_mm if moves else 0.0)
+            for number, rows in work.get(place, ()):
+                drift = motion.drift(rows, height, float(offsets[number]), at_s)
+                image, report = _instant(prepared, sampling, count, number, drift, background)
+                total[:, rows] += image[:, rows]
+                reports.append(report)
+                done += rows.stop - rows.start
+                if progress:
+                    progress(done / whole)
+            if place in truths:
+                drift = motion.drift(truths[place], height, 0.0, at_s)
+                known.append(_at_rest(truth_of(prepared, drift), motion.sensor_shift_mm(at_s)))
+    total /= count
+    lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
+    return ExposedFrame(
+        total[0],
+        _joined(known),
+        {name: line.working_radius_mm for name, line in lines.items()},
+        report_of_all(reports),
+        total[1] if background else None,
+        exposure_s=motion.exposure_s,
+        velocity_mm_s=motion.velocity_mm_s,
+        row_time_s=motion.row_time_s,
+        instants=count,
+        traces=len(work),
+    )
+
+
+def _moved(scene: Scene, shift_mm: Array) -> Scene:
+    """The scene with all its devices moved; Mitsuba's own stay, and what is rendered is ours."""
+    if not shift_mm.any():
+        return scene
+    motion = Pose.shift(shift_mm)
+
+    def moved(devices: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: each.with_pose(each.pose.moved(motion)) for name, each in devices.items()}
+
+    return replace(scene, cameras=moved(scene.cameras), sources=moved(scene.sources))
+
+
+def _instant(
+    prepared: Prepared,
+    sampling: tuple[int, int],
+    count: int,
+    number: int,
+    drift: Drift,
+    background: bool,
+) -> tuple[Image, RenderReport]:
+    """The images of one of so many instants, (frames, H, W), by its share of the samples."""
+    spp, seed = sampling
+    spp = spp or int(prepared.arrangement.sensor.sampler().sample_count())
+    share = spp if count == 1 else max(1, round(math.sqrt(spp / count))) ** 2
+    if share == 1 and count > 1:
+        u, v = _WITHIN[:, number % _WITHIN.shape[1]].tolist()
+        drift = replace(drift, within_px=(u, v))
+    fluxes = {n: on_and_off(each) for n, each in prepared.arrangement.sources.items() if background}
+    exposure, report = prepared.exposed(
+        share, seed, frames=1 + background, fluxes=fluxes, drift=drift
+    )
+    return exposure.images(), report
+
+
+def _at_rest(truth: PixelTruth, shift_mm: Array) -> PixelTruth:
+    """The truth as seen by the sensor where the scene has it."""
+    point = (truth.point_mm - shift_mm).astype(np.float32)
+    return replace(truth, point_mm=point)
+
+
+def _joined(truths: Sequence[PixelTruth]) -> PixelTruth:
+    """The truth of the rows of several."""
+    first = truths[0]
+    if len(truths) == 1:
+        return first
+    index = np.concatenate([each.index for each in truths])
+    order = np.argsort(index, kind="stable")
+
+    def joined(parts: Sequence[NDArray]) -> NDArray:
+        return np.concatenate(parts)[order]
+
+    return PixelTruth(
+        index[order],
+        joined([each.point_mm for each in truths]),
+        joined([each.depth_mm for each in truths]),
+        {n: joined([t.source_coordinates[n] for t in truths]) for n in first.source_coordinates},
+        {n: joined([t.status[n] for t in truths]) for n in first.status},
+        report_of_all([each.report for each in truths]),
+    )
