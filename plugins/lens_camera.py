@@ -20,6 +20,7 @@ from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, View, camera_of
 
 from virtual_sensor.devices.calibration_files import CalibrationFile, camera_in
 from virtual_sensor.devices.camera import MM_PER_UM, SUB_PUPILS, LensCamera, tilt_of, with_tilt
+from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor, image_sensors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
@@ -35,6 +36,7 @@ LASER_PLANE = "laser_plane"
 
 _SHIFTS = "principal_point_offset_x", "principal_point_offset_y"
 _OF_PERSPECTIVE = "fov", "fov_axis", "near_clip", "far_clip", *_SHIFTS
+_NOT_ALWAYS = "fov", "fov_axis", "focus_distance", "focal_length", *_SHIFTS
 _SAME = 1e-6  # of two lengths that say the same, but for typed digits
 _NEAR_MM, _FAR_MM = 1e-2, 1e4  # Mitsuba's
 
@@ -72,6 +74,7 @@ class LensCameraSensor(mi.Sensor):
     transmission              1          Part of the light that the lens lets through
     sensor_model              ""         Image sensor that frames are recorded with: a name or a
                                          data sheet, TOML; empty: none
+    exposure                  ""         Time of an exposure, such as 2ms or 500us; empty: automatic
     near_clip                 0.01       Nothing nearer is seen by other integrators than
                                          `refractive`, mm
     far_clip                  10000      Nothing farther is seen, mm
@@ -84,6 +87,9 @@ class LensCameraSensor(mi.Sensor):
         self.ideal = None
         self._near = float(props.get("near_clip", _NEAR_MM))
         self._far = float(props.get("far_clip", _FAR_MM))
+        for name in _NOT_ALWAYS:  # by what else is given
+            if name in props:
+                props.mark_queried(name)
         with naming("lens_camera"):
             if "fov" in props and not str(props.get("calibration", "")):
                 self.ideal = self._perspective(props)
@@ -139,6 +145,10 @@ class LensCameraSensor(mi.Sensor):
         if self.ideal is not None:
             self.ideal.parameters_changed(keys)
 
+    def near_clip(self) -> float:
+        """Nothing nearer is seen by other integrators than ours, mm."""
+        return self._near
+
     def far_clip(self) -> float:
         """Nothing farther is seen, mm."""
         return self._far
@@ -170,8 +180,14 @@ def _built(
     lets = optional_positive(props, "transmission", "a part, above 0 and up to 1") or 1.0
     tilt = str(props.get("tilt", "")).strip()
     f_number = optional(props, "f_number", "an f-number, such as 8; 0 or empty for a pinhole")
-    built = {"sub_pupils": points, "pixel_um": pixel_um, "sensor": sensor, "transmission": lets}
-    camera = LensCamera.of(rays, **built)
+    camera = LensCamera.of(
+        rays,
+        sub_pupils=points,
+        pixel_um=pixel_um,
+        sensor=sensor,
+        exposure_s=exposure_time_s("'exposure'", props.get("exposure", "")),
+        transmission=lets,
+    )
     if f_number:
         lens = _lens(props, camera.image_distance_mm, f_number)
         pixel_um = pixel_um or lens.image_distance_mm / focal_px / MM_PER_UM

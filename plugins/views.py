@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import in_own_memory, to_numpy
-from virtual_sensor.devices.camera import LensCamera
+from virtual_sensor.devices.camera import MM_PER_UM, LensCamera
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.family_frames import FamilyFrame
+from virtual_sensor.optics.lens import Lens
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.surfaces import SceneSurface
 from virtual_sensor.optics.undistortion import Undistortion
@@ -21,27 +22,40 @@ OURS_FROM_MITSUBAS = np.diag([-1.0, -1.0, 1.0])
 
 Array = NDArray[np.float64]
 
+THIN_LENS_FILM_MM = 36.0
+"""Width of a `thinlens`'s film, which has none: Mitsuba's focal lengths are of such a film."""
+
 _ON_BORDER = 33  # places along a side of the film whose rays bound those of all
 
 
 def camera_of(sensor: mi.Sensor) -> LensCamera | None:
-    """The camera of a sensor, with K and pose of Mitsuba's `perspective`; None of any other."""
+    """The camera of a sensor: of a `lens_camera`, or Mitsuba's `perspective` or `thinlens`.
+
+    None of any other.
+    """
     if hasattr(sensor, "camera"):  # of a plugin over one
         return sensor.camera
-    if sensor.class_name() != "PerspectiveCamera":
+    if sensor.class_name() not in ("PerspectiveCamera", "ThinLensCamera"):
         return None
     held = mi.traverse(sensor)
     width, height = (int(n) for n in sensor.film().size())
     focal_px = width / 2.0 / np.tan(np.radians(float(np.ravel(held["x_fov"])[0])) / 2.0)
-    shift_x = float(np.ravel(held["principal_point_offset_x"])[0])
-    shift_y = float(np.ravel(held["principal_point_offset_y"])[0])
+    names = (f"principal_point_offset_{axis}" for axis in "xy")  # which no thinlens has
+    shift_x, shift_y = (float(np.ravel(held[n])[0]) if n in held else 0.0 for n in names)
     # Mitsuba's pixel i reaches from i to i + 1, ours has its centre at i; its shift moves the film.
     centre = (width * (0.5 - shift_x) - 0.5, height * (0.5 - shift_y) - 0.5)
     matrix = np.array([[focal_px, 0.0, centre[0]], [0.0, focal_px, centre[1]], [0.0, 0.0, 1.0]])
     to_world = np.array(sensor.world_transform().matrix, float).reshape(-1)[:16].reshape(4, 4)
     pose = Pose.from_matrix(to_world)
     turned = Pose(pose.rotation @ OURS_FROM_MITSUBAS, pose.origin_mm)
-    return LensCamera(matrix, turned, (width, height))
+    if sensor.class_name() == "PerspectiveCamera":
+        return LensCamera(matrix, turned, (width, height))
+    pixel_um = THIN_LENS_FILM_MM / width / MM_PER_UM
+    radius_mm, focus_mm = (
+        float(np.ravel(held[name])[0]) for name in ("aperture_radius", "focus_distance")
+    )
+    lens = Lens(focal_px * pixel_um * MM_PER_UM, focus_mm, radius_mm)
+    return LensCamera(matrix, turned, (width, height), lens=lens, pixel_um=pixel_um)
 
 
 class View:

@@ -123,7 +123,7 @@ def test_the_doctor_finds_this_machine_fit():
         ("measure hot_cylinder -D =15", "-D =15: write it as NAME=VALUE"),
         (
             "search hot_cylinder -D bate=15",
-            "^Error: hot_cylinder: no parameter 'bate'; the scene has: along, alpha, beta",
+            "^Error: hot_cylinder: no parameter 'bate'; the scene has: along, alpha, beam_quality",
         ),
         ("search hot_cylinder -D temperature=-300", "below absolute zero .* give .* in degC"),
         (

@@ -1,6 +1,7 @@
 """Scenes with a projector: where it stands, what asks for a laser, and what is checked."""
 
 import pickle
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,11 +90,12 @@ def test_what_needs_a_laser_says_what_to_use_instead() -> None:
 
 def test_a_scene_may_have_projectors_beside_a_laser(tmp_path) -> None:
     def with_laser(text: str) -> str:
-        laser = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
-        laser = laser[laser.index("    <emitter ") : laser.index("    <bsdf ")]
-        for name, value in (("line_length", "22"), ("line_radius", "0.3"), ("fan", "0")):
-            laser = laser.replace(f"${name}", value)
-        return text.replace("    <bsdf ", laser.replace("$dots", "") + "    <bsdf ", 1)
+        hot = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
+        laser = hot[hot.index("    <emitter ") : hot.index("    <bsdf ")]
+        for name, value in re.findall(r'<default name="(\w+)" value="([^"]*)"', hot):
+            if f'name="{name}"' not in text:
+                laser = laser.replace(f'"${name}"', f'"{value}"')
+        return text.replace("    <bsdf ", laser + "    <bsdf ", 1)
 
     scene = vs.load_scene(written(tmp_path, with_laser), **SMALL)
     assert list(scene.sources) == ["projector", "laser"]

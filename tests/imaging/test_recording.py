@@ -223,13 +223,13 @@ def test_options_record_if_they_or_the_camera_ask_for_it(scene, frame):
 
 
 def test_bad_input_is_told(scene, frame):
-    lens = with_lens(scene)
+    lens, unscaled = with_lens(scene), with_lens(scene, pixel_um=None)
     plain = vs.render_frame(scene)
     for words, ask in {
         "f-number": lambda: vs.record(scene, frame, exposure_s=0.002),
         "pinhole has no aperture": lambda: vs.record(scene, frame, speckle=True),
         "background=True": lambda: vs.record(lens, plain, sensor=QUIET, speckle=True),
-        "how large its pixels": lambda: vs.record(lens, frame, exposure_s=0.002),
+        "how large its pixels": lambda: vs.record(unscaled, frame, exposure_s=0.002),
         "160 x 160": lambda: vs.record(scene, np.ones((8, 8))),
         "give a Frame": lambda: vs.record(scene, "shot.png"),
         "not finite": lambda: vs.record(scene, np.full((160, 160), np.nan)),

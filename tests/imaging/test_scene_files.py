@@ -233,7 +233,7 @@ FAULTS = {
     ),
     "camera scaled": (
         changed(CAMERA_PLACE, f'<scale value="2"/>{CAMERA_PLACE}'),
-        '<sensor type="perspective">: to_world scales or shears',
+        '<sensor type="lens_camera">: to_world scales or shears',
     ),
     "laser far": (
         changed(LASER_PLACE, LASER_PLACE.replace("$distance", "1e20")),
@@ -335,7 +335,7 @@ def test_what_is_ignored_or_assumed_is_noted(tmp_path):
     for text, words in (
         (added(ball), r'line \d+: <medium type="homogeneous">: ignored'),
         (re.sub(r"<film.*?</film>", "", COLD, flags=re.DOTALL), "has no <film>.*768 x 576"),
-        (changed(CAMERA_PLACE, mirror), '<sensor type="perspective">: to_world mirrors it'),
+        (changed(CAMERA_PLACE, mirror), '<sensor type="lens_camera">: to_world mirrors it'),
         (metres, r"0\.03 mm in size and the camera 0\.\d+ mm away; .*in metres\?"),
     ):
         path = tmp_path / "scene.xml"

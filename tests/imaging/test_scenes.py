@@ -303,7 +303,7 @@ COLD = shipped_text("cold_cylinder")
 LASER, CAMERA = element(COLD, "emitter"), element(COLD, "sensor")
 STRAIGHT = '<integrator type="refractive"/>'
 AIR = '<string name="field" value="air.nc"/>'
-CLIP, APERTURE = '<float name="near_clip" value="1"/>', '<float name="aperture_radius" value="3"/>'
+CAMERA_WITHOUT = re.sub(r"\s*<(string|float) .*?/>", "", CAMERA)
 
 REFUSED = {
     "not XML": ("a scene", ["not well-formed", "line 1"]),
@@ -339,12 +339,12 @@ REFUSED = {
         COLD.replace(STRAIGHT, f"{STRAIGHT[:-2]}>{AIR}</integrator>"),
         ["line ", "air.nc", "no such field"],
     ),
-    "no camera": (COLD.replace(CAMERA, ""), ["no camera", '<sensor type="perspective">']),
+    "no camera": (COLD.replace(CAMERA, ""), ["no camera", '<sensor type="lens_camera">']),
     "no integrator": (COLD.replace(STRAIGHT, ""), [STRAIGHT]),
     "other integrator": (COLD.replace(STRAIGHT, '<integrator type="direct"/>'), [STRAIGHT]),
     "other camera": (
-        COLD.replace('"perspective"', '"thinlens"').replace(CLIP, CLIP + APERTURE),
-        ['<sensor type="perspective">'],
+        COLD.replace(CAMERA, CAMERA_WITHOUT.replace("lens_camera", "orthographic")),
+        ['is no <sensor type="lens_camera">'],
     ),
 }
 

@@ -153,7 +153,7 @@ def test_a_camera_that_is_no_pinhole_is_left_out_and_noted(written):
     scene = written([("near", 0, 1)], [("red", 0, 0)], ORTHOGRAPHIC)
     assert list(scene.cameras) == ["near"]
     (note,) = scene.notes
-    assert '<sensor id="flat"> is no <sensor type="perspective">, a pinhole; it is left out' in note
+    assert '<sensor id="flat"> is no <sensor type="lens_camera">; it is left out' in note
     assert vs.ray_search(scene, Y).status.tolist() == [SearchStatus.FOUND] * 2
     with pytest.raises(vs.InputError, match=r'<sensor id="flat"> is no .*a camera must be one'):
         written([], [("red", 0, 0)], ORTHOGRAPHIC)

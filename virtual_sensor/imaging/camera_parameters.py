@@ -11,6 +11,7 @@ Parameter       Unit  What becomes of it
 `pixel`         um    its pitch; where it is given, `film_width` is `width` times it
 `fov`           deg   2 atan(film_width / 2 / focal_length); where it is given, `focal_length`
                       follows from it
+`calibration`         a file that has the place of `focal_length` and `fov`
 ==============  ====  ========================================================================
 """
 
@@ -40,6 +41,8 @@ def with_field_of_view(values: Mapping[str, str], given: Mapping[str, str]) -> d
     """
     if not all(name in values for name in _NEEDED):
         return dict(values)
+    if values.get("calibration") and (both := [n for n in ("focal_length", "fov") if n in given]):
+        raise InputError(f"{both[0]}: calibration={values['calibration']} has it; give one of them")
     width_px = _positive("width", values["width"])
     found: dict[str, float] = {}
     if "pixel" in given or not values["film_width"]:

@@ -32,8 +32,8 @@ def why_dark(scene: Scene) -> str:
 
 
 def _clipped(scene: Scene, depth_mm: Array) -> str:
-    held = mi.traverse(scene.mitsuba_camera)
-    far, near = (float(np.ravel(held[name])[0]) for name in ("far_clip", "near_clip"))
+    sensor = scene.mitsuba_camera
+    far, near = float(sensor.far_clip()), float(sensor.near_clip())
     for name, limit, cut in (
         ("far_clip", far, depth_mm >= far),
         ("near_clip", near, depth_mm <= near),

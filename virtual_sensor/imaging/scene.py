@@ -6,9 +6,10 @@ The sensor model is read *from* the loaded Mitsuba scene, so the two can't disag
 Element of a scene               What becomes of it
 ===============================  ==================================================================
 integrator                       `refractive`, and no other
-sensor                           a camera, if it is a `lens_camera`, or a `perspective`, a pinhole;
-                                 others are left out, with a note; a mirrored one is heeded, with a
-                                 note
+sensor                           a camera, if it is a `lens_camera`, a `perspective`, which is a
+                                 pinhole, or a `thinlens`, whose film's width is assumed, with a
+                                 note; others are left out, with a note; a mirrored one is heeded,
+                                 with a note
 film                             the whole one, no crop; one beyond the memory is refused
 emitter                          a source, if it is a `laser_line` or a `pattern_projector`; others
                                  light the part too
@@ -45,7 +46,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins import refractive
-from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, camera_of
+from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, THIN_LENS_FILM_MM, camera_of
 
 from virtual_sensor import engine
 from virtual_sensor.arrays import LARGEST, number_within, to_vectors
@@ -84,6 +85,7 @@ from virtual_sensor.medium.find_field import find_field
 from virtual_sensor.medium.index_field import IndexField, field_of
 from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface, own_variant
 from virtual_sensor.optics.transports import Transport
+from virtual_sensor.optics.undistortion import check_unfolded
 from virtual_sensor.poses import Pose
 
 Array = NDArray[np.float64]
@@ -91,10 +93,11 @@ T = TypeVar("T")
 
 _ABSOLUTE_ZERO_C = -273.15
 _NAMING_FILES = ("string", "include", "spectrum")  # elements of Mitsuba's XML that may
+_SAME = 1e-3  # of two pitches of pixels
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
 _ELEMENTS = {  # that a scene may lack
-    "camera": '<sensor type="perspective">',
+    "camera": '<sensor type="lens_camera">',
     "source": '<emitter type="laser_line">, or <emitter type="pattern_projector">',
     "projector": '<emitter type="pattern_projector">; or take the scene fringe_cylinder',
 }
@@ -449,6 +452,39 @@ class Scene(Displayed):
         """The same scene by another transport of light."""
         return replace(self, transport=transport)
 
+    def with_camera(self, camera: LensCamera, name: str | None = None) -> Scene:
+        """The same scene with another lens, distortion or sensor on a camera, where it stands.
+
+        >>> lens = vs.Lens.of_f_number(75, 300, 8)
+        >>> scene.with_camera(replace(scene.camera, lens=lens))
+
+        Parameters
+        ----------
+        camera : LensCamera
+            Such as the scene's own with other fields; its pose and size must be the scene's.
+            Other integrators than `refractive` see by the file's camera.
+        name : str, optional
+            Which it is, where the scene has several.
+
+        Raises
+        ------
+        InputError
+            If it is none, of another pose or size, or its distortion folds the image.
+        """
+        name = self.camera_name if name is None else name
+        before = self._named("camera", self.cameras, name)
+        if not isinstance(camera, LensCamera):
+            raise InputError(f"with_camera: camera is {short(camera)}; give a LensCamera")
+        where = f"{self.path}: {_sensor(name)}"
+        if camera.size != before.size or camera.pose != before.pose:
+            raise InputError(
+                f"{where}: with_camera: the camera has another size or pose; move it by with_pose,"
+                " and give its film another size in the scene (width, height)"
+            )
+        with naming(where):
+            check_unfolded(camera)
+        return replace(self, cameras={**self.cameras, name: camera})
+
     def with_pose(self, name: str, pose: Pose) -> Scene:
         """The same scene with one of its cameras or sources at another place.
 
@@ -548,10 +584,23 @@ class Scene(Displayed):
                 medium = medium if air == self.air else air.read()
         transport = stage.transport if self.transport == before.transport else self.transport
         stage.check_march(transport, medium)
-        cameras = {name: self._named("camera", stage.cameras, name) for name in self.cameras}
+        cameras = {
+            name: self._optics(name, self._named("camera", stage.cameras, name), bool(parameters))
+            for name in self.cameras
+        }
         sources = {name: self._named("source", stage.sources, name) for name in self.sources}
         path = path or self.path
         return Scene(path, values, medium, air, cameras, sources, transport, self.hot, stage)
+
+    def _optics(self, name: str, again: LensCamera, changed: bool) -> LensCamera:
+        """A camera that was loaded again, with the lens and sensor that it had.
+
+        Where parameters were changed the file's camera counts, unless `with_camera` gave another.
+        """
+        mine = self.cameras[name]
+        if changed and mine == self._stage.cameras[name]:
+            return again
+        return mine.with_pose(again.pose) if mine.size == again.size else again
 
     def _one(self, kind: str, named: Mapping[str, Any], option: str = "") -> str:
         """The only name; an option of most functions and commands chooses one of several."""
@@ -587,7 +636,7 @@ class Scene(Displayed):
             tuple((name, matrix.tobytes()) for name, matrix in sorted(stage.poses.items())),
             self.air,
             id(self.medium) if self.air.path is None else None,  # equal if it is the same
-            tuple(self.cameras),
+            tuple(self.cameras.items()),
             tuple(self.sources),
             self.transport,
             self.hot,
@@ -600,7 +649,7 @@ class Scene(Displayed):
         return hash(self._values())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        stage, chosen = self._stage, (tuple(self.cameras), tuple(self.sources))
+        stage, chosen = self._stage, (dict(self.cameras), tuple(self.sources))
         air = self.air.time_s if self.air.path else self.medium
         of_file = self.air.path is not None
         changes = dict(self.parameters), of_file, air, self.transport, self.hot
@@ -617,7 +666,7 @@ class Scene(Displayed):
 def _unpickled(
     origin: _Origin,
     poses: dict[str, Array],
-    chosen: tuple[tuple[str, ...], tuple[str, ...]],
+    chosen: tuple[dict[str, LensCamera], tuple[str, ...]],
     parameters: dict[str, str],
     of_file: bool,
     air: Any,
@@ -630,9 +679,8 @@ def _unpickled(
     stage = _staged(path, origin.given, origin.here, poses)
     described = replace(stage.air, time_s=air) if of_file else stage.air.without_file()
     medium = described.read() if of_file else air
-    cameras = {name: stage.cameras[name] for name in chosen[0]}
     sources = {name: stage.sources[name] for name in chosen[1]}
-    return Scene(path, parameters, medium, described, cameras, sources, transport, hot, stage)
+    return Scene(path, parameters, medium, described, chosen[0], sources, transport, hot, stage)
 
 
 def _counted(kind: str, named: Mapping[str, Any]) -> str:
@@ -885,19 +933,42 @@ def _sensor(name: str) -> str:
 
 
 def _cameras(path: Path, sensors: dict[str, Any]) -> tuple[dict[str, LensCamera], list[str]]:
-    """The cameras of a scene, at least one, and notes of its other sensors."""
-    cameras, unfit = {}, []
+    """The cameras of a scene, at least one, and notes of its sensors."""
+    cameras, unfit, notes = {}, [], []
     for name, sensor in sensors.items():
-        if camera := camera_of(sensor):
-            _check_film(f"{path}: {_sensor(name)}", sensor.film())
+        where = f"{path}: {_sensor(name)}"
+        with naming(where):
+            camera = camera_of(sensor)
+        if camera:
+            _check_film(where, sensor.film())
             cameras[name] = camera
+            notes += [f"{where}{note}" for note in _camera_notes(sensor, camera)]
         else:
-            unfit.append(f"{path}: {_sensor(name)} is no {_ELEMENTS['camera']}, a pinhole")
+            unfit.append(f"{where} is no {_ELEMENTS['camera']}")
     if cameras:
-        return cameras, [f"{reason}; it is left out" for reason in unfit]
+        return cameras, [*(f"{reason}; it is left out" for reason in unfit), *notes]
     if unfit:
         raise InputError(f"{unfit[0]}; a camera must be one")
     raise InputError(f"{path}: the scene has no camera; add {_ELEMENTS['camera']}")
+
+
+def _camera_notes(sensor: Any, camera: LensCamera) -> list[str]:
+    """What of a camera was assumed, or does not go together."""
+    notes, chip, lens = [], camera.sensor, camera.lens
+    if lens and not hasattr(sensor, "camera"):
+        notes.append(
+            f": a thinlens has no film in mm; one {THIN_LENS_FILM_MM:g} mm wide is assumed, which"
+            f" makes it f/{lens.f_number:.3g}; use a lens_camera"
+        )
+    if chip and chip.pixel_um and abs(chip.pixel_um / (camera.pixel_um or np.inf) - 1.0) > _SAME:
+        notes.append(
+            f": its pixels are {camera.pixel_um:.4g} um wide, and those of its sensor {chip.name}"
+            f" {chip.pixel_um:g} um: frames are recorded as if by the latter"
+        )
+    whole = (chip.width_px, chip.height_px) if chip else (None, None)
+    if any(n and n < m for n, m in zip(whole, camera.size, strict=True)):
+        notes.append(f": its film is larger than its sensor, of {whole[0]} x {whole[1]} px")
+    return notes
 
 
 def _check_film(where: str, film: Any) -> None:
