@@ -73,6 +73,7 @@ OTHERS = {
     "gaussian_blur",
     "read_calibration",
     "read_image",
+    "diffraction_blur",
     "speckled",
     "save_png",
     "save_tiff",

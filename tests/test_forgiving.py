@@ -69,6 +69,10 @@ CALLS = {
     "grey_values": (vs.grey_values, {"photons": 100.0 * LINE}),
     "record": (vs.record, {"scene": SCENE, "frame": np.ones((64, 64))}),
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
+    "diffraction_blur": (
+        vs.diffraction_blur,
+        {"image": LINE, "aperture": vs.Aperture(f_number=8.0)},
+    ),
     "speckled": (vs.speckled, {"image": LINE, "aperture": vs.Aperture(f_number=8.0)}),
     "save_png": (vs.save_png, {"image": LINE, "path": "a.png"}),
     "save_tiff": (vs.save_tiff, {"image": LINE, "path": "a.tif"}),

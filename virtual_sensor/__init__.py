@@ -42,6 +42,8 @@ Images as a camera gives them
                          black level, clipping.
     gaussian_blur        Blur an image (H, W) by a Gaussian of so many px; the light that leaves
                          it is lost.
+    diffraction_blur     An image (H, W) of incoherent light behind an aperture: what speckle is in
+                         the mean.
     speckled             An image (H, W) as coherent light shows it: with speckle, in the same
                          unit.
     Aperture             What the camera's lens lets through, and how coherent the light is:
@@ -202,6 +204,7 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.sequence import PatternFrames as PatternFrames
     from virtual_sensor.imaging.sequence import render_sequence as render_sequence
     from virtual_sensor.imaging.speckle import Aperture as Aperture
+    from virtual_sensor.imaging.speckle import diffraction_blur as diffraction_blur
     from virtual_sensor.imaging.speckle import speckled as speckled
     from virtual_sensor.medium.air import air_refractivity as air_refractivity
     from virtual_sensor.medium.air_model import AirModel as AirModel
@@ -330,6 +333,7 @@ _HOME = {
     "circle_of_confusion_px": "optics.pupil_search",
     "codec_of": "metrology.fringes.codecs",
     "compare_line": "metrology.truth",
+    "diffraction_blur": "imaging.speckle",
     "dot_centres": "metrology.dot_peaks",
     "epipolar_residual": "optics.epipolar",
     "error_budget": "metrology.error_budget",

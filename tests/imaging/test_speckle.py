@@ -11,6 +11,7 @@ from virtual_sensor.imaging import speckle
 from virtual_sensor.imaging.speckle import (
     Aperture,
     broad_line_noise_px,
+    diffraction_blur,
     speckled,
 )
 
@@ -376,6 +377,40 @@ def test_a_round_gaussian_spot_has_less_and_a_point_none(width):
     ratio, error = spots_noise(aperture, spot, seeds=(10, 11, 12))
     assert error < 0.05
     assert ratio == pytest.approx(expected, abs=3.5 * error)
+
+
+def test_diffraction_alone_is_the_mean_of_speckle_and_keeps_the_light():
+    """A point's image is Airy's: its first dark ring is 1.22 lambda N away, and 84 % lie within."""
+    aperture = with_grain(8.0)
+    point = np.zeros((401, 401))
+    point[200, 200] = 1.0
+    seen = diffraction_blur(point, aperture)
+    v, u = np.mgrid[-200:201, -200:201]
+    lit = seen[np.hypot(u, v) < 8.0].sum()
+    assert lit == pytest.approx(0.838, abs=0.01)
+    assert seen[200, 208] < 1e-3 * seen[200, 200]
+    assert seen.sum() == pytest.approx(1.0, abs=0.05)  # tails leave the image
+    assert diffraction_blur(np.zeros((0, 3)), aperture).shape == (0, 3)
+
+
+@pytest.mark.parametrize("f_number", [16.0, 22.0, 32.0])
+def test_contrast_and_correlation_are_those_of_real_frames_at_once(f_number):
+    """Of real lines: contrast 0.24-0.33, half correlation 1-2.5 px, centre 0.16-0.40 px rms.
+
+    A diode of 2 nm and 2.25 modes, paper or paint that is lit 30 um deep and depolarises, a core
+    of 2 px; the centre of gravity of each column within 10 px of the line.
+    """
+    light = {"linewidth_nm": 2.0, "roughness_um": 30.0, "polarisations": 2, "modes": 2.25}
+    aperture = Aperture(f_number, magnification=0.25, **light)
+    grey = speckled(line_image(np.full(4000, 30.0), 2.0, height=60), aperture, 1)
+    peak = grey[30]
+    assert 0.25 < peak.std() / peak.mean() < 0.33
+    along = np.divide(correlation(peak[None], 5), peak.var() / peak.mean() ** 2)
+    half = np.interp(0.5, along[::-1], np.arange(5.0)[::-1])
+    assert 1.0 < half < 2.5
+    v = np.arange(60)[:, None] - 30.0
+    near = grey * (np.abs(v) <= 10.0)
+    assert 0.16 < np.std((near * v).sum(axis=0) / near.sum(axis=0)) < 0.40
 
 
 def test_seeds_repeat_to_the_bit_and_dark_stays_dark():

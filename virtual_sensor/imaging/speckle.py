@@ -26,7 +26,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft, fftfreq, ifft, next_fast_len
+from scipy.fft import fft, fftfreq, ifft, irfft2, next_fast_len, rfft2, rfftfreq
 from scipy.integrate import quad
 from scipy.special import j1, struve
 
@@ -423,6 +423,38 @@ def _integrated(samples: NDArray, fine: int) -> NDArray:
     inner = samples[1:-1].reshape(-1, fine, samples.shape[1])
     slopes = np.diff(samples, axis=0)[::fine]  # at the pixels' borders
     return np.maximum(inner.mean(axis=1) + np.diff(slopes, axis=0) / np.float32(24 * fine), 0.0)
+
+
+@public
+def diffraction_blur(image: ArrayLike, aperture: Aperture) -> Array:
+    """An image (H, W) of incoherent light behind an aperture: what speckle is in the mean.
+
+    Its spectrum times the transfer function of a round aperture, the overlap of two discs: Goodman
+    2017, "Introduction to Fourier optics", 7.3.  Beyond the image's borders it is dark.
+
+    Parameters
+    ----------
+    image : array_like of shape (H, W)
+    aperture : Aperture
+
+    Raises
+    ------
+    InputError
+        If the image has another shape, or a number is not finite.
+    """
+    image = image_of("diffraction_blur: the image", image)
+    if not isinstance(aperture, Aperture):
+        raise InputError(f"diffraction_blur: aperture is {short(aperture)}; give an Aperture")
+    if not image.size:
+        return image
+    apron = int(np.ceil(_APRON_GRAINS * aperture.grain_px)) + 2
+    shape = [next_fast_len(size + apron, real=True) for size in image.shape]
+    square = fftfreq(shape[0])[:, None] ** 2 + rfftfreq(shape[1]) ** 2
+    part = np.minimum(np.sqrt(square) * aperture.resolution_px, 1.0)
+    passed = 2.0 / np.pi * (np.arccos(part) - part * np.sqrt(1.0 - part**2))
+    spectrum = rfft2(image, shape, workers=-1) * passed
+    seen = irfft2(spectrum, shape, workers=-1)[: image.shape[0], : image.shape[1]]
+    return np.maximum(seen, 0.0) if image.min() >= 0.0 else seen
 
 
 def broad_line_noise_px(aperture: Aperture, width_px: float) -> float:
