@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.sheet_rows import crossings, run_of
 from virtual_sensor.imaging.render import Frame
 from virtual_sensor.optics.lens import circle_of_confusion
@@ -48,7 +48,7 @@ class ColumnTruth(Table):
 
 
 def column_truth(
-    frame: Frame, camera: Any, electrons: NDArray[np.floating], source: str
+    frame: Frame, camera: LensCamera, light: NDArray[np.floating], source: str
 ) -> ColumnTruth:
     """The truth of a source's line.
 
@@ -58,22 +58,30 @@ def column_truth(
         The ideal one.
     camera : LensCamera
         That sees it.
-    electrons : ndarray of shape (H, W)
-        Means of the line's light.
+    light : ndarray of shape (H, W)
+        The line's, of which `electrons` are the sums: mean electrons of each pixel.
     source : str
         A laser line's name.
     """
-    across = frame.coordinates(source)[:, :, 0]
+    truth, width = frame.truth, light.shape[1]
+    if not truth.index.size:
+        return ColumnTruth(np.zeros(0, int), *np.zeros((5, 0)))
+    top = int(truth.index.min()) // width  # rows that see light are few
+    height = int(truth.index.max()) // width + 1 - top
+    pixel = np.zeros((height, width), int)  # its number among those that the truth is known of
+    pixel.ravel()[truth.index - top * width] = np.arange(truth.index.size)
+    across = np.full((height, width), np.nan, np.float32)
+    across.ravel()[truth.index - top * width] = truth.source_coordinates[source][:, 0]
     radius_mm = frame.radius_mm[source]
+
     number, column, row = crossings(across, radius_mm)
     order = np.lexsort((number, column))
     number, column, row = number[order], column[order], row[order]
     slope = across[number + 1, column].astype(float) - across[number, column]
-
     # One layer for each time that a column sees the line.
-    count = np.bincount(column, minlength=across.shape[1])
+    count = np.bincount(column, minlength=width)
     layer = np.arange(column.size) - (np.cumsum(count) - count)[column]
-    rows = np.full((max(int(count.max(initial=1)), 1), across.shape[1]), np.nan)
+    rows = np.full((max(int(count.max(initial=1)), 1), width), np.nan)
     rows[layer, column] = row
     first, last = (ends[layer, column] for ends in run_of(rows, across, radius_mm))
 
@@ -82,24 +90,26 @@ def column_truth(
     half = 0.5 * np.abs(slope)
     low, high = np.minimum(low, high) - half, np.maximum(low, high) + half
     deviation_mm = 0.5 * radius_mm
-    sums = np.concatenate([np.zeros((1, across.shape[1])), np.cumsum(electrons, axis=0)])
-    blur = _blur_px(frame, camera, number, column)
+    blur = _blur_px(camera, truth.point_mm[pixel[number, column]])
     reach = np.ceil(0.5 * _DISC * np.nan_to_num(blur)).astype(int)
-    begin, end = np.maximum(first - reach, 0), np.minimum(last + 1 + reach, len(across))
+    begin = np.maximum(first + top - reach, 0)
+    end = np.minimum(last + top + 1 + reach, len(light))
+    above = int(begin.min(initial=len(light)))
+    below = int(end.max(initial=above))
+    sums = np.zeros((below - above + 1, width))
+    np.cumsum(light[above:below], axis=0, out=sums[1:])
     return ColumnTruth(
         column=column,
-        row_px=row,
+        row_px=row + top,
         width_px=deviation_mm / np.abs(slope),
         blur_px=blur,
-        electrons=sums[end, column] - sums[begin, column],
+        electrons=sums[end - above, column] - sums[begin - above, column],
         visibility=ndtr(high / deviation_mm) - ndtr(low / deviation_mm),
     )
 
 
-def _blur_px(frame: Frame, camera: Any, number: Any, column: Any) -> Array:
-    """Standard deviation along v of the disc that a lens makes of the points seen."""
-    lens = getattr(camera, "lens", None)
-    if lens is None or not number.size:
-        return np.zeros(number.size)
-    points = frame.point_mm[number, column].astype(float)
-    return circle_of_confusion(lens, camera, points)[:, 1] / _DISC
+def _blur_px(camera: LensCamera, points_mm: NDArray[np.floating]) -> Array:
+    """Standard deviation along v of the discs that a lens makes of points (N, 3)."""
+    if camera.lens is None or not len(points_mm):
+        return np.zeros(len(points_mm))
+    return circle_of_confusion(camera.lens, camera, points_mm.astype(float))[:, 1] / _DISC
