@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli import fringe_options, shared
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 
 EPILOG = (
     "Examples:\n\n"
@@ -16,6 +17,7 @@ EPILOG = (
 )
 
 
+@shared.with_options
 def calibrate(
     scene: fringe_options.Scene,
     define: shared.Definitions = None,
@@ -56,12 +58,11 @@ def calibrate(
         ),
     ] = "phase 4 16,128,1280 uv",
     spp: fringe_options.Samples = None,
-    electrons: fringe_options.Electrons = None,
-    bits: fringe_options.Bits = None,
-    seed: fringe_options.Seed = 0,
     frames: Annotated[bool, typer.Option("--frames", help="Write all frames too, as PNG.")] = False,
     output: shared.Folder = Path("calibrated"),
     overwrite: shared.Overwrite = False,
+    *,
+    recording: FringeRecording,
 ) -> None:
     """Calibrate camera and projector by rendered frames of a target, and compare with the truth.
 
@@ -72,12 +73,10 @@ def calibrate(
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.reporting.fringe_calibration import on_console, save
     from virtual_sensor.studies.fringes.calibrate import CalibrationSettings
-    from virtual_sensor.studies.fringes.recording import Recording
 
     shared.check_folder(output, overwrite)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
-        recording = Recording(electrons, bits, seed)
         settings = CalibrationSettings(
             codec, target, poses, distortion, hot, spp, recording, pitch, lift
         )

@@ -25,17 +25,3 @@ Projector = Annotated[
 Samples = Annotated[
     int | None, typer.Option(min=1, help="Samples per pixel; by default the scene's own.")
 ]
-Electrons = Annotated[
-    float | None,
-    typer.Option(
-        help="Record the frames with a camera's noise, so exposed that the brightest pixel has"
-        " so many electrons; by default without noise."
-    ),
-]
-Bits = Annotated[
-    int | None,
-    typer.Option(
-        min=1, max=16, help="Of the camera; by default 12 with --electrons, else not rounded."
-    ),
-]
-Seed = Annotated[int, typer.Option(min=0, help="Of the camera's noise.")]

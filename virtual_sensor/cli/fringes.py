@@ -12,6 +12,7 @@ from typer.core import TyperGroup
 
 from virtual_sensor.cli import fringe_calibrate, fringe_decode, fringe_options, fringe_poses, shared
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 
 EPILOG = (
     "Examples:\n\n"
@@ -19,6 +20,7 @@ EPILOG = (
     "    virtual-sensor fringes fringe_cylinder -D beta=15 -D temperature=900 -o turned\n\n"
     "    virtual-sensor fringes fringe_cylinder --cold --codec 'phase 8 16,128,1280 u' --frames\n\n"
     "    virtual-sensor fringes fringe_cylinder --electrons 8000 --bits 10 --seed 1 -o noisy\n\n"
+    "    virtual-sensor fringes fringe_cylinder --sensor-model cmos_5um5 --seed 1 -o recorded\n\n"
     "    virtual-sensor fringes fringe_cylinder -D pixels=false --electrons 8000 --tolerance 0.05"
 )
 
@@ -68,6 +70,7 @@ Codec = Annotated[
 
 
 @app.callback(epilog=EPILOG)
+@shared.with_options
 def fringes(
     scene: fringe_options.Scene,
     define: shared.Definitions = None,
@@ -93,14 +96,13 @@ def fringes(
             " in place of --codec and --spp.",
         ),
     ] = None,
-    electrons: fringe_options.Electrons = None,
-    bits: fringe_options.Bits = None,
-    seed: fringe_options.Seed = 0,
     frames: Annotated[
         bool, typer.Option("--frames", help="Write all frames too, as PNG.", show_default=False)
     ] = False,
     output: shared.Folder = Path("fringes"),
     overwrite: shared.Overwrite = False,
+    *,
+    recording: FringeRecording,
 ) -> None:
     """Measure a part's whole surface by projected fringes: first cold, then hot.
 
@@ -109,12 +111,11 @@ def fringes(
     from virtual_sensor.imaging.scene import load_scene
     from virtual_sensor.reporting.fringes import on_console, save
     from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
-    from virtual_sensor.studies.fringes.recording import Recording
 
     shared.check_folder(output, overwrite)
     if tolerance is not None and (codec != CODEC or spp is not None):
         raise InputError("--tolerance chooses codec and samples; leave out --codec and --spp")
-    settings = Settings(codec, spp, Recording(electrons, bits, seed), medium, cold, frames)
+    settings = Settings(codec, spp, recording, medium, cold, frames)
     with shared.reporting("loading the scene") as report:
         loaded = load_scene(scene, **shared.definitions(define)).only(camera, source)
         if tolerance is not None:

@@ -76,7 +76,7 @@ def save(
     InputError
         If the scene can't be calibrated, or the folder exists or can't be written.
     """
-    bits = settings.recording.resolved_bits
+    bits = settings.recording.bits_of(scene)
     with folder_written_whole(folder, overwrite) as place:
 
         def keep(number: int, shots: PoseFrames) -> None:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from virtual_sensor.arrays import number_within, whole_number
+from virtual_sensor.devices.exposure_time import AUTO
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.imaging.plate import PlateScenes, plate_scenes
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.deviation import UM_PER_MM, euclidean
@@ -44,7 +46,6 @@ from virtual_sensor.metrology.truth import rms
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.poses import Pose
 from virtual_sensor.records import Record, Table, counts_in_words, counts_of, status_names
-from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 
 Array = NDArray[np.float64]
@@ -77,8 +78,9 @@ class CalibrationSettings(Displayed):
         Whether the part's hot air is there.
     spp : int, optional
         Samples per pixel; the scene's own if not given.
-    recording : Recording
-        Of the frames with the lamp, and of those of the patterns.
+    recording : FringeRecording
+        Of the frames of the patterns; those with the lamp, which is as bright as suits, are exposed
+        automatically.
     pitch_mm : float, optional
         From mark to mark; by default such that the marks fill the field of view.
     lift_mm : float
@@ -91,7 +93,7 @@ class CalibrationSettings(Displayed):
     distortion: int = 4
     hot: bool = False
     spp: int | None = None
-    recording: Recording = field(default_factory=Recording)
+    recording: FringeRecording = field(default_factory=FringeRecording)
     pitch_mm: float | None = None
     lift_mm: float = 0.0
 
@@ -165,6 +167,11 @@ class CalibrationSummary(SceneFacts):
         Of the camera's grey values; None: they are not rounded.
     seed : int
         Of the noise.
+    sensor : str or None
+        Name of the image sensor that recorded them, "usual" of the one that is taken by default;
+        None of frames without noise.
+    exposure_s : float or None
+        Exposure time; None of a pinhole, which has none.
     marks : dict
         How many marks of all poses have each status.
     camera_rms_px, projector_rms_px : float
@@ -207,6 +214,8 @@ class CalibrationSummary(SceneFacts):
     electrons: float | None
     bits: int | None
     seed: int
+    sensor: str | None
+    exposure_s: float | None
     marks: dict[str, int]
     camera_rms_px: float
     projector_rms_px: float
@@ -348,7 +357,7 @@ def calibrate_scene(
                 report(stage, 0.02 + 0.93 * (number + fraction) / len(poses))
 
             part(0.0)
-            frames, decoded = _recorded(plates, pose, codec, settings, number, part)
+            frames, decoded, recorded = _recorded(plates, pose, codec, settings, number, part)
             if keep:
                 keep(number, frames)
             first = first or frames
@@ -388,9 +397,7 @@ def calibrate_scene(
         codec=codec.text,
         hot=settings.hot,
         frames=frames_each * len(poses),
-        electrons=settings.recording.electrons,
-        bits=settings.recording.resolved_bits,
-        seed=settings.recording.seed,
+        **recorded,
         marks=counts_of(calibration.status, MarkStatus),
         camera_rms_px=calibration.camera_rms_px,
         projector_rms_px=calibration.projector_rms_px,
@@ -484,28 +491,28 @@ def _recorded(
     settings: CalibrationSettings,
     number: int,
     part: Callable[[float], None],
-) -> tuple[PoseFrames, Any]:
-    """The frames of the target in a pose, and what the projector's patterns decode to."""
+) -> tuple[PoseFrames, Any, dict[str, Any]]:
+    """The frames of the target in a pose, and what the patterns decode to, and how recorded."""
     from virtual_sensor.imaging.render import render
     from virtual_sensor.imaging.sequence import render_sequence
 
     lit = render(plates.at(pose, _LAMP_W_MM2), settings.spp)
     part(0.2)
+    scene = plates.at(pose)
     shown = render_sequence(
-        plates.at(pose),
+        scene,
         codec.patterns,
         spp=settings.spp,
         progress=lambda done: part(0.2 + 0.6 * done),
     )
     part(0.85)
     recording = settings.recording
-    seeds = np.random.default_rng([recording.seed, number]).integers(2**62, size=2).tolist()
-    both = (
-        recording.recorded(light, seed)
-        for light, seed in zip((lit, shown.radiance), seeds, strict=True)
-    )
-    frames = PoseFrames(*both)
-    return frames, recording.decoded(codec, frames.patterns, edges=False)
+    lamp = replace(recording, exposure=None if recording.exposure is None else AUTO)
+    of_lamp = lamp.shot(scene, lit, number, "lamp")
+    of_patterns = recording.shot(scene, shown, number, "patterns")
+    decoded = recording.decoded(codec, of_patterns, edges=False)
+    frames = PoseFrames(np.asarray(of_lamp), np.asarray(of_patterns))
+    return frames, decoded, recording.facts(of_patterns)
 
 
 # ------------------------------------------------------------------------- beside the truth

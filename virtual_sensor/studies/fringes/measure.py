@@ -18,6 +18,7 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import render_sequence
 from virtual_sensor.medium.index_field import IndexField
@@ -39,7 +40,6 @@ from virtual_sensor.optics.projector_pixels import (
 from virtual_sensor.optics.surfaces import Cylinder
 from virtual_sensor.records import counts_in_words, counts_of
 from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
-from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import (
     AxisAgreement,
     EpipolarFacts,
@@ -89,7 +89,7 @@ class Settings(Displayed):
         As `codec_of` takes it, for the size of the scene's projector.
     spp : int, optional
         Samples per pixel; the scene's own if not given.
-    recording : Recording
+    recording : FringeRecording
     medium : IndexField, str or Path, optional
         Through which points of the hot part are found; by default the scene's own.
     cold : bool
@@ -101,7 +101,7 @@ class Settings(Displayed):
 
     codec: str | Codec = "phase 4"
     spp: int | None = None
-    recording: Recording = field(default_factory=Recording)
+    recording: FringeRecording = field(default_factory=FringeRecording)
     medium: IndexField | str | Path | None = None
     cold: bool = False
     frames: bool = True
@@ -154,7 +154,7 @@ def measure_fringes(
         def inner(stage: str, part: float) -> None:
             report(f"{name} part: {stage}", low + (high - low) * part)
 
-        return _measure_state(scene, codec, settings, medium if name == "hot" else None, inner)
+        return _measure_state(scene, codec, settings, medium if name == "hot" else None, inner, name)
 
     states = {"cold": state("cold", scene.cold(), 0.02, share)}
     if medium:
@@ -189,7 +189,12 @@ def _check_memory(scene: Scene, frames: int, settings: Settings, states: int) ->
 
 
 def _measure_state(
-    scene: Scene, codec: Codec, settings: Settings, medium: IndexField | None, report: Report
+    scene: Scene,
+    codec: Codec,
+    settings: Settings,
+    medium: IndexField | None,
+    report: Report,
+    state: str,
 ) -> FringeState:
     times: dict[str, float] = {}
 
@@ -209,10 +214,13 @@ def _measure_state(
     made = frames.report
     dr.flush_malloc_cache()  # samples' memory, of which nothing is asked again until the next state
     with doing("decoding"):
-        images = settings.recording.recorded(frames.radiance)
+        shot = settings.recording.shot(scene, frames, state)
         del frames
         border_px = scene.projector.blurred_border_px
-        decoded = settings.recording.decoded(codec, images, border_px=border_px)
+        decoded = settings.recording.decoded(codec, shot, border_px=border_px)
+        recorded = settings.recording.facts(shot)
+        images = np.asarray(shot)
+        del shot
         if not settings.frames:
             images = shrunk(images)
     with doing("searching"):
@@ -226,9 +234,7 @@ def _measure_state(
             size_px=scene.camera.size,
             samples_per_pixel=settings.spp or int(scene.mitsuba_camera.sampler().sample_count()),
             report=made,
-            electrons=settings.recording.electrons,
-            bits=settings.recording.resolved_bits,
-            seed=settings.recording.seed,
+            **recorded,
         ),
         decoded=DecodedFacts.of(decoded),
         decoded_minus_search=_agreement(grid, decoded),

@@ -185,6 +185,11 @@ class FramesFacts(Record):
         Of the camera; None of grey values that are not rounded.
     seed : int
         Of the camera's noise.
+    sensor : str or None
+        Name of the image sensor that recorded them, "usual" of the one that is taken by default;
+        None of frames without noise.
+    exposure_s : float or None
+        Exposure time; None of a pinhole, which has none.
     """
 
     frames: int
@@ -194,6 +199,8 @@ class FramesFacts(Record):
     electrons: float | None
     bits: int | None
     seed: int
+    sensor: str | None
+    exposure_s: float | None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,148 @@
+"""How the commands of fringes record the frames of a sequence of patterns.
+
+Nothing here loads the engine or NumPy before a frame is recorded: a command's help is quick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.recording_options import RecordingOptions
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from virtual_sensor.devices.image_sensor import ImageSensor
+    from virtual_sensor.imaging.recording import RecordedFrame
+    from virtual_sensor.imaging.scene import Scene
+    from virtual_sensor.imaging.sequence import PatternFrames
+
+_EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, of frames without noise
+
+
+@dataclass(frozen=True)
+class FringeRecording(RecordingOptions):
+    """How frames of fringes are recorded; without any of it they are ideal.
+
+    Attributes
+    ----------
+    sensor_model : str, optional
+        Record frames by this image sensor: the name of one that comes with the program
+        (cmos_5um5, cmos_3um45, profile_sensor), or a .toml file of your own. By default by that of
+        the scene's camera, if it has one; else frames are ideal.
+    exposure : str, optional
+        Exposure time of each frame, such as 2ms or 500us, for which the scene's camera needs an
+        f-number; or auto, which puts the brightest pixel of all at 80 % of the saturation. By
+        default the camera's own, else auto.
+    seed : int
+        Of the noise.
+    speckle : bool
+        A projector's light has none.
+    electrons : float, optional
+        Record the frames with a sensor's noise, so exposed that the brightest pixel of all has so
+        many electrons, in place of --exposure.
+    bits : int, optional
+        Of the sensor, in place of --sensor-model; by default 12 with --electrons. Without
+        --electrons grey values are rounded, and have no noise.
+    """
+
+    speckle: bool = field(default=False, metadata={"internal": True})
+    electrons: float | None = None
+    bits: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.electrons is None and self.bits is None:
+            return
+        from virtual_sensor.arrays import number_within, whole_number
+
+        if self.electrons is not None:
+            number_within("--electrons", self.electrons, 1.0, 1e9, "1 to 1e9")
+            if self.exposure is not None:
+                raise InputError("--electrons and --exposure both say the exposure; leave out one")
+        if self.bits is not None:
+            whole_number("--bits", self.bits, 1, 16)
+            if self.sensor_model is not None:
+                raise InputError(
+                    f"--bits {self.bits}: {self.sensor_model} has bits of its own; leave out --bits"
+                    " or --sensor-model"
+                )
+
+    @property
+    def asked(self) -> bool:
+        """Whether frames are to be recorded, whatever the scene's camera has."""
+        return self.electrons is not None or super().asked
+
+    def of(self, scene: Scene) -> ImageSensor | None:
+        """The sensor that records a scene's frames, of so many bits; None: they have no noise."""
+        sensor = super().of(scene)
+        if sensor is None or self.bits is None:
+            return sensor
+        # Its largest grey values stay those of the same electrons.
+        finer = (2**self.bits - 1) / sensor.white
+        gain, black = sensor.gain * finer, sensor.black_level * finer
+        return replace(sensor, gain=gain, black_level=black, bit_depth=self.bits)
+
+    def bits_of(self, scene: Scene) -> int | None:
+        """Of the grey values; None where they are not rounded."""
+        sensor = self.of(scene)
+        return self.bits if sensor is None else sensor.bit_depth
+
+    def shot(
+        self, scene: Scene, frames: PatternFrames | NDArray[Any], *parts: int | str
+    ) -> RecordedFrame | NDArray[Any]:
+        """Frames (..., H, W) of one exposure as recorded, or rounded, or as they are.
+
+        `parts` name what is recorded, where there are several sequences: their noise differs.
+
+        Raises
+        ------
+        InputError
+            As `record` does.
+        """
+        import numpy as np
+
+        from virtual_sensor.imaging.recording import record, saturation_e
+
+        sensor = self.of(scene)
+        if sensor is None:
+            radiance = np.asarray(frames)
+            return radiance if self.bits is None else _rounded(radiance, self.bits)
+        seed = self.frame_seed(*parts)
+        if self.electrons is None:
+            return record(scene, frames, seed, sensor=sensor, exposure_s=self.exposure)
+        peak = self.electrons / saturation_e(sensor)
+        return record(scene, frames, seed, sensor=sensor, exposure_s="auto", peak=peak)
+
+    def facts(self, shot: RecordedFrame | NDArray[Any]) -> dict[str, Any]:
+        """What is to be told of frames as `shot` gives them."""
+        told = {"electrons": None, "bits": self.bits, "sensor": None, "exposure_s": None}
+        import numpy as np
+
+        if not isinstance(shot, np.ndarray):
+            told["sensor"] = shot.sensor.name or "usual"
+            told["bits"], told["exposure_s"] = shot.sensor.bit_depth, shot.exposure_s
+            brightest = float(np.max(np.asarray(shot.ideal))) * shot.electrons_per_radiance
+            told["electrons"] = self.electrons or float(f"{brightest:.4g}")
+        return {**told, "seed": self.seed}
+
+    @staticmethod
+    def decoded(codec: Any, images: Any, **options: Any) -> Any:
+        """Frames as `shot` gives them, decoded with what is known of their noise."""
+        known = {} if hasattr(images, "detector_options") else {"noise": 0.0}
+        return codec.decode(images, **known, **options)
+
+
+def _rounded(radiance: NDArray[Any], bits: int) -> NDArray[np.uint16]:
+    """Grey values of so many bits, of which the brightest pixel has nine tenths."""
+    import numpy as np
+
+    brightest = float(radiance.max(initial=0.0)) or 1.0
+    scale = np.float32(_EXPOSED * (2**bits - 1) / brightest)
+    grey = np.empty(radiance.shape, np.uint16)
+    for frame, rounded in zip(radiance, grey, strict=True):
+        np.rint(frame * scale, out=rounded, casting="unsafe")
+    return grey
