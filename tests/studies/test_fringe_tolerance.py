@@ -11,9 +11,11 @@ import virtual_sensor as vs
 from virtual_sensor.cli.commands import app
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
 from virtual_sensor.studies.fringes import measure, tolerance
 from virtual_sensor.studies.fringes.tolerance import (
+    Noise,
     _candidates,
     choose_fringes,
     contrast_of,
@@ -51,7 +53,9 @@ def test_the_noise_of_a_phase_is_that_of_recorded_steps():
     found = np.angle(np.sum(seen * np.exp(1j * angle), axis=0))
     spread = np.std(np.angle(np.exp(1j * (found - phi))))
     codec = PhaseShift(steps=steps)
-    assert phase_noise(codec, light, 1.0, electrons)[0] == pytest.approx(spread, rel=0.02)
+    assert phase_noise(codec, light, 1.0, Noise(electrons, 2.4))[0] == pytest.approx(
+        spread, rel=0.02
+    )
 
 
 def test_defocus_and_contrast_take_amplitude_off():
@@ -94,7 +98,7 @@ def test_orders_stay_sure_and_periods_span_the_axis(scene, monkeypatch):
     """
     monkeypatch.setattr(tolerance, "_rendered_px", lambda *now: 1e-3)
     assert choose_fringes(scene, 0.05, axes="v").codec == "phase 3 64,800 v"
-    found = choose_fringes(scene, 3.0, electrons=300, axes="u")
+    found = choose_fringes(scene, 3.0, recording=FringeRecording(electrons=300), axes="u")
     assert found.codec != "phase 3 64,1280 u"
 
 
@@ -105,7 +109,9 @@ def test_a_tolerance_takes_the_fewest_images_that_do(scene, monkeypatch):
     assert (free.codec, free.images, free.spp) == ("phase 3 64,1280 uv", 12, 1)
     images = [free.images // 2]
     for tolerance_px in (0.3, 0.1, 0.06):
-        found = choose_fringes(scene, tolerance_px, electrons=10_000, axes="u")
+        found = choose_fringes(
+            scene, tolerance_px, recording=FringeRecording(electrons=10_000), axes="u"
+        )
         assert found.error_px <= tolerance_px
         images.append(found.images)
     assert images == sorted(images)
@@ -115,7 +121,7 @@ def test_a_tolerance_takes_the_fewest_images_that_do(scene, monkeypatch):
 
 def test_what_is_chosen_keeps_the_tolerance(scene):
     """Rationale: the estimate is checked on recorded images, which it does not see."""
-    chosen = choose_fringes(scene, 0.1, electrons=8000, axes="u")
+    chosen = choose_fringes(scene, 0.1, recording=FringeRecording(electrons=8000), axes="u")
     codec = vs.codec_of(chosen.codec, scene.projector.size)
     frames = vs.render_sequence(scene, codec.patterns, spp=chosen.spp)
     camera = vs.ImageSensor(dsnu_e=0.0, prnu=0.0)
@@ -132,7 +138,7 @@ def test_a_tolerance_that_nothing_keeps_names_what_errs_most(scene, monkeypatch)
     with pytest.raises(InputError, match="positive number"):
         choose_fringes(scene, -1.0)
     with pytest.raises(InputError, match="expose"):
-        choose_fringes(scene, 1e-4, electrons=1000)
+        choose_fringes(scene, 1e-4, recording=FringeRecording(electrons=1000))
     monkeypatch.setattr(tolerance, "_rendered_px", lambda *now: 0.2)
     with pytest.raises(InputError, match="square pixels"):
         choose_fringes(scene, 0.1)

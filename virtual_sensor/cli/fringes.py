@@ -123,7 +123,7 @@ def fringes(
 
             report("choosing the settings", 0.0)
             chosen = choose_fringes(
-                loaded.only(None, loaded.projector_name), tolerance, electrons=electrons
+                loaded.only(None, loaded.projector_name), tolerance, recording=recording
             )
             settings = replace(settings, codec=chosen.codec, spp=chosen.spp)
             shared.console.print(f"{tolerance:g} px: {chosen}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from virtual_sensor.devices.exposure_time import AUTO
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.recording_options import RecordingOptions
 
@@ -105,29 +106,56 @@ class FringeRecording(RecordingOptions):
         """
         import numpy as np
 
-        from virtual_sensor.imaging.recording import record, saturation_e
+        from virtual_sensor.imaging.recording import record
 
         sensor = self.of(scene)
         if sensor is None:
             radiance = np.asarray(frames)
             return radiance if self.bits is None else _rounded(radiance, self.bits)
         seed = self.frame_seed(*parts)
+        return record(scene, frames, seed, sensor=sensor, **self._exposed(sensor))
+
+    def electrons_of(self, scene: Scene, brightest: float) -> float:
+        """Electrons of the brightest pixel of frames with such a radiance there; 0 without noise.
+
+        Raises
+        ------
+        InputError
+            As `record` does.
+        """
+        import numpy as np
+
+        from virtual_sensor.imaging.recording import exposure_of
+
+        sensor = self.of(scene)
+        if sensor is None:
+            return 0.0
+        factor, _, _ = exposure_of(scene, sensor, np.array([[brightest]]), **self._exposed(sensor))
+        return factor * brightest
+
+    def _exposed(self, sensor: ImageSensor) -> dict[str, Any]:
+        """The exposure, as `record` takes it."""
         if self.electrons is None:
-            return record(scene, frames, seed, sensor=sensor, exposure_s=self.exposure)
-        peak = self.electrons / saturation_e(sensor)
-        return record(scene, frames, seed, sensor=sensor, exposure_s="auto", peak=peak)
+            return {"exposure_s": self.exposure}
+        from virtual_sensor.imaging.recording import saturation_e
+
+        return {"exposure_s": AUTO, "peak": self.electrons / saturation_e(sensor)}
 
     def facts(self, shot: RecordedFrame | NDArray[Any]) -> dict[str, Any]:
         """What is to be told of frames as `shot` gives them."""
-        told = {"electrons": None, "bits": self.bits, "sensor": None, "exposure_s": None}
         import numpy as np
 
-        if not isinstance(shot, np.ndarray):
-            told["sensor"] = shot.sensor.name or "usual"
-            told["bits"], told["exposure_s"] = shot.sensor.bit_depth, shot.exposure_s
-            brightest = float(np.max(np.asarray(shot.ideal))) * shot.electrons_per_radiance
-            told["electrons"] = self.electrons or float(f"{brightest:.4g}")
-        return {**told, "seed": self.seed}
+        told = {"bits": self.bits, "seed": self.seed}
+        if isinstance(shot, np.ndarray):
+            return {**told, "electrons": None, "sensor": None, "exposure_s": None}
+        brightest = float(np.max(np.asarray(shot.ideal))) * shot.electrons_per_radiance
+        return {
+            **told,
+            "bits": shot.sensor.bit_depth,
+            "electrons": self.electrons or float(f"{brightest:.4g}"),
+            "sensor": shot.sensor.name or "usual",
+            "exposure_s": shot.exposure_s,
+        }
 
     @staticmethod
     def decoded(codec: Any, images: Any, **options: Any) -> Any:

@@ -298,7 +298,7 @@ def record(
         drawn["surface"] = surface_of(scene, number)
         aperture = aperture_of(scene, ideal, chosen, speckle)
         light = shown = _speckled(scene, ideal, aperture, drawn["surface"])
-    factor, time_s, notes = _exposure(scene, chosen, light, exposure_s, peak)
+    factor, time_s, notes = exposure_of(scene, chosen, light, exposure_s, peak)
     falling = light * (factor / chosen.quantum_efficiency)
     grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
     shot = RecordedFrame(
@@ -449,12 +449,12 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
     return seen + background
 
 
-def _exposure(
+def exposure_of(
     scene: Scene,
     sensor: ImageSensor,
     light: NDArray[np.floating],
-    exposure_s: float | str | None,
-    peak: float,
+    exposure_s: float | str | None = None,
+    peak: float = PEAK,
 ) -> tuple[float, float | None, tuple[str, ...]]:
     """Electrons for 1 W/(mm^2 sr), the exposure time if there is one, and notes."""
     given = scene.camera.exposure_s if exposure_s is None else exposure_s

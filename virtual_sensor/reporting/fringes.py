@@ -459,7 +459,9 @@ def _frames_words(state: FringeStateSummary) -> str:
         text += f", by ray maps with an estimated error of {report.map_error_px:.2g} px"
     noise = "without noise" if facts.electrons is None else f"{facts.electrons:g} electrons at most"
     bits = "not rounded" if facts.bits is None else f"{facts.bits} bits"
-    return f"{text}; {noise}, {bits}."
+    sensor = [f"recorded by the {facts.sensor} sensor"] if facts.sensor else []
+    time = [f"exposed for {1e3 * facts.exposure_s:.4g} ms"] if facts.exposure_s else []
+    return f"{text}; {', '.join([*sensor, *time, noise, bits])}."
 
 
 def _times_table(name: str, state: FringeStateSummary) -> TextTable:

@@ -7,6 +7,7 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.metrology.fringes.decoded import FringeStatus
 from virtual_sensor.optics.projector_pixels import ProjectorPixelStatus
@@ -14,7 +15,6 @@ from virtual_sensor.studies.correct.measured import of_fringes
 from virtual_sensor.studies.fringes import measure
 from virtual_sensor.studies.fringes.measure import Settings, measure_fringes
 from virtual_sensor.studies.fringes.poses import pose_maps
-from virtual_sensor.studies.fringes.recording import Recording
 from virtual_sensor.studies.fringes.result import search_table
 
 FINE = {"width": 160, "height": 160, "pixel": 5.5, "spp": 1, "pixels": "false"}
@@ -84,7 +84,9 @@ def test_straight_points_are_as_wrong_as_the_search_says_and_bent_ones_right(mea
 def test_noise_is_predicted(measured):
     """Points of noisy frames scatter about those without noise by the sigma that they state."""
     scene = vs.load_scene("fringe_cylinder", **FINE)
-    settings = Settings("phase 4 u", recording=Recording(8000.0, 12, 3), cold=True)
+    settings = Settings(
+        "phase 4 u", recording=FringeRecording(electrons=8000.0, bits=12, seed=3), cold=True
+    )
     state = measure_fringes(scene, settings).cold
     assert state.images.dtype == np.uint16
     error = state.decoded.column - measured.cold.decoded.column
@@ -100,7 +102,7 @@ def test_noise_is_predicted(measured):
 
 def test_rounding_without_noise():
     scene = vs.load_scene("fringe_cylinder", **FINE)
-    settings = Settings("phase 4 u", recording=Recording(bits=8), cold=True)
+    settings = Settings("phase 4 u", recording=FringeRecording(bits=8), cold=True)
     state = measure_fringes(scene, settings).cold
     assert state.images.max() in (229, 230)  # nine tenths of 255
     assert 0.001 < state.summary.decoded_minus_search.column.rms_px < 0.1
@@ -210,6 +212,27 @@ def test_wrong_requests_are_refused():
         with pytest.raises(InputError, match=words):
             measure_fringes(scene, settings)
     with pytest.raises(InputError, match="--electrons"):
-        Recording(electrons=-1.0)
+        FringeRecording(electrons=-1.0)
     with pytest.raises(InputError, match="pattern_projector"):
         measure_fringes(vs.load_scene("cold_cylinder"))
+
+
+def test_a_data_sheet_records_the_frames_and_is_named_beside_the_figures(measured):
+    scene = vs.load_scene("fringe_cylinder", **FINE)
+    recording = FringeRecording(sensor_model="cmos_5um5", seed=2)
+    state = measure_fringes(scene, Settings("phase 4 u", recording=recording, cold=True)).cold
+    facts = state.summary.frames
+    assert (facts.sensor, facts.bits, facts.exposure_s) == ("cmos_5um5", 12, None)
+    sheet = vs.image_sensor("cmos_5um5")
+    assert facts.electrons == pytest.approx(0.8 * sheet.full_well_e, rel=0.01)
+    pull = (state.decoded.column - measured.cold.decoded.column) / state.decoded.sigma_column
+    assert np.nanstd(pull) == pytest.approx(1.0, abs=0.1)
+
+
+def test_options_of_recording_that_contradict_each_other_are_told():
+    for options in (
+        {"bits": 8, "sensor_model": "cmos_5um5"},
+        {"electrons": 8000.0, "exposure": "2ms"},
+    ):
+        with pytest.raises(InputError, match="leave out"):
+            FringeRecording(**options)

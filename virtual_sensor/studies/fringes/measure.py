@@ -154,7 +154,9 @@ def measure_fringes(
         def inner(stage: str, part: float) -> None:
             report(f"{name} part: {stage}", low + (high - low) * part)
 
-        return _measure_state(scene, codec, settings, medium if name == "hot" else None, inner, name)
+        return _measure_state(
+            scene, codec, settings, medium if name == "hot" else None, inner, name
+        )
 
     states = {"cold": state("cold", scene.cold(), 0.02, share)}
     if medium:
@@ -218,7 +220,7 @@ def _measure_state(
         del frames
         border_px = scene.projector.blurred_border_px
         decoded = settings.recording.decoded(codec, shot, border_px=border_px)
-        recorded = settings.recording.facts(shot)
+        recorded, told = settings.recording.facts(shot), getattr(shot, "notes", ())
         images = np.asarray(shot)
         del shot
         if not settings.frames:
@@ -235,6 +237,7 @@ def _measure_state(
             samples_per_pixel=settings.spp or int(scene.mitsuba_camera.sampler().sample_count()),
             report=made,
             **recorded,
+            recording_notes=told,
         ),
         decoded=DecodedFacts.of(decoded),
         decoded_minus_search=_agreement(grid, decoded),
@@ -448,6 +451,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
     """What the user should know of a state; of each whether the figures are worth little for it."""
     facts, decoded, agreement = state.summary, state.decoded, state.summary.decoded_minus_search
     notes = dict.fromkeys([*frame_notes(facts.frames.report), *decoded.notes], False)
+    notes |= dict.fromkeys(facts.frames.recording_notes, True)
     if not facts.decoded.pixels:
         return {**notes, f"no pixel has a phase: {counts_in_words(facts.decoded.status)}": True}
     seen = {name: n for name, n in agreement.only_searched.items() if name != _AT_EDGES}

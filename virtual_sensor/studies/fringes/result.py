@@ -190,6 +190,8 @@ class FramesFacts(Record):
         None of frames without noise.
     exposure_s : float or None
         Exposure time; None of a pinhole, which has none.
+    recording_notes : tuple of str
+        What is to be known of the exposure.
     """
 
     frames: int
@@ -201,6 +203,7 @@ class FramesFacts(Record):
     seed: int
     sensor: str | None
     exposure_s: float | None
+    recording_notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)

@@ -12,14 +12,15 @@ import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.devices.patterns import Uniform
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import render_sequence
@@ -50,7 +51,6 @@ _NEAR = 0.7  # of the image's size: a period so long is its last but one
 _LEAST_LIGHT = 0.04  # of the brightest pixel's: what is darker is not decoded
 _LEAST_CONTRAST = 0.3  # of the finest fringes: below it, what is left is no sine
 _SEARCHED = 900  # pixels, on a grid
-_USUAL_E = ImageSensor()
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def choose_fringes(
     scene: Scene,
     tolerance_px: float,
     *,
-    electrons: float | None = None,
+    recording: FringeRecording | None = None,
     axes: str = "uv",
     report: Report = lambda stage, fraction: None,
 ) -> FringeChoice:
@@ -106,8 +106,8 @@ def choose_fringes(
         With one camera and one projector.
     tolerance_px : float
         Of the decoded columns and rows: px of the projector, rms over the pixels that are decoded.
-    electrons : float, optional
-        Of the brightest pixel, of a camera with noise; by default there is none.
+    recording : FringeRecording, optional
+        Whose noise is weighed; by default as the scene's camera says, none if it has no sensor.
     axes : str
         "uv", "u" or "v".
     report : callable
@@ -120,9 +120,9 @@ def choose_fringes(
     if not (np.isfinite(tolerance_px) and tolerance_px > 0.0):
         raise InputError(f"--tolerance {tolerance_px}: give a positive number of px")
     report("light of an all-white image", 0.0)
-    light = _light(scene)
+    light, noise = _light(scene, recording or FringeRecording())
     predicted = sorted(
-        _candidates(scene, light, electrons, axes),
+        _candidates(scene, light, noise, axes),
         key=lambda each: (each.images, each.error_px),
     )
     enough = [each for each in predicted if each.error_px <= tolerance_px]
@@ -131,7 +131,7 @@ def choose_fringes(
         if best is None:
             raise InputError(
                 f"--tolerance {tolerance_px:g} px: at this noise no fringe order is sure; expose"
-                " longer (--electrons)"
+                " longer (--electrons, --exposure)"
             )
         raise InputError(f"--tolerance {tolerance_px:g} px: {_remedy(best)}; the best is {best}")
     found = enough[0]
@@ -155,7 +155,7 @@ def _remedy(choice: FringeChoice) -> str:
     """What errs most, and what to do about it."""
     most = max(choice.estimate_px, key=lambda name: choice.estimate_px[name])
     remedy = {
-        "noise": "the camera's noise errs most: expose longer (--electrons)",
+        "noise": "the camera's noise errs most: expose longer (--electrons, --exposure)",
         "bits": "the projector's bits err most: take more of them (-D bits)",
         "gamma": "the projector's gamma errs most: linearise it (-D gamma=1)",
         "rendering": "the projector's square pixels err most: -D pixels=false shows none,"
@@ -164,20 +164,27 @@ def _remedy(choice: FringeChoice) -> str:
     return remedy[most]
 
 
-def _light(scene: Scene) -> Array:
-    """Light (N,) of an all-white image in the pixels that are bright enough, the brightest's 1."""
+def _light(scene: Scene, recording: FringeRecording) -> tuple[Array, Noise | None]:
+    """Light (N,) of an all-white image in the pixels that are bright enough, the brightest's 1.
+
+    And the noise with which it is recorded.
+    """
     name = scene.projector_name
     white = scene.projector.with_pattern(Uniform(1.0))
     image = render(replace(scene.only(None, name), sources={name: white}), spp=1)
-    light = np.asarray(image, float) / float(image.max() or 1.0)
+    brightest = float(image.max())
+    light = np.asarray(image, float) / (brightest or 1.0)
     light = light[light > _LEAST_LIGHT]
     if not light.size:
         raise InputError(f"{scene.path}: the camera sees no light of the projector")
-    return light
+    sensor = recording.of(scene)
+    if sensor is None:
+        return light, None
+    return light, Noise(recording.electrons_of(scene, brightest), sensor.dark_noise_e)
 
 
 def _candidates(
-    scene: Scene, light: Array, electrons: float | None, axes: str
+    scene: Scene, light: Array, noise: Noise | None, axes: str
 ) -> Iterator[FringeChoice]:
     """Codecs whose orders are sure, with what formulas say of their errors."""
     projector, width = scene.projector, footprint_px(scene)
@@ -190,7 +197,7 @@ def _candidates(
         contrast = contrast_of(projector, finest, width)
         if contrast < _LEAST_CONTRAST:
             continue
-        noise_rad = phase_noise(codec, light, contrast, electrons)
+        noise_rad = phase_noise(codec, light, contrast, noise)
         if float(np.mean(codec.wrong_order(noise_rad))) > MOST_WRONG:
             continue
         per_rad = finest / (2.0 * np.pi)
@@ -225,12 +232,19 @@ def contrast_of(projector: Projector, period_px: float, width_px: float = 0.0) -
     return (1.0 - 1.0 / projector.contrast) * blur * float(np.sinc(width_px / period_px))
 
 
-def phase_noise(codec: PhaseShift, light: Array, contrast: float, electrons: float | None) -> Array:
+class Noise(NamedTuple):
+    """Electrons of the brightest pixel, and the standard deviation of a dark one's."""
+
+    electrons: float
+    dark_e: float
+
+
+def phase_noise(codec: PhaseShift, light: Array, contrast: float, noise: Noise | None) -> Array:
     """Standard deviation (N,) of phases in rad: shot and read noise, mean over the phase."""
-    if electrons is None:
+    if noise is None:
         return np.zeros_like(light)
-    mean = 0.5 * electrons * light
-    sigma = np.sqrt(mean + _USUAL_E.dark_noise_e**2)
+    mean = 0.5 * noise.electrons * light
+    sigma = np.sqrt(mean + noise.dark_e**2)
     return codec.sigma_phase(sigma, contrast * mean)
 
 
