@@ -81,6 +81,11 @@ class RenderReport(Record):
         Those of them that were marched: the maps had no answer.
     folded_pixels : int
         Pixels near the light to whose centre no single ray of a source was found: they are black.
+    pupil_points : int
+        Points of the lens's pupil that the frame is seen through; 0: a pinhole.
+    pupil_gap_px : float
+        How far apart neighbouring ones of these show what is lit, along u or v, at most: blur is
+        drawn by so many images side by side. NaN of a pinhole.
     """
 
     transport: str
@@ -91,6 +96,8 @@ class RenderReport(Record):
     samples: int = 0
     marched_samples: int = 0
     folded_pixels: int = 0
+    pupil_points: int = 0
+    pupil_gap_px: float = float("nan")
 
 
 @dataclass(frozen=True)

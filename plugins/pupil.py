@@ -70,9 +70,12 @@ class Pupil:
     Attributes
     ----------
     points : tuple of SubPupil
+    gap_px : float
+        How far apart neighbouring points show what is lit, along u or v, at most.
     """
 
     points: tuple[SubPupil, ...]
+    gap_px: float = 0.0
 
     @staticmethod
     def of(
@@ -117,11 +120,9 @@ class Pupil:
                 index = (row + window[0].start) * view.width + across + window[1].start
                 lit = replace(lit, index=index.astype(np.uint32))
             found.append(SubPupil(view, surface, lit, shift))
-        pupil = Pupil(tuple(found))
         if sum(each.lit.index.size for each in found) > _MOST_SIGHTS:
             found = [replace(each, lit=replace(each.lit, sight=None)) for each in found]
-            pupil = Pupil(tuple(found))
-        return pupil
+        return Pupil(tuple(found), _gap_px(points, _probes(chief)))
 
     @cached_property
     def lit(self) -> NDArray[np.uint32]:
@@ -139,10 +140,29 @@ class Pupil:
         return replace(
             chief,
             reason=reason,
+            pupil_points=len(self.points),
+            pupil_gap_px=self.gap_px,
             map_error_px=_largest(each.map_error_px for each in (chief, *reports)),
             march_px=_largest(each.march_px for each in (chief, *reports)),
             folded_pixels=max(each.folded_pixels for each in (chief, *reports)),
         )
+
+
+def _probes(chief: LitPixels) -> Array:
+    """Some of the points (N, 3) that the chief rays see lit."""
+    if chief.sight is None:
+        return np.zeros((0, 3))
+    some = np.linspace(0, chief.index.size - 1, _PROBES).astype(np.uint32)
+    which = in_own_memory(some, mi.UInt32)
+    points = to_numpy(dr.gather(type(chief.sight.point), chief.sight.point, which))
+    return points[np.array(dr.gather(mi.Bool, chief.sight.hit, which))]
+
+
+def _gap_px(points: tuple[PupilPoint, ...], lit: Array) -> float:
+    """How far apart points of the pupil, side by side, show lit points (N, 3), at most."""
+    seen = np.stack([point.project(lit) for point in points])
+    seen = seen[:, np.isfinite(seen).all(axis=(0, 2))]
+    return float(np.diff(np.sort(seen, axis=0), axis=0).max(initial=0.0))
 
 
 def _largest(numbers: Any) -> float:
@@ -178,10 +198,7 @@ def _window(
         near |= dr.isfinite(distance) & reached
     row, column = np.divmod(np.array(dr.compress(near), np.int64), across)
     seen = np.stack([column, row], axis=1) * _STRIDE + _STRIDE / 2.0
-    if chief.sight is not None:  # of parts that are thinner than a stride, the same points
-        some = np.linspace(0, chief.index.size - 1, _PROBES).astype(np.uint32)
-        which = in_own_memory(some, mi.UInt32)
-        points = to_numpy(dr.gather(type(chief.sight.point), chief.sight.point, which))
+    if len(points := _probes(chief)):  # of parts that are thinner than a stride, the same points
         assert view.camera is not None
         projected = view.camera.project(points) - view.offset
         seen = np.concatenate([seen, projected[np.isfinite(projected).all(axis=1)]])

@@ -12,6 +12,7 @@ import virtual_sensor as vs
 from virtual_sensor.imaging.render import arrangement, render_uncached
 from virtual_sensor.optics.lens import Lens, circle_of_confusion
 from virtual_sensor.optics.map_cache import MAPS
+from virtual_sensor.studies.notes import frame_notes
 
 FOV = 8.588941972 / 32  # of 64 pixels as large as those of 2048
 
@@ -149,3 +150,22 @@ def test_a_point_of_the_pupil_that_sees_no_light_adds_none():
     less = replace(prepared, pupil=Pupil((dark, *others)))
     whole, rest = (each.exposed(4, 0)[0].images()[0].sum() for each in (prepared, less))
     assert rest == pytest.approx(0.75 * whole, rel=0.02)
+
+
+def test_a_pupil_of_too_few_points_for_its_blur_is_told():
+    """Two points show a line twice, as far apart as they are in the blur's disc."""
+    scene, blurs = part(line_radius=0.05), lens(4.0, 310.0)
+    frame = vs.render_frame(through(scene, blurs, points=2))
+    at = blurs.pupil(2)
+    wide = circle_of_confusion(blurs, scene.camera, np.zeros((1, 3)))[0, 1]
+    gap = wide * np.abs(at[1] - at[0]).max() / (2.0 * blurs.pupil_radius_mm)
+    assert frame.report.pupil_gap_px == pytest.approx(gap, rel=0.02)
+    assert "sub_pupils" in " ".join(frame_notes(frame.report))
+    lit = frame.radiance[:, 32]
+    assert (
+        np.sum((lit[1:-1] > lit[:-2]) & (lit[1:-1] > lit[2:]) & (lit[1:-1] > 0.1 * lit.max())) == 2
+    )
+    many = vs.render_frame(through(scene, blurs, points=64)).report
+    assert many.pupil_points == 64
+    assert frame_notes(many) == []
+    assert np.isnan(vs.render_frame(scene).report.pupil_gap_px)

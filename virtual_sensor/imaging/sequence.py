@@ -299,6 +299,7 @@ def report_of_all(reports: Sequence[RenderReport]) -> RenderReport:
         folded_pixels=max(each.folded_pixels for each in reports),
         map_error_px=largest("map_error_px"),
         march_px=largest("march_px"),
+        pupil_gap_px=largest("pupil_gap_px"),
     )
 
 

@@ -34,6 +34,7 @@ BESIDE_MM = 1.0
 
 _MANY = 0.1  # of what is expected: that so much is missing or wrong is a caveat
 _CLOSER = 2.0 / 3.0  # of the nodes' distance: half a minute's work
+_APART_PX = 2.0  # images of the line as seen from points of a pupil: wider lines run into one
 _HARDLY = 0.25  # of the centres: that no more are compared is one
 _FINER = "; a finer film (width, height) or a wider line (line_radius) has more"
 
@@ -192,6 +193,12 @@ def frame_notes(report: RenderReport) -> list[str]:
         notes.append(
             f"steps of the march are too long: half as long, they move the light by up to"
             f" {report.march_px:.2g} px; give shorter ones (step)"
+        )
+    if report.pupil_gap_px > _APART_PX:
+        notes.append(
+            f"the lens's blur is drawn by {report.pupil_points} points of its pupil, whose images"
+            f" lie up to {report.pupil_gap_px:.2g} px apart: a line narrower than that shows as"
+            " several; give more (sub_pupils)"
         )
     return notes
 
