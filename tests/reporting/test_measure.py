@@ -24,6 +24,8 @@ from virtual_sensor.reporting import measure as reporting
 from virtual_sensor.reporting.page import page_html
 from virtual_sensor.reporting.pictures import _lines
 from virtual_sensor.reporting.words import micrometres
+from virtual_sensor.studies.correct.correct import correct
+from virtual_sensor.studies.correct.measured import Scenes, read_measured
 from virtual_sensor.studies.measure import measure, summary
 
 FILM = {"width": 256, "height": 256, "spp": 1, "line_radius": 0.4}
@@ -196,10 +198,29 @@ def test_the_recorded_frame_lies_beside_the_ideal_one(measured):
     for name, state in result.states.items():
         stored = read_image(folder / f"recorded_{name}.png")
         np.testing.assert_array_equal(stored.pixels, state.shot.grey)
-        assert stored.largest == 4095.0
+        assert stored.detector_options == state.shot.detector_options
         ideal = measured["hot"][0].states[name]
         np.testing.assert_array_equal(state.frame.radiance, ideal.frame.radiance)
         assert not np.array_equal(state.line.row, ideal.line.row, equal_nan=True)
+
+
+def test_a_recorded_measurement_is_corrected_down_to_its_noise(measured):
+    """Rationale: what `correct` leaves over is what the sensor adds, as the split says beforehand.
+
+    The recorded image alone says as much as the folder: its file knows gain, noise and saturation.
+    """
+    result, figures, folder = measured["recorded"]
+    places = [str(folder), str(folder / "recorded_hot.png")]
+    by_folder, by_image = read_measured(places, Scenes())
+    np.testing.assert_allclose(by_image.pixel, by_folder.pixel, atol=1e-9)
+    np.testing.assert_allclose(by_image.sigma_px, by_folder.sigma_px, rtol=1e-9)
+    np.testing.assert_allclose(by_folder.pixel, result.hot.centres_px, atol=1e-9)
+    [corrected] = correct([by_folder]).measurements
+    left_um = np.sqrt(np.nanmean(corrected.distance_um**2))
+    parts = figures.states["hot"].split.parts
+    noise_um = np.hypot(parts["noise"].rms_um, parts["detector"].rms_um)
+    assert left_um == pytest.approx(noise_um, rel=0.2)
+    assert parts["refraction"].rms_um > 20.0 * left_um
 
 
 def test_the_command_records_by_the_sensor_that_is_named(tmp_path):

@@ -80,7 +80,7 @@ class FrameFiles:
         write_exr(self._folder / f"{name}.exr", frame, header)
         save_png(frame.radiance, self._folder / f"{name}.png", 16, white=self._white or None)
         if shot is not None:
-            save_png(shot.grey, self._folder / f"{name}_recorded.png", shot.sensor.bit_depth)
+            save_png(shot, self._folder / f"{name}_recorded.png")
 
 
 def save(result: Burst, folder: Path, command: str) -> None:

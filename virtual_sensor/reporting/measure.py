@@ -166,8 +166,8 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             written.append(aside.submit(save_png, image, place / f"{name}.png", 16, white=white))
             tables[f"line_{name}.csv"] = line_table(state)
             if state.shot is not None:
-                shot, path = state.shot, place / f"recorded_{name}.png"
-                written.append(aside.submit(save_png, shot.grey, path, shot.sensor.bit_depth))
+                path = place / f"recorded_{name}.png"
+                written.append(aside.submit(save_png, state.shot, path))
             if state.split is not None:
                 tables[f"split_{name}.csv"] = error_split.split_table(state.split)
             if state.dots:
