@@ -173,8 +173,13 @@ def test_a_recorded_measurement_says_what_its_error_is_made_of(measured, unpaint
     }
     html = (folder / "report.html").read_text(encoding="utf-8")
     sizes = [each.parts[each.largest].rms_um for each in splits.values()]
-    assert f"In cold air noise makes the largest part of the error, {sizes[0]:.3g} of" in html
-    assert f"In hot air refraction makes the largest part of the error, {sizes[1]:.3g} of" in html
+    wholes = [each.whole.rms_um for each in splits.values()]
+    for state, whole, first in zip(("cold", "hot"), wholes, sizes, strict=True):
+        part = splits[state].largest
+        assert (
+            f"In {state} air the error of {whole:.3g} µm rms is made of: {part} {first:.3g},"
+            in html
+        )
     assert "Recorded line minus ray search, rms" in html
     assert "split" in reporting.picture(result, figures)[1]
     with (folder / "split_hot.csv").open(encoding="utf-8") as file:
@@ -234,7 +239,7 @@ def test_the_command_records_by_the_sensor_that_is_named(tmp_path):
     status, out, err = told("--sensor-model", "cmos_3um45", "--seed", "5")
     assert (status, err) == (0, "")
     assert "What that error is made of, rms" in out
-    assert "In cold air noise makes the largest part of the error" in out
+    assert re.search(r"In cold air the error of \S+ µm rms is made of: noise \S+,", out)
     assert "Check: recorded line minus ray search" in out
     shutil.rmtree(place)
     for options, words in (

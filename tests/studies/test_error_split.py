@@ -139,6 +139,21 @@ def test_dots_are_split_too(hot):
     np.testing.assert_allclose(split.parts_um["refraction"], state.searched_error_um, atol=1e-9)
 
 
+def test_the_lens_s_part_is_what_frames_through_it_show():
+    """Rationale: hot air makes another lens of each point of the pupil, which no detector mends.
+
+    The frame through the pupil knows nothing of the search: what it shows beside is the detector's.
+    Cold, the lens moves the line by a hundredth of that.
+    """
+    scene = load_scene("hot_cylinder", **FILM, f_number=4, sub_pupils=4)
+    result = measure(scene, recording=RecordingOptions(replace(TEMPORAL, pixel_um=44.0)))
+    cold, hot = (split_summary(state.split).parts for state in result.states.values())
+    assert list(hot)[:3] == ["refraction", "lens", "detector"]
+    assert hot["lens"].rms_px > 0.02
+    assert hot["detector"].rms_px < 0.15 * hot["lens"].rms_px
+    assert cold["lens"].rms_px < 0.1 * hot["lens"].rms_px
+
+
 def test_where_nothing_is_found_no_part_is_known(hot):
     """Rationale: no figure where there is none, and no failure."""
     over = RecordingOptions(replace(TEMPORAL, dark_noise_e=9000.0))

@@ -17,6 +17,7 @@ Splits = Mapping[str, SplitSummary]
 
 PART_WORDS = {
     "refraction": "hot air bends the light: by the ray search, without an image",
+    "lens": "the points of the lens's pupil see through other air: by the ray search",
     "detector": "the detector, in ideal frames, wherever the pixels lie: blur, slope, curvature",
     "pixels": "where the pixels happen to lie below the line: half a pixel lower it is the reverse",
     "speckle": "the laser's light is speckled",
@@ -77,12 +78,10 @@ def split_words(splits: Splits) -> list[str]:
             said.append(f"In {state} air no point has a known error, nor its parts.")
             continue
         sizes = {name: part.rms_um for name, part in split.parts.items()}
-        first, *others = sorted(sizes, key=lambda name: -sizes[name])
-        rest = listed([f"{name} {_short(sizes[name])}" for name in others])
-        said.append(
-            f"In {state} air {first} makes the largest part of the error, {_short(sizes[first])} of"
-            f" {_short(split.whole.rms_um)} µm rms; {rest} µm."
-        )
+        ordered = sorted(sizes, key=lambda name: -sizes[name])
+        parts = listed([f"{name} {_short(sizes[name])}" for name in ordered])
+        whole = _short(split.whole.rms_um)
+        said.append(f"In {state} air the error of {whole} µm rms is made of: {parts} µm.")
     return said
 
 

@@ -8,6 +8,8 @@ minus the one before it, so that the parts of each point add up to its whole err
 Part         The line's place after it
 ===========  ======================================================================================
 refraction   where the search finds the bent light's middle, without any image
+lens         its mean over the points of a lens's pupil, by the same search: each has a line of
+             sight of its own through the air
 detector     where it is found in the ideal frame: by blur, slope and curvature another place; the
              mean of two frames, the pixels of one half a pixel lower
 pixels       where it is found in the ideal frame itself
@@ -35,11 +37,12 @@ from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import TrueLine, rms
+from virtual_sensor.optics.pupil_search import PupilPixels
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.section import Section
 
 Array = NDArray[np.float64]
-PARTS = ("refraction", "detector", "pixels", "speckle", "noise", "rounding")
+PARTS = ("refraction", "lens", "detector", "pixels", "speckle", "noise", "rounding")
 
 _HALF_PX = 0.5
 _MOST_BITS = 16  # of an image sensor
@@ -117,6 +120,7 @@ def split_error(
     searched: Array,
     lower: Array,
     places: Mapping[str, Array],
+    through_lens: Array | None = None,
 ) -> ErrorSplit:
     """Split the error of a recorded frame.
 
@@ -133,11 +137,14 @@ def split_error(
     places : mapping of ndarray of shape (N, 2)
         By the parts' names, where they are found after them: of "pixels", in the ideal frame, and
         on.
+    through_lens : ndarray of shape (N, 2), optional
+        Where bent light is searched through the lens's pupil; None of a pinhole.
     """
-    middle = 0.5 * (places["pixels"] + lower - [0.0, _HALF_PX])
-    return ErrorSplit.of_places(
-        scene, section, straight, {"refraction": searched, "detector": middle, **places}
-    )
+    before = {"refraction": searched}
+    if through_lens is not None:
+        before["lens"] = through_lens
+    before["detector"] = 0.5 * (places["pixels"] + lower - [0.0, _HALF_PX])
+    return ErrorSplit.of_places(scene, section, straight, {**before, **places})
 
 
 def nearest_rows(line: TrueLine, row: Array) -> Array:
@@ -172,6 +179,15 @@ def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     return replace(shot, grey=grey, sensor=fine)
 
 
+def rows_through_pupil(seen: PupilPixels, row: Array) -> Array:
+    """Rows (W,) of a line in each column, those next to others (W,), averaged over a pupil."""
+    lines = (TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), len(row)) for pixel in seen.pixels)
+    rows = np.array([nearest_rows(line, row) for line in lines])
+    known = np.isfinite(rows)
+    count = known.sum(axis=0)
+    return np.where(known, rows, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan)
+
+
 @dataclass(frozen=True)
 class PartErrors(Record):
     """What one part of the error comes to along the line.
@@ -201,8 +217,8 @@ class SplitSummary(Record):
     whole : PartErrors
         The whole error.
     parts : dict of PartErrors
-        By "refraction", "detector", "pixels", "speckle" (where light is speckled), "noise" and
-        "rounding".
+        By "refraction", "lens" (of one with a pupil), "detector", "pixels", "speckle" (where light
+        is speckled), "noise" and "rounding".
     largest : str
         The part whose rms is largest; "" where none is known.
     """
@@ -230,7 +246,14 @@ def split_summary(split: ErrorSplit) -> SplitSummary:
 
 
 ByPart = Annotated[
-    Mapping[str, Array], "refraction", "detector", "pixels", "speckle", "noise", "rounding"
+    Mapping[str, Array],
+    "refraction",
+    "lens",
+    "detector",
+    "pixels",
+    "speckle",
+    "noise",
+    "rounding",
 ]
 
 

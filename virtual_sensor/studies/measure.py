@@ -44,6 +44,7 @@ from virtual_sensor.metrology.truth import (
     rms,
 )
 from virtual_sensor.optics.field_border import FACES
+from virtual_sensor.optics.pupil_search import pupil_search
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
 from virtual_sensor.studies.error_split import (
@@ -52,6 +53,7 @@ from virtual_sensor.studies.error_split import (
     half_a_pixel_lower,
     in_16_bits,
     nearest_rows,
+    rows_through_pupil,
     split_error,
     split_summary,
 )
@@ -359,12 +361,12 @@ def _measure_state(
     state = State(scene, frame, *found, section, search_s, render_s, shot, None, record_s)
     if shot is not None:
         report("splitting the error", 0.9)
-        state = replace(state, split=_split(state, straight or dense))
+        state = replace(state, split=_split(state, straight or dense, dense_y))
     report("done", 1.0)
     return state
 
 
-def _split(state: State, straight: FoundPixels) -> ErrorSplit:
+def _split(state: State, straight: FoundPixels, dense_y: Array) -> ErrorSplit:
     """What the error of a recorded state is made of; `straight` are its rays in cold air."""
     scene, shot, found = state.scene, state.shot, state.centres_px
     assert shot is not None
@@ -374,6 +376,8 @@ def _split(state: State, straight: FoundPixels) -> ErrorSplit:
             return compare_dots(dot_centres(image), state.dense.pixel).pixel
         return line_centres(image).pixel
 
+    pupil = pupil_search(scene, dense_y, "tabulated") if scene.camera.lens else None
+    through_lens = pupil.pixel if pupil else None
     if state.dots:
         before, after = straight.pixel, state.dense.pixel
     else:
@@ -382,13 +386,15 @@ def _split(state: State, straight: FoundPixels) -> ErrorSplit:
             np.stack([column, nearest_rows(searched_line(scene, rays), row)], axis=1)
             for rays in (straight, state.dense)
         )
+        if pupil:
+            through_lens = np.stack([column, rows_through_pupil(pupil, after[:, 1])], axis=1)
     images: dict[str, Any] = {"pixels": state.frame}
     if shot.speckled is not None:
         images["speckle"] = shot.speckled
     images["noise"] = in_16_bits(shot)
     places = {name: centres(image) for name, image in images.items()} | {"rounding": found}
     lower = centres(half_a_pixel_lower(scene))
-    return split_error(scene, state.section, before, after, lower, places)
+    return split_error(scene, state.section, before, after, lower, places, through_lens)
 
 
 def searched_line(scene: Scene, found: FoundPixels) -> TrueLine:
