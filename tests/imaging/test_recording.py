@@ -132,6 +132,28 @@ def test_a_part_at_rest_keeps_its_speckle_and_one_that_moved_has_another(scene, 
         assert shared < alike
 
 
+def test_a_line_out_of_focus_is_speckled_by_a_pupil_that_is_out_of_focus(scene):
+    """More noise than the blurred light itself would have; the light stays that of the frame."""
+    lens = Lens.of_f_number(75.0, 290.0, 8.0)
+    narrow = vs.load_scene("cold_cylinder", width=128, height=96, spp=16, pixel=5.5)
+    blurred = replace(narrow, cameras={"camera": replace(narrow.camera, lens=lens)})
+    frame = vs.render_frame(blurred)
+    v = np.arange(96)[:, None]
+    near = np.abs(v - (v * frame.radiance).sum(axis=0) / frame.radiance.sum(axis=0)) < 15
+
+    def centres(seen):
+        return (v * seen * near).sum(axis=0) / (seen * near).sum(axis=0)
+
+    numbers = range(8)
+    shots = [vs.record(blurred, frame, speckle=True, surface_seed=n).speckled for n in numbers]
+    aperture = aperture_of(blurred, frame, vs.ImageSensor(pixel_um=5.5), True)
+    flat = [vs.speckled(frame.radiance, aperture, n) for n in numbers]
+    found, of_flat = ([centres(seen) for seen in each] for each in (shots, flat))
+    assert np.std(found, axis=0).mean() > 1.1 * np.std(of_flat, axis=0).mean()
+    assert np.mean(found) == pytest.approx(centres(frame.radiance).mean(), abs=0.15)
+    assert np.sum(shots) / len(shots) == pytest.approx(frame.radiance.sum(), rel=0.05)
+
+
 def test_the_lasers_coherence_makes_the_contrast_and_projected_light_has_none(scene, frame):
     lens = with_lens(scene, f_number=16.0)
     laser = replace(scene.laser, coherence=Coherence(polarisations=2, modes=4.0))

@@ -8,6 +8,7 @@ from scipy.special import j1, jv, kolmogorov
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging import speckle
+from virtual_sensor.imaging.lens import defocus_blur
 from virtual_sensor.imaging.speckle import (
     Aperture,
     broad_line_noise_px,
@@ -377,6 +378,32 @@ def test_a_round_gaussian_spot_has_less_and_a_point_none(width):
     ratio, error = spots_noise(aperture, spot, seeds=(10, 11, 12))
     assert error < 0.05
     assert ratio == pytest.approx(expected, abs=3.5 * error)
+
+
+def test_a_line_out_of_focus_keeps_the_mean_of_its_frame_and_has_the_grains_of_the_sharp_one():
+    """The frame is moved by 0.4 px beside the blurred sharp one, as hot air moves it."""
+    aperture, radius = Aperture(5.6), 5.0
+    sharp = line_image(np.full(1500, 30.0), 1.0, 100.0, height=60)
+    frame = defocus_blur(line_image(np.full(1500, 30.4), 1.0, 100.0, height=60), radius)
+    v = np.arange(60)[:, None]
+    near = np.abs(v - 30) < 12
+
+    def centres(grey):
+        return (v * grey * near).sum(axis=0) / (grey * near).sum(axis=0)
+
+    seen = speckled(frame, aperture, 3, radius, sharp)
+    mean = diffraction_blur(frame, aperture)
+    np.testing.assert_allclose(seen.mean(axis=1), mean[:, 700], atol=0.08 * mean.max())
+    rows = np.average(v[:, 0] * near[:, 0], weights=(seen * near).mean(axis=1))
+    assert rows == pytest.approx(30.4, abs=0.1)
+    of_sharp = centres(speckled(sharp, aperture, 3, radius)).std()
+    assert centres(seen).std() == pytest.approx(of_sharp, rel=0.1)
+    assert centres(speckled(frame, aperture, 3)).std() < 0.75 * of_sharp
+    elsewhere = np.roll(frame, 15, axis=0)  # no blur of the sharp one
+    np.testing.assert_array_equal(
+        speckled(elsewhere, aperture, 3, radius, sharp)[40:50, 300:600] > 0.0, True
+    )
+    assert speckled(elsewhere, aperture, 3, radius, sharp)[:25].max() < 0.1 * mean.max()
 
 
 def test_diffraction_alone_is_the_mean_of_speckle_and_keeps_the_light():

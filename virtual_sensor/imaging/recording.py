@@ -33,12 +33,12 @@ from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
 from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
-from virtual_sensor.imaging.render import Frame, arrangement
+from virtual_sensor.imaging.render import Frame, arrangement, render_frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
 from virtual_sensor.imaging.sequence import PatternFrames
 from virtual_sensor.imaging.speckle import Aperture, speckled
-from virtual_sensor.optics.lens import Lens
+from virtual_sensor.optics.lens import Lens, circle_of_confusion
 from virtual_sensor.optics.sight import scene_of
 
 Ideal = Frame | PatternFrames | NDArray[np.floating]
@@ -443,10 +443,28 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
             "record: lamps, or the part's glow, light this frame too, and laser light alone is"
             " speckled; render it by vs.render_frame(scene, background=True)"
         )
-    if background is None:
-        return speckled(light, aperture, seed).astype(np.float32)
-    seen = speckled(np.maximum(light - background, 0.0), aperture, seed).astype(np.float32)
-    return seen + background
+    light = light if background is None else np.maximum(light - background, 0.0)
+    blur_px = _blur_px(scene, ideal)
+    if blur_px.max() > aperture.resolution_px:
+        in_focus = {scene.camera_name: replace(scene.camera, sub_pupils=1)}
+        other_light = background is not None
+        sharp = render_frame(replace(scene, cameras=in_focus), background=other_light)
+        laser = sharp.radiance - (0.0 if sharp.background is None else sharp.background)
+        seen = speckled(light, aperture, seed, blur_px, np.maximum(laser, 0.0))
+    else:
+        seen = speckled(light, aperture, seed)
+    return seen.astype(np.float32) + (0.0 if background is None else background)
+
+
+def _blur_px(scene: Scene, ideal: Ideal) -> NDArray[np.float64]:
+    """Radius (H, W) of the circle of confusion with which a frame was rendered; 0 in the dark."""
+    width, height = scene.camera.size
+    blur = np.zeros(height * width)
+    lens = lens_of(scene)
+    if lens is not None and scene.camera.sub_pupils > 1 and isinstance(ideal, Frame):
+        wide = circle_of_confusion(lens, scene.camera, ideal.truth.point_mm).mean(axis=1)
+        blur[ideal.truth.index] = np.nan_to_num(wide) / 2.0
+    return blur.reshape(height, width)
 
 
 def exposure_of(

@@ -26,7 +26,7 @@ from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import fft, fftfreq, ifft, irfft2, next_fast_len, rfft2, rfftfreq
+from scipy.fft import fft, fftfreq, ifft, ifft2, irfft2, next_fast_len, rfft2, rfftfreq
 from scipy.integrate import quad
 from scipy.special import j1, struve
 
@@ -53,6 +53,9 @@ _MOST_FINE = 32  # samples per pixel's side
 _MOST_PATTERNS = 256
 _BLOCK = 8, 16  # px, rows and columns: of the surface, each with random numbers of its own
 _AT_ONCE = 4  # windows
+_FAINT = 1e-5  # of the mean image's brightest pixel
+_MOST_FACTOR = 4.0  # between a blurred image and that which defocus makes of the sharp one
+_MISSED = 0.05  # of the light
 _DARK = 1e-30  # of the brightest pixel
 _AIRY_ZERO = 1.2197  # of 2 J1(pi x)/(pi x)
 
@@ -166,6 +169,7 @@ def speckled(
     aperture: Aperture,
     seed: int | np.random.Generator = 0,
     blur_px: ArrayLike = 0.0,
+    sharp: ArrayLike | None = None,
 ) -> Array:
     """An image (H, W) as coherent light shows it: with speckle, in the same unit.
 
@@ -181,9 +185,12 @@ def speckled(
         Of the surface: the same seed gives the same bits.  Each pixel has scatterers of its own,
         whatever else is lit: light that moves on a surface at rest finds it as it was.
     blur_px : float or array_like of shape (H, W)
-        Radius of the circle of confusion by which defocus is to blur a sharp image.  The grains of
-        a thin line are drawn out across it then.  An image of blurs is averaged over each window
-        of 256 px, by its light.
+        Radius of the circle of confusion, where defocus blurs the light: a thin line's grains are
+        drawn out across it.  An image of radii is averaged over each window of 128 px.
+    sharp : array_like of shape (H, W), optional
+        The ideal frame of a lens that is in focus everywhere, where `image` is already blurred: the
+        mean of the speckle stays the image's.  By default the image is the sharp one.  Where such
+        blur of `sharp` can't be `image`, as that of motion can't, the image itself is speckled.
 
     Raises
     ------
@@ -194,6 +201,11 @@ def speckled(
     if not isinstance(aperture, Aperture):
         raise InputError(f"speckled: aperture is {short(aperture)}; give an Aperture")
     image = image_of("speckled: image", image, 0.0)
+    source = image if sharp is None else image_of("speckled: sharp", sharp, 0.0)
+    if source.shape != image.shape:
+        raise InputError(
+            f"speckled: sharp is of shape {source.shape}, and image of {image.shape}; give it alike"
+        )
     blur = _blur_of(blur_px, image.shape)
     fine = max(2, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
     faint = f"their contrast is {aperture.contrast:.2g}; leave speckle out, or"
@@ -212,23 +224,38 @@ def speckled(
     brightest = image.max(initial=0.0)
     if not brightest:
         return seen
-    lit = image > _DARK * brightest
+    lit = (image > _DARK * brightest) | (source > _DARK * brightest)
     apron = int(np.ceil(_APRON_GRAINS * aperture.grain_px + blur[lit].max())) + 2
 
     def fill(box: Box) -> None:
         near = _lit_about(box, lit, apron)
-        surface = _Surface.of(_at(image, near, 1) / brightest, key, near, fine)
-        radius = float(np.average(_at(blur, near), weights=_at(image, near)))
+        light = _samples(_at(source, near, 1) / brightest, fine)
+        radius = float(np.average(_at(blur, near), weights=_at(source, near) + SMALLEST))
         pupil = _Pupil.of(aperture, fine, radius, box, near, apron)
+        factor: NDArray[np.float32] | float = 1.0
+        if sharp is not None:
+            plain = _Pupil.of(aperture, fine, 0.0, box, near, apron)
+            shown = _samples(_at(image, near, 1) / brightest, fine)
+            factor = _factor(_pixels(plain.mean(shown), fine), _pixels(pupil.mean(light), fine))
+            if np.isnan(factor).any():
+                light, pupil, factor = shown, plain, 1.0
+        surface = _Surface.of(light, key, near, fine)
         total = np.zeros([fine * (side.stop - side.start) + 2 for side in box], np.float32)
         for part in weights_of(aperture.patterns):
             field = pupil.passes(surface.scatters())
             total += np.float32(part) * (field.real**2 + field.imag**2)
-        seen[box] = brightest * _integrated(_integrated(total, fine).T, fine).T
+        seen[box] = brightest * factor * _pixels(total, fine)
 
     with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy and SciPy run beside each other
         deque(threads.map(fill, _windows(lit, apron, fine)), maxlen=0)
     return seen
+
+
+def _factor(wanted: NDArray[np.float32], made: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What makes one mean image of another; NaN where blur alone can't have made it."""
+    factor = np.clip(wanted / np.maximum(made, _FAINT * wanted.max() + SMALLEST), 0.0, _MOST_FACTOR)
+    missed = np.abs(factor * made - wanted).sum()
+    return factor if missed <= _MISSED * wanted.sum() else np.full_like(factor, np.nan)
 
 
 def _blur_of(blur_px: ArrayLike, shape: tuple[int, ...]) -> Array:
@@ -303,9 +330,9 @@ class _Surface:
     shape: tuple[int, int]
 
     @staticmethod
-    def of(light: Array, key: int, near: Box, fine: int) -> _Surface:
-        """From the light in the pixels of a box and one more on each side."""
-        amplitude = np.sqrt(_finer(_finer(light, fine).T, fine).T).astype(np.float32)
+    def of(light: NDArray[np.float32], key: int, near: Box, fine: int) -> _Surface:
+        """From the light in the samples of a box of pixels."""
+        amplitude = np.sqrt(light)
         height, width = (fine * size for size in _BLOCK)
         rows = _cut(fine * near[0].start, len(amplitude), height)
         columns = _cut(fine * near[1].start, amplitude.shape[1], width)
@@ -398,6 +425,25 @@ class _Pupil:
         of_columns = np.zeros((height, columns.size), np.complex64)
         of_columns[v] = ifft(of_rows, axis=1, overwrite_x=True)[:, columns]
         return ifft(of_columns, axis=0, overwrite_x=True)[rows]
+
+    def mean(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Mean intensity over all surfaces, at the window's samples, of light in the samples."""
+        all_of_them = np.zeros(self.sizes, np.complex64)
+        all_of_them[np.ix_(*self.kept)] = self.factors
+        point = ifft2(all_of_them)
+        spread = 2.0 * (point.real**2 + point.imag**2)
+        seen = irfft2(rfft2(light, self.sizes) * rfft2(spread), self.sizes)
+        return np.maximum(seen, 0.0)[np.ix_(*self.wanted)]
+
+
+def _samples(light: Array, fine: int) -> NDArray[np.float32]:
+    """Light in the samples of pixels (h, w), of which the outer ones only serve the others."""
+    return _finer(_finer(light, fine).T, fine).T.astype(np.float32)
+
+
+def _pixels(samples: NDArray[np.float32], fine: int) -> NDArray[np.float32]:
+    """Light of pixels by their samples and one more on each side."""
+    return _integrated(_integrated(samples, fine).T, fine).T
 
 
 def _finer(image: Array, fine: int) -> Array:
