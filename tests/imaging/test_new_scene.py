@@ -1,6 +1,7 @@
 """Scenes that `new` writes: what they measure is the part, wherever and however large it is."""
 
 import itertools
+import json
 import re
 from pathlib import Path
 
@@ -319,3 +320,44 @@ def test_a_projector_in_the_lasers_place_lights_what_the_camera_sees(tmp_path):
             assert np.abs(middle - [639.5, 399.5]).max() < 5.0
     with pytest.raises(InputError, match="--fan: of a laser line"):
         write_scene(tmp_path / "x", NewScene(projector=True, fan=3.0))
+
+
+def test_a_camera_as_it_is_built_goes_into_the_scene_with_its_files(tmp_path, monkeypatch):
+    """Its sensor's pixels are the film's, its calibration the camera's; both are copied."""
+    monkeypatch.chdir(tmp_path)
+    asked = {"f_number": 8, "sensor_tilt": "laser_plane", "sensor_model": "profile_sensor"}
+    camera = vs.load_scene(vs.new_scene("shaft", exposure="2ms", **asked)).camera
+    sensor = vs.image_sensor("profile_sensor")
+    assert (camera.sensor, camera.pixel_um, camera.exposure_s) == (sensor, sensor.pixel_um, 0.002)
+    assert camera.size == (sensor.width_px, sensor.height_px)
+    assert camera.lens.f_number == pytest.approx(8.0)
+    assert abs(camera.lens.sensor_tilt_deg[0]) > 1.0
+    for folder in ("files", "scenes"):
+        (tmp_path / folder).mkdir()
+    sheet, cv = tmp_path / "files" / "mine.toml", tmp_path / "files" / "camera.json"
+    sheet.write_text("pixel_um = 5.5\ngain = 0.3\n")
+    numbers = {"data": [3000.0, 0, 255, 0, 3000.0, 250, 0, 0, 1]}
+    cv.write_text(
+        json.dumps(
+            {
+                "image_width": 512,
+                "image_height": 500,
+                "camera_matrix": numbers,
+                "distortion_coefficients": [0.1, 0, 0, 0],
+            }
+        )
+    )
+    own = Path("scenes/mine.xml")
+    written = write_scene(own, NewScene(calibration=f"{cv}", sensor_model=f"{sheet}"))
+    assert {file.name for file in written.copied} == {"mine.toml", "camera.json"}
+    sheet.unlink()
+    cv.unlink()
+    camera = vs.load_scene(own).camera
+    assert camera.size == (512, 500)
+    np.testing.assert_array_equal(camera.matrix.ravel(), numbers["data"])
+    assert camera.distortion.tolist() == [0.1, 0.0, 0.0, 0.0]
+    assert camera.sensor.gain == 0.3
+    with pytest.raises(InputError, match="--calibration, --focal-length: give one of them"):
+        write_scene(Path("no"), NewScene(calibration="no.json", focal_length_mm=35))
+    with pytest.raises(InputError, match=r"--f-number 0\.01: give a number between"):
+        write_scene(Path("no"), NewScene(f_number=0.01))

@@ -22,6 +22,8 @@ EPILOG = (
     "    virtual-sensor new bracket --part bracket.stl --roughness 0.2\n\n"
     "    virtual-sensor new pair --part bracket.stl --alpha 30 --alpha -30 --tilt 0 --tilt 10\n\n"
     "    virtual-sensor new bracket_fringes --part bracket.stl --projector --tilt -15\n\n"
+    "    virtual-sensor new bracket --part bracket.stl --f-number 8 --sensor-tilt laser_plane"
+    " --sensor-model cmos_5um5\n\n"
     "    virtual-sensor new shaft --diameter 40 --length 200 --temperature 900\n\n"
     "    virtual-sensor new mine --from hot_cylinder --focal-length 50 --distance 400"
 )

@@ -45,6 +45,23 @@ class NewScene:
         Pitch of the camera's pixels, um; by default 3.45.
     film : str, optional
         Pixels of the camera, width by height; by default 2448x2048.
+    f_number : float, optional
+        Of the camera's lens, its focal length by its pupil, such as 8; by default a pinhole, which
+        is sharp everywhere.
+    focus_distance_mm : float, optional
+        From the lens to what is in focus, mm; by default the line's middle.
+    sensor_tilt : str, optional
+        Of the camera's sensor, degrees, or laser_plane: so that the laser's plane is in focus.
+    distortion : str, optional
+        Of the camera's lens: OpenCV's coefficients, "k1, k2, p1, p2, ...".
+    calibration : str, optional
+        File of the camera's matrix, distortion and size, as OpenCV and ROS write it; it is copied
+        beside the scene, and has the place of film, focal length and distortion.
+    sensor_model : str, optional
+        Image sensor that frames are recorded with: cmos_5um5, cmos_3um45, profile_sensor, or a data
+        sheet, TOML, which is copied beside the scene; its pixels are the camera's by default.
+    exposure : str, optional
+        Of recorded frames, such as 2ms; by default automatic.
     distance_mm : float, optional
         Working distance, from the camera to the line, mm; by default so that the camera sees what
         is lit of the part.
@@ -95,6 +112,13 @@ class NewScene:
     focal_length_mm: float | None = None
     pixel_um: float | None = None
     film: str | None = None
+    f_number: float | None = None
+    focus_distance_mm: float | None = None
+    sensor_tilt: str | None = None
+    distortion: str | None = None
+    calibration: str | None = None
+    sensor_model: str | None = None
+    exposure: str | None = None
     distance_mm: float | None = None
     alpha: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)
     tilt: tuple[float, ...] = dataclasses.field(default=(), metadata=_LIST)

@@ -23,7 +23,10 @@ Array = NDArray[np.float64]
 LENSES_MM = (4, 6, 8, 12, 16, 25, 35, 50, 75, 100, 150)
 """Focal lengths of lenses that are sold."""
 
-_PIXEL_UM, _FILM = 3.45, "2448x2048"
+PIXEL_UM = 3.45
+"""Pitch of a camera's pixels, by default."""
+
+_FILM = "2448x2048"
 _X, _Y, _Z = np.eye(3)
 _SAMPLES = 201  # of a line
 _ASIDE = 1e-6  # of the part's size: a cut through none of its vertices
@@ -80,7 +83,7 @@ def placed(part: NewPart, said: NewScene) -> Placement:
         If the laser's sheet misses the part.
     """
     chosen: dict[str, float] = {}
-    size_px, pixel_um = film_of(said.film or _FILM), said.pixel_um or _PIXEL_UM
+    size_px, pixel_um = film_of(said.film or _FILM), said.pixel_um or PIXEL_UM
     film_mm = size_px[0] * pixel_um / 1000.0, size_px[1] * pixel_um / 1000.0
     alphas, (tilts, offsets) = said.alpha or (30.0,), _lasers(said)
     turn, beta = said.turn or 0.0, 0.0 if part.radius_mm else said.beta or 0.0  # round its axis

@@ -176,11 +176,29 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
         ("fov", 1, "degrees; unless given, it follows from focal_length"),
         ("width", width, "film, px; alone it leaves the field of view"),
         ("height", height, "px"),
+        *_lens(said),
         ("spp", 16, "samples per pixel, a square number"),
         surface,
         ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
         ("tolerance", 0.003, "of the tables, px"),
         ("step", 2, "of the ray march, mm"),
+    ]
+
+
+def _lens(said: NewScene) -> Rows:
+    """What a camera has that a pinhole has not."""
+    tilt = "of the camera's sensor about its rows, degrees; empty: none"
+    if not said.projector:
+        tilt = tilt.replace("; empty", ", or laser_plane: as focuses that; empty")
+    return [
+        ("f_number", said.f_number or "", "of the lens: focal length by pupil; empty: a pinhole"),
+        ("focus_distance", said.focus_distance_mm or "$distance", "from the lens, mm"),
+        ("sensor_tilt", said.sensor_tilt or "", tilt),
+        ("distortion", said.distortion or "", "of the lens: OpenCV's k1, k2, p1, p2, k3 ..."),
+        ("calibration", said.calibration or "", "file of matrix and distortion, in place of fov"),
+        ("sub_pupils", 16, "points of the lens's pupil; 1: its light without its blur"),
+        ("sensor_model", said.sensor_model or "", "image sensor that records; empty: none"),
+        ("exposure", said.exposure or "", "of a recorded frame: 2ms, 500us; empty: automatic"),
     ]
 
 

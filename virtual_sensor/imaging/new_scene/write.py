@@ -15,6 +15,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from virtual_sensor.arrays import numbers_of, truth_of
+from virtual_sensor.devices.calibration_files import CalibrationFile, camera_in
+from virtual_sensor.devices.camera import MM_PER_UM
+from virtual_sensor.devices.image_sensor import image_sensor, image_sensors
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.errors import InputError, nearest, short
 from virtual_sensor.files import (
@@ -30,7 +33,7 @@ from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.new_scene.lasers import close_lines
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.new_scene.part import part_of
-from virtual_sensor.imaging.new_scene.placement import film_of, placed
+from virtual_sensor.imaging.new_scene.placement import PIXEL_UM, film_of, placed
 from virtual_sensor.imaging.new_scene.text import scene_text, value_text
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey
 from virtual_sensor.imaging.scene import Scene, load_scene, scene_parameters
@@ -135,11 +138,12 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
         Replace files that exist.
     **options
         Fields of `NewScene`, which says what each is: `part`, `unit`, `up`; `diameter_mm`,
-        `length_mm` of a cylinder; `focal_length_mm`, `pixel_um`, `film`, `distance_mm`; `alpha`,
-        `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `projector`; `line_length_mm`,
-        `line_radius_mm`, `fan`, `wavelength_nm`; `roughness`, `temperature_c`, `field`,
-        `from_scene`.  Several `alpha` make several cameras, several `tilt` several lasers or
-        projectors.
+        `length_mm` of a cylinder; `focal_length_mm`, `pixel_um`, `film`, `f_number`,
+        `focus_distance_mm`, `sensor_tilt`, `distortion`, `calibration`, `sensor_model`, `exposure`,
+        `distance_mm`; `alpha`, `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `projector`;
+        `line_length_mm`, `line_radius_mm`, `fan`, `wavelength_nm`; `roughness`, `temperature_c`,
+        `field`, `from_scene`.  Several `alpha` make several cameras, several `tilt` several lasers
+        or projectors.
 
     Returns
     -------
@@ -166,7 +170,7 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     for name in ("alpha", "tilt", "laser_offset_mm", "at_mm"):
         if options.get(name) is not None:
             options[name] = tuple(numbers_of(f"new_scene: {name}", options[name]).ravel().tolist())
-    for name in ("part", "field", "from_scene"):
+    for name in ("part", "field", "from_scene", "calibration"):
         if options.get(name) is not None:
             options[name] = str(path_of(f"new_scene: {name}", options[name]))
     if isinstance(options.get("film"), (tuple, list)):
@@ -191,7 +195,7 @@ def write_scene(path: Path, said: NewScene, overwrite: bool = False) -> WrittenS
         raise InputError(f"{path}: exists; choose another name, or say --overwrite")
     check_output(path, overwrite=True)
     _check(said)
-    draft = _copy(said) if said.from_scene else _drawn(path, said)
+    draft = _copy(path, said) if said.from_scene else _drawn(path, said)
     copies = {path.parent / name: file for name, file in draft.files.items()}
     for target, file in list(copies.items()):
         if exists(target) and (target.samefile(file) or target.read_bytes() == file.read_bytes()):
@@ -215,9 +219,15 @@ def _check(said: NewScene) -> None:
     """Refuse what can't be, by the options' names."""
     size = (
         "diameter_mm length_mm focal_length_mm pixel_um distance_mm line_length_mm line_radius_mm"
+        " focus_distance_mm"
     )
     limits = dict.fromkeys(size.split(), (0.0, 1e6)) | {
-        **{"wavelength_nm": (200.0, 2000.0), "roughness": (0.0, 1.0), "fan": (-1e-9, 170.0)},
+        **{
+            "f_number": (0.1, 1e4),
+            "wavelength_nm": (200.0, 2000.0),
+            "roughness": (0.0, 1.0),
+            "fan": (-1e-9, 170.0),
+        },
         **{"temperature_c": (-273.15, 4000.0), "beta": (-360.0, 360.0), "turn": (-360.0, 360.0)},
         **{"alpha": (-180.0, 180.0), "tilt": (-90.0, 90.0)},
         **dict.fromkeys(("laser_offset_mm", "at_mm"), (-1e6, 1e6)),
@@ -260,8 +270,9 @@ def parameter_of(name: str) -> str:
 def _drawn(path: Path, said: NewScene) -> _Draft:
     """A new scene for a part."""
     part = part_of(said)
+    said, files = _with_files(path.parent, _as_built(said))
     sensor = placed(part, said)
-    files, part_place, field = {}, "", said.field or ""
+    part_place, field = "", said.field or ""
     if part.file:
         part_place = _place(path.parent, part.file)
         files[part_place] = part.file
@@ -273,6 +284,40 @@ def _drawn(path: Path, said: NewScene) -> _Draft:
     if said.projector:
         chosen = tuple(name for name in chosen if not name.startswith("line_"))
     return _Draft(text, files, part.survey, chosen, sensor.aside, part.unit_note)
+
+
+def _as_built(said: NewScene) -> NewScene:
+    """With the pixels of its image sensor and of its calibration, where others are not said."""
+    if said.calibration:
+        both = [option_of(n) for n in ("film", "focal_length_mm", "distortion") if n in said.given]
+        if both:
+            raise InputError(f"--calibration, {', '.join(both)}: give one of them")
+    pixel_um, film = said.pixel_um, said.film
+    if said.sensor_model:
+        sensor = image_sensor(said.sensor_model)
+        pixel_um = pixel_um or sensor.pixel_um
+        if sensor.width_px and sensor.height_px:
+            film = film or f"{sensor.width_px}x{sensor.height_px}"
+    focal_mm = said.focal_length_mm
+    if said.calibration:
+        camera = camera_in(CalibrationFile.read(Path(said.calibration)))
+        pixel_um = pixel_um or PIXEL_UM
+        film = "x".join(map(str, camera.size))
+        focal_mm = float(f"{abs(camera.matrix[0, 0]) * pixel_um * MM_PER_UM:.6g}")
+    return dataclasses.replace(said, pixel_um=pixel_um, film=film, focal_length_mm=focal_mm)
+
+
+def _with_files(folder: Path, said: NewScene) -> tuple[NewScene, dict[str, Path]]:
+    """The same with the files of its camera as they are called beside the scene, and these."""
+    files: dict[str, Path] = {}
+    for name in ("calibration", "sensor_model"):
+        given = getattr(said, name)
+        if given and not (name == "sensor_model" and given in image_sensors()):
+            file = readable(Path(given))
+            place = _place(folder, file)
+            changed: dict[str, Any] = {name: place}
+            said, files = dataclasses.replace(said, **changed), {**files, place: file}
+    return said, files
 
 
 def _place(folder: Path, file: Path) -> str:
@@ -328,9 +373,10 @@ def _remedy(line: SeenLine) -> str:
     return "the part hides the line from the camera; give another --alpha, --turn or --at"
 
 
-def _copy(said: NewScene) -> _Draft:
+def _copy(path: Path, said: NewScene) -> _Draft:
     """Another scene with its files, some of its parameters changed."""
     source = find_scene(str(said.from_scene))
+    said, own = _with_files(path.parent, said)
     file, values = read_scene_file(source), scene_parameters(source, {})
     text = file.text
     for name, value in _changes(said, values).items():
@@ -342,7 +388,7 @@ def _copy(said: NewScene) -> _Draft:
         text, count = re.subn(pattern, changed, text, count=1)
         if not count:
             raise InputError(f"--from {said.from_scene}: no <default> of {name}; change its text")
-    files: dict[str, Path] = {}
+    files = own
     any_temperature = {**values, "temperature": "*"}
     for element in file.elements:
         for place in {filled(each, any_temperature) for each in element.attributes.values()}:
