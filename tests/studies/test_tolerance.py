@@ -9,9 +9,17 @@ from random_scenes import check, random_scene, random_tolerance
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.studies import tolerance
-from virtual_sensor.studies.tolerance import STEPS_MM, choose, configured, whole_columns
+from virtual_sensor.studies.tolerance import (
+    STEPS_MM,
+    choose,
+    configured,
+    largest_error,
+    line_of,
+    whole_columns,
+)
 
 FILM = {"width": 512, "height": 512}
 WEAK = {"blur": 12, "beta": 60}
@@ -51,6 +59,28 @@ def moved_px(scene):
 def weak_px(weak):
     """What refraction moves its line by."""
     return moved_px(weak)
+
+
+@pytest.mark.slow
+def test_of_a_lens_the_sub_pupils_are_chosen():
+    """Rationale: each costs a frame's ray maps; too few, and a blurred line is a row of lines.
+
+    The choice keeps its tolerance beside marched light through other points of the pupil.
+    """
+    film = {"width": 256, "height": 256, "line_radius": 0.3}
+    lens = load_scene("hot_cylinder", **film, f_number=8)
+    coarse, fine = (choose(lens, px) for px in (0.5, 0.02))
+    assert 0 < coarse.sub_pupils < fine.sub_pupils
+    assert f"by {fine.sub_pupils} sub-pupils" in " ".join(fine.why)
+    assert f", {fine.sub_pupils} sub-pupils: about" in str(fine)
+    assert choose(load_scene("hot_cylinder", **film), 0.5).sub_pupils == 0
+    assert choose(lens.with_parameters(sub_pupils=1), 0.5).sub_pupils == 0
+    chosen = configured(lens, fine)
+    assert chosen.camera.sub_pupils == fine.sub_pupils
+    marched = lens.with_parameters(transport="marched", sub_pupils=49)
+    column = np.arange(90, 98)
+    truth = TrueLine.of_rows(line_of(marched, column, 441).row)
+    assert largest_error(line_of(chosen, column, fine.spp), truth) < 0.02
 
 
 def test_a_weak_field_needs_no_bent_rays(weak, weak_px):

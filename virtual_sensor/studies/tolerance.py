@@ -6,7 +6,9 @@ each by a few rays or a few columns of the very scene:
 * refraction left out: how far the searched line moves from cold to hot;
 * the march's step: bent rays by this step beside those by a quarter of the finest;
 * the tables: their own estimate;
-* samples: line centres of some columns by so many samples, beside those by many.
+* samples: line centres of some columns by so many samples, beside those by many;
+* the lens, where there is one: the same by so many sub-pupils, and so many samples of a pixel
+  through each.  Its blur is never left out: it makes the line's width, and so its noise.
 """
 
 from collections.abc import Mapping
@@ -36,7 +38,11 @@ STEPS_MM = (8.0, 4.0, 2.0, 1.0, 0.5)
 SAMPLES = (1, 4, 9, 16, 36)
 """Samples per pixel that are tried, fewest first."""
 
+SUB_PUPILS = ((4, 1), (9, 1), (16, 1), (16, 4), (36, 4))
+"""Sub-pupils of a lens that are tried, and samples of a pixel through each, fewest first."""
+
 _MANY_SAMPLES = 100
+_MANY_SUB_PUPILS = 64, 4
 _RAYS = 33  # along the line
 _GROUPS = 16  # of columns, the line's ends among them
 _BESIDE = 2  # columns each side: one with none beside it is taken for the line's end
@@ -59,6 +65,8 @@ class Configuration(Record):
         Samples per pixel.
     table_px : float
         Tolerance of the ray maps.
+    sub_pupils : int
+        Of the lens; 0 where the camera is a pinhole.
     estimate_px : dict
         The parts of its estimated error.
     why : list of str
@@ -69,6 +77,7 @@ class Configuration(Record):
     step_mm: float
     spp: int
     table_px: float
+    sub_pupils: int
     estimate_px: dict[str, float]
     why: list[str]
 
@@ -80,11 +89,13 @@ class Configuration(Record):
     @property
     def parameters(self) -> dict[str, str]:
         """The scene's parameters that choose it."""
+        lens = {"sub_pupils": str(self.sub_pupils)} if self.sub_pupils else {}
         return {
             "transport": self.transport,
             "step": f"{self.step_mm:g}",
             "spp": str(self.spp),
             "tolerance": f"{self.table_px:g}",
+            **lens,
         }
 
     def knowing(self, words: str, estimate_px: Mapping[str, float] | None = None) -> Self:
@@ -96,14 +107,16 @@ class Configuration(Record):
         parts = ", ".join(f"{name} {px:.2g}" for name, px in self.estimate_px.items())
         step = f", step {self.step_mm:g} mm" if self.transport != "straight" else ""
         maps = f", tolerance {self.table_px:.2g} px" if self.transport == "tabulated" else ""
-        settings = f"transport {self.transport}{step}{maps}, spp {self.spp}"
+        lens = f", {self.sub_pupils} sub-pupils" if self.sub_pupils else ""
+        settings = f"transport {self.transport}{step}{maps}, spp {self.spp}{lens}"
         return f"{settings}: about {self.error_px:.2g} px ({parts})"
 
 
 def choose(scene: Scene, tolerance_px: float) -> Configuration:
     """The cheapest configuration whose estimated error keeps a tolerance.
 
-    Straight light is cheapest, then tables, then marching; fewer samples before more.
+    Straight light is cheapest, then tables, then marching; fewer samples, or sub-pupils of a lens,
+    before more.
 
     Parameters
     ----------
@@ -128,23 +141,24 @@ def choose(scene: Scene, tolerance_px: float) -> Configuration:
         raise InputError(f"{scene.path}: the laser's line fills no column of the image")
     column = groups(whole, np.linspace(0.0, 1.0, _GROUPS))
     step_mm = scene.transport.march.step_mm
-    found = Configuration("straight", step_mm, SAMPLES[-1], tolerance_px, {}, [])
+    sub_pupils, spp = _tried(scene)[-1]
+    found = Configuration("straight", step_mm, spp, tolerance_px, sub_pupils, {}, [])
     if scene.field is None:
         found = found.knowing("no field: light runs straight")
     else:
         moved = _moved(hot, cold, scene.sensor.camera.size[0])
         words = f"refraction moves the line by up to {moved:.2g} px"
         found = found.knowing(words, {"refraction left out": moved})
-    why = found.why
+    first = found
     if found.error_px <= tolerance_px:
         straight = scene_on(scene, "straight", step_mm, tolerance_px)
         found = _with_samples(straight, found, tolerance_px, column)
     if scene.field is not None and found.error_px > tolerance_px:
-        found = _bent(scene, scene.field, hot, tolerance_px, column, why)
+        found = _bent(scene, scene.field, hot, tolerance_px, column, first)
     if found.error_px > tolerance_px:
         raise InputError(
             f"tolerance {tolerance_px:g} px: the best that was found is {found}; ask for more, or"
-            " set method, step and spp (-D) yourself"
+            f" set method, step{', sub_pupils' if found.sub_pupils else ''} and spp (-D) yourself"
         )
     return found
 
@@ -155,11 +169,12 @@ def _bent(
     hot: FoundPixels,
     tolerance_px: float,
     column: Index,
-    why: list[str],
+    straight: Configuration,
 ) -> Configuration:
     """Bent light by tables, marched where there are none, with the fewest samples that do."""
     table_px = _SHARE["tables"] * tolerance_px
-    found = Configuration("tabulated", min(STEPS_MM), SAMPLES[-1], table_px, {}, why)
+    found = replace(straight, transport="tabulated", step_mm=min(STEPS_MM), table_px=table_px)
+    found = replace(found, estimate_px={})
     try:
         step, error = _step(scene, field, hot, _SHARE["march"] * tolerance_px)
         words = f"a step of {step:g} mm errs by {error:.2g} px"
@@ -277,16 +292,44 @@ def _step(
 def _with_samples(
     scene: Scene, found: Configuration, tolerance_px: float, column: Index
 ) -> Configuration:
-    """The configuration with the fewest samples per pixel that keep what is left of a tolerance."""
-    best = TrueLine.of_rows(line_of(scene, column, _MANY_SAMPLES).row)
+    """The configuration with the fewest samples per pixel that keep what is left of a tolerance.
+
+    Through a lens, the fewest sub-pupils.
+    """
+    sub_pupils, spp = _MANY_SUB_PUPILS if has_lens(scene) else (0, _MANY_SAMPLES)
+    spp *= sub_pupils or 1
+    best = TrueLine.of_rows(line_of(through(scene, sub_pupils), column, spp).row)
     if not best.columns().size:
         raise InputError(
             "no column has a line centre with which a tolerance could be judged; give a wider line"
             " (line_radius) or a finer film (width, height)"
         )
-    for spp in SAMPLES:
-        error = largest_error(line_of(scene, column, spp), best)
+    for sub_pupils, spp in _tried(scene):
+        error = largest_error(line_of(through(scene, sub_pupils), column, spp), best)
         if error <= tolerance_px - found.error_px:
             break
-    words = f"an error of {error:.2g} px by {spp} sample{'s' * (spp != 1)} per pixel"
-    return replace(found, spp=spp).knowing(words, {"samples": error})
+    samples = f"{spp} sample{'s' * (spp != 1)} per pixel"
+    by = f"{sub_pupils} sub-pupils and {samples}" if sub_pupils else samples
+    words = f"an error of {error:.2g} px by {by}"
+    part = {"lens" if sub_pupils else "samples": error}
+    return replace(found, spp=spp, sub_pupils=sub_pupils).knowing(words, part)
+
+
+def _tried(scene: Scene) -> list[tuple[int, int]]:
+    """Sub-pupils, 0 of a pinhole, and samples per pixel, the fewest first."""
+    if has_lens(scene):
+        return [(number, number * each) for number, each in SUB_PUPILS]
+    return [(0, spp) for spp in SAMPLES]
+
+
+def has_lens(scene: Scene) -> bool:
+    """Whether the scene's camera sees through a pupil that blurs."""
+    camera = scene.camera
+    return bool(camera.lens and camera.lens.pupil_radius_mm and camera.sub_pupils > 1)
+
+
+def through(scene: Scene, sub_pupils: int) -> Scene:
+    """The scene, seen through so many sub-pupils of its camera's lens; 0: as it is."""
+    if not sub_pupils:
+        return scene
+    return scene.with_camera(replace(scene.camera, sub_pupils=sub_pupils))
