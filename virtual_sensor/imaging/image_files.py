@@ -32,7 +32,7 @@ more than 179 million pixels         refused; truncated and damaged files as wel
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -126,6 +126,34 @@ class Image(Displayed):
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
         """The pixels, wherever an array is asked for."""
         return np.array(self.pixels, dtype) if copy else np.asarray(self.pixels, dtype)
+
+    @property
+    def sensor(self) -> ImageSensor | None:
+        """That made the grey values, if the file says which, and they are still its own."""
+        said = self.metadata.get("sensor")
+        if not (self.detector_options and isinstance(said, dict)):
+            return None
+        known = {each.name for each in fields(ImageSensor)}
+        try:
+            return ImageSensor(**{name: value for name, value in said.items() if name in known})
+        except InputError:
+            return None
+
+    @property
+    def linear_grey(self) -> Image:
+        """What detectors are given: grey values in proportion to the light, without a knee-point.
+
+        Those that are, are the image itself.
+        """
+        if self.sensor is None or self.sensor.knee is None:
+            return self
+        straight, options = self.sensor.without_knee, dict(self.detector_options)
+        for name in {"saturation", "black"} & options.keys():
+            options[name] = float(straight(options[name]))
+        largest = None if self.largest is None else float(straight(self.largest))
+        return replace(
+            self, pixels=straight(self.pixels), largest=largest, detector_options=options
+        )
 
 
 @public

@@ -264,17 +264,23 @@ def detect(
         remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
         here, said = settings.knowing(read.detector_options)
         remarks += said
+        straight = read.linear_grey
         if read.largest is not None:
             asked = settings.saturation
             least = read.largest if asked is None else min(asked, read.largest)
-            here = replace(settings, saturation=least)
+            here = replace(here, saturation=least)
             if asked is not None and least < asked:
                 remarks.append(f"can't reach a saturation of {asked:g}: taken as {read.largest:g}.")
+        if straight is not read:
+            remarks.append("has a knee-point: grey values beyond it are stretched back.")
+            if here.saturation is not None and read.sensor:
+                here = replace(here, saturation=float(read.sensor.without_knee(here.saturation)))
         began = time.perf_counter()
-        line = here.centres(image)
+        line = here.centres(straight.pixels)
         time_s = time.perf_counter() - began
         other = next(along for along in ALONG if along != here.along)
-        if here.detector != STEGER and _lies_across(image, line, replace(here, along=other)):
+        across = replace(here, along=other)
+        if here.detector != STEGER and _lies_across(straight.pixels, line, across):
             remarks.append(f"shows its line along the {other}: give --along {other}.")
         points = triangulate(calibration, line.pixel) if calibration else None
         yield Detected(path, image, line, points, time_s, tuple(remarks))

@@ -302,6 +302,7 @@ def _read(
                 f"{path}: holds {here}, but {paths[0].name} {there}; save the images of one"
                 " sequence alike"
             )
+        read = read.linear_grey
         said = read.detector_options
         known = {n: x for n, x in known.items() if said.get(n) == x} if images else dict(said)
         images.append(read.pixels)
