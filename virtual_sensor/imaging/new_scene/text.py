@@ -134,6 +134,10 @@ def _line(sensor: Placement, said: NewScene) -> Rows:
         ("line_uniformity", 1, "its ends' light over that in the middle, or a table's file"),
         ("beam_quality", "", "of the laser: M^2, 1 of an ideal beam; empty: no focus"),
         ("waist_distance", "", "of its focus from the laser, mm; empty: laser_distance"),
+        ("linewidth", 0, "of the laser's spectrum at half its height, nm: for speckle"),
+        ("rq", 0, "roughness of the lit surface, um: for speckle"),
+        ("polarisations", 1, "of its speckle; 2: the surface depolarises"),
+        ("modes", 1, "of the laser, whose speckles add"),
         ("laser_distance", sensor.laser_distance_mm, "from the laser's exit to the line, mm"),
     ]
 
