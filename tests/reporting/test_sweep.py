@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from itertools import product
 from urllib.parse import unquote
 
@@ -266,3 +267,23 @@ def test_the_page_tells_failures_before_files(tmp_path, unpainted_test):
     save(swept({"beta": ["0", "15"]}, failed=(1,)), tmp_path, "c")
     html = (tmp_path / "report.html").read_text()
     assert html.index("<h2>Cases that failed") < html.index("<h2>Files")
+
+
+def test_what_blur_and_noise_make_of_the_line_is_shown_where_it_is_known():
+    """Rationale: who sweeps a lens or a sensor looks for its width, its shift and its noise.
+
+    Of an ideal sweep they are shown only where the width changes: else they are no news.
+    """
+    ideal = swept({"f_number": ["4", "8"]})
+    heads = {"width, px", "shift, px", "noise, px", "speckle, px"}
+    assert not heads & set(table(ideal).head)
+    wide = replace(ideal.table, hot_line_width_px=np.array([3.0, 2.0]))
+    assert heads & set(table(replace(ideal, table=wide)).head) == {"width, px"}
+    noise, shift = np.array([0.02, 0.01]), np.array([-0.4, 0.1])
+    known = replace(wide, hot_noise_px=noise, hot_line_shift_px=shift)
+    recorded = replace(ideal, table=known)
+    assert heads & set(table(recorded).head) == {"width, px", "shift, px", "noise, px"}
+    titles = [panel.title for panel in draw(recorded).panels]
+    assert "Width of the line, hot" in titles
+    assert "What noise makes of it, hot" in titles
+    assert "-0.4000" in str(table(recorded).rows)

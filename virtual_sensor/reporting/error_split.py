@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from virtual_sensor.reporting.pictures import Panel
 from virtual_sensor.reporting.style import colour
-from virtual_sensor.reporting.tables import Column, TextTable, text_table
+from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
 from virtual_sensor.reporting.words import NIL_UM, listed
 from virtual_sensor.studies.error_split import PartErrors, SplitSummary
 
@@ -33,9 +33,9 @@ def split_table(splits: Splits) -> TextTable:
     """Each part's rms and mean on the points and in the image, cold and hot."""
     rows = []
     for part in dict.fromkeys(name for each in splits.values() for name in each.parts):
-        rows.append({"part": part, "what": PART_WORDS[part], **_figures(splits, part)})
-    rows.append({"part": "whole error", "what": "all of it", **_figures(splits, None)})
-    columns = [Column("part", " "), Column("what", "what makes it")]
+        rows.append({"part": part, **_figures(splits, part)})
+    rows.append({"part": "whole error", **_figures(splits, None)})
+    columns = [Column("part", " ")]
     for state in splits:
         columns += [
             Column(f"{state}_rms_um", f"{state}: rms, µm", _short, "none"),
@@ -44,6 +44,12 @@ def split_table(splits: Splits) -> TextTable:
         ]
     caption = "What the error of the measured section is made of"
     return text_table(rows, columns, caption, [*(False for _ in rows[1:]), True])
+
+
+def part_table(splits: Splits) -> TextTable:
+    """What each part is."""
+    parts = dict.fromkeys(name for each in splits.values() for name in each.parts)
+    return pair_table(("part", "what makes it"), {name: PART_WORDS[name] for name in parts})
 
 
 def split_on_console(splits: Splits) -> TextTable:

@@ -25,6 +25,7 @@ from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.error_split import (
+    part_table,
     split_on_console,
     split_panel,
     split_table,
@@ -320,6 +321,7 @@ def page(
                 *split_words(splits),
                 beside(panels, "split"),
                 split_table(splits),
+                part_table(splits),
                 "Stage by stage, from straight light to grey values, the line's place moves. What a"
                 " stage adds is the distance of the point measured there from the true section,"
                 " minus the one before it: the parts of each point add up to its error, those of"

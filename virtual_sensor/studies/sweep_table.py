@@ -70,6 +70,8 @@ class SweepTable(Table):
         Rendered line minus ray search, across the line, on average: by blur, say.
     cold_line_width_px, hot_line_width_px : ndarray of shape (N,)
         Median of the widths of the line's profile: their standard deviations.
+    cold_lens_px, hot_lens_px : ndarray of shape (N,)
+        How far a lens's pupil moves the place of a recorded line by the ray search, rms.
     cold_detector_px, hot_detector_px : ndarray of shape (N,)
         What the detector makes of the place of a recorded line: its error in ideal frames, rms.
     cold_noise_px, hot_noise_px : ndarray of shape (N,)
@@ -114,6 +116,8 @@ class SweepTable(Table):
     hot_line_shift_px: Array
     cold_line_width_px: Array
     hot_line_width_px: Array
+    cold_lens_px: Array
+    hot_lens_px: Array
     cold_detector_px: Array
     hot_detector_px: Array
     cold_noise_px: Array
@@ -314,7 +318,7 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
             f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
             f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
         }
-        for part in ("detector", "noise", "speckle"):
+        for part in ("lens", "detector", "noise", "speckle"):
             figures[f"{name}_{part}_px"] = split.get(part, {}).get("rms_px")
     rays = summary.get("probe_rays", {})
     figures["rays_lit"] = rays.get("lit")
