@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN
 from virtual_sensor.imaging.image_files import save_png
-from virtual_sensor.imaging.recording import RecordedFrame
 from virtual_sensor.imaging.render import EXR_LAYERS, Frame, write_exr
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.records import write_ply
@@ -32,6 +31,9 @@ from virtual_sensor.studies.burst import (
     SwayTable,
     spread,
 )
+
+if TYPE_CHECKING:
+    from virtual_sensor.imaging.recording import RecordedFrame
 
 FRAMES, PICTURE = "frames", "report.png"
 _WHITE = 1.5  # of the first frame's brightest pixel: others may be brighter

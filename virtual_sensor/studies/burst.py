@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, NothingFoundError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.recording import RecordedFrame
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.render import Frame
 from virtual_sensor.imaging.scene import Scene
@@ -34,6 +33,9 @@ from virtual_sensor.studies.probes import probe_rays
 from virtual_sensor.studies.provenance import SceneFacts, scene_facts
 from virtual_sensor.studies.section import Section, SectionErrors, section_errors, true_section
 
+if TYPE_CHECKING:
+    from virtual_sensor.imaging.recording import RecordedFrame
+
 MIN_FRAMES = 3
 """With fewer frames a standard deviation says nothing: it is NaN."""
 
@@ -42,7 +44,7 @@ _MARGIN_PX = 12  # around what is lit in them
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
-EachFrame = Callable[[int, float, Frame, RecordedFrame | None], None]
+EachFrame = Callable[[int, float, Frame, "RecordedFrame | None"], None]
 """Called with each frame's number and instant in s, the frame itself, and as it was recorded."""
 
 

@@ -25,14 +25,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, listed
-from virtual_sensor.imaging.grey_values import grey_values
-from virtual_sensor.imaging.recording import RecordedFrame
 from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
@@ -40,6 +38,9 @@ from virtual_sensor.metrology.truth import TrueLine, rms
 from virtual_sensor.optics.pupil_search import PupilPixels
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.section import Section
+
+if TYPE_CHECKING:
+    from virtual_sensor.imaging.recording import RecordedFrame
 
 Array = NDArray[np.float64]
 PARTS = ("refraction", "lens", "detector", "pixels", "speckle", "noise", "rounding")
@@ -165,6 +166,8 @@ def half_a_pixel_lower(scene: Scene) -> NDArray[np.float32]:
 
 def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     """A frame as its sensor would record it with 16 bits: the same electrons, finer grey values."""
+    from virtual_sensor.imaging.grey_values import grey_values
+
     sensor = shot.sensor
     finer = 2.0 ** (_MOST_BITS - sensor.bit_depth)
     fine = replace(

@@ -4,11 +4,13 @@ The line is found in the ideal frames or, if a recording is asked for, in the gr
 camera's sensor makes of them; then the error of what is measured is split into its parts.
 """
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +19,6 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.dark_frames import why_dark
-from virtual_sensor.imaging.recording import RecordedFrame
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.render import Frame, RenderReport
 from virtual_sensor.imaging.scene import Scene
@@ -74,6 +75,9 @@ from virtual_sensor.studies.section import (
     section_errors,
     true_section,
 )
+
+if TYPE_CHECKING:
+    from virtual_sensor.imaging.recording import RecordedFrame
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.str_]
