@@ -59,3 +59,21 @@ def test_a_distortion_that_folds_within_the_image_is_refused():
     with pytest.raises(InputError, match=r"folds the image.* about the pixel \(0, 0\) of 640"):
         check_unfolded(_camera([-30.0, 0.0, 0.0, 0.0]))
     check_unfolded(_camera([-3.0, 0.0, 0.0, 0.0]))
+
+
+def test_what_lies_beyond_the_image_is_not_folded_back_into_it():
+    """The polynomial has its turning point just beyond the corner: no lens goes on from there."""
+    camera = _camera([-7.0, 0.0, 0.0, 0.0])
+    check_unfolded(camera)
+    r = np.linspace(0.0, 0.5, 501)
+    seen = camera.pixels(r, 0.0 * r)
+    folded = np.isnan(seen[:, 0])
+    assert not folded[r < 0.12].any()
+    assert np.array_equal(folded, ~np.isfinite(seen).all(axis=1))
+    assert not camera.inside(seen[r > 0.13]).any()
+    by_opencv = camera.matrix[0, 2] + camera.matrix[0, 0] * r * (1.0 - 7.0 * r * r)
+    np.testing.assert_allclose(seen[~folded, 0], by_opencv[~folded], atol=1e-9)
+    assert (folded & (by_opencv > 0.0)).any()
+    tilted = _camera(LENSES["tilted"])
+    places = np.random.default_rng(2).uniform(0.0, 1.0, (2000, 2)) * [640.0, 480.0] - 0.5
+    assert np.isfinite(tilted.pixels(*tilted.of_pixels(places))).all()

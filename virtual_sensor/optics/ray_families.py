@@ -11,6 +11,7 @@ Pixels are (u, v) with integers at pixel centres, as in OpenCV.
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Self
 
 import cv2
@@ -31,6 +32,8 @@ _MOST_STEPS = 30
 _SMALL_PX, _SOLVED_PX = 1e-3, 1e-10
 _REGULAR = 1e-6  # determinant from which on pixels next to each other see different things
 _SAMPLES = 33  # for a fold, between the middle of the image and a pixel
+_SPARE = 0.01  # of an image's extent: its border is known at samples
+_CACHED = 64
 _NEAR = 2.0  # images: within so many, samples on a grid miss no fold
 
 
@@ -186,8 +189,17 @@ class PixelFamily(RayFamily):
         return self.matrix
 
     def pixels(self, p: ArrayLike, q: ArrayLike) -> Array:
-        """The pixels (..., 2) that see rays of coordinates (...); NaN of NaN."""
-        return self._distorted(_columns(p, q, 1.0, np.asarray(p, float)))
+        """The pixels (..., 2) that see rays of coordinates (...); NaN of NaN.
+
+        NaN too where a distortion folds rays from beyond the image back into it: no lens does.
+        """
+        homogeneous = _columns(p, q, 1.0, np.asarray(p, float))
+        seen = self._distorted(homogeneous)
+        if not self.distorts:
+            return seen
+        low, high = self._extent
+        beyond = ((homogeneous[..., :2] < low) | (homogeneous[..., :2] > high)).any(axis=-1)
+        return np.where((beyond & self.inside(seen))[..., None], np.nan, seen)
 
     def of_pixels(self, pixel: ArrayLike) -> tuple[Array, Array]:
         """Coordinates p and q (...) of what pixels (..., 2) see.
@@ -254,6 +266,12 @@ class PixelFamily(RayFamily):
         missed = np.abs(self.distort(ideal) - pixel).max(axis=-1)
         ideal = np.where((missed < 10.0 * _SOLVED_PX)[..., None], ideal, np.nan)
         return np.where(self._unfolded(ideal)[..., None], ideal, np.nan)
+
+    @property
+    def _extent(self) -> tuple[Array, Array]:
+        """Lowest and highest coordinates that the image sees, (2,) each, and a little more."""
+        numbers = (tuple(each.ravel().tolist()) for each in (self.matrix, self.distortion))
+        return _extent_of(*numbers, tuple(self.size), self.fisheye)
 
     def _distorted(self, homogeneous: Array) -> Array:
         """Pixels (..., 2) of camera coordinates x/z, y/z, 1, shape (..., 3)."""
@@ -361,7 +379,7 @@ class Pinhole(PixelFamily):
         Width and height in px.
     distortion : ndarray of shape (0,), (4,), (5,), (8,), (12,) or (14,)
         OpenCV's coefficients k_1, k_2, p_1, p_2, k_3 ... s_4, tau_x, tau_y; the last two are the
-        tilt of the sensor (Scheimpflug).  Empty: none, as in every scene that is rendered.
+        tilt of the sensor (Scheimpflug).  Empty: none.
     fisheye : bool
         Whether the lens is OpenCV's fisheye (Kannala and Brandt's; ROS calls it equidistant), and
         `distortion` its k_1 ... k_4: r = theta (1 + k_1 theta^2 + ... + k_4 theta^8) for light at
@@ -393,6 +411,24 @@ class Pinhole(PixelFamily):
     def pixel_mm(self, points_mm: ArrayLike) -> Array:
         """Size (N,) of a pixel along u at the depths of world points (N, 3), mm per px."""
         return self.pose.to_local(points_mm)[..., 2] / abs(self.matrix[0, 0])
+
+
+@lru_cache(maxsize=_CACHED)  # a camera that moves keeps it
+def _extent_of(
+    matrix: tuple[float, ...], distortion: tuple[float, ...], size: tuple[int, int], fisheye: bool
+) -> tuple[Array, Array]:
+    """Of a camera's image, by its border; infinite where the image itself is folded there."""
+    K, nowhere = np.array(matrix).reshape(3, 3), Pose(np.eye(3), np.zeros(3))
+    camera = Pinhole(K, nowhere, size, np.array(distortion), fisheye)
+    u, v = (np.linspace(-0.5, n - 0.5, _SAMPLES) for n in size)
+    sides = [(u, v[0]), (u, v[-1]), (u[0], v), (u[-1], v)]
+    border = [np.stack(np.broadcast_arrays(*side), axis=-1) for side in sides]
+    places = np.stack(camera.of_pixels(np.concatenate(border)), axis=-1)
+    if not np.isfinite(places).all():
+        return np.full(2, -np.inf), np.full(2, np.inf)
+    low, high = places.min(axis=0), places.max(axis=0)
+    spare = _SPARE * (high - low)
+    return low - spare, high + spare
 
 
 @dataclass(frozen=True)

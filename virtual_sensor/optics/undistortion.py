@@ -25,6 +25,7 @@ ERROR_PX = 1e-5
 """Of a table, at most, in the middles of its cells."""
 
 _FEWEST, _MOST = 17, 257  # nodes along the longer side
+_CHECKED = 48  # cells along a side, at whose nodes a fold is looked for
 _CACHED = 16
 
 
@@ -71,7 +72,7 @@ class Undistortion:
 def check_unfolded(family: PixelFamily) -> None:
     """Raise InputError if a distortion can't be undone somewhere on the film."""
     if family.distorts:
-        _spline(family)
+        _moved(family, [_CHECKED, _CHECKED])
 
 
 def _spline(family: PixelFamily) -> tuple[tuple[int, int], NDArray[np.float32]]:
@@ -88,18 +89,20 @@ def _spline_of(
     family, most = Pinhole(K, nowhere, size, np.array(distortion), fisheye), _FEWEST
     while True:
         cells = [max(4, -(-(most - 1) * n // max(size))) for n in size]
-        fine = _moved(family, [2 * count for count in cells])
-        coefficients = bspline_coefficients(fine[::2, ::2], (False, False))
-        missed = _between(coefficients) - fine[1::2, 1::2]
+        coefficients = bspline_coefficients(_moved(family, cells), (False, False))
+        missed = _between(coefficients) - _moved(family, cells, 0.5)
         if np.abs(missed).max() <= ERROR_PX or most >= _MOST:
             return (cells[0] + 1, cells[1] + 1), coefficients.astype(np.float32)
         most = 2 * most - 1
 
 
-def _moved(family: PixelFamily, cells: list[int]) -> Array:
-    """The differences (rows, columns, 2), px, at nodes over the film."""
+def _moved(family: PixelFamily, cells: list[int], first: float = 0.0) -> Array:
+    """The differences (rows, columns, 2), px, at the nodes of cells over the film, or from within.
+
+    `first` is where in its cell the first place lies; 0.5: the places are the cells' middles.
+    """
     sides = zip(family.size, cells, strict=True)
-    u, v = (np.linspace(0.0, length, count + 1) - 0.5 for length, count in sides)
+    u, v = (np.arange(first, n + 1 - first) * (side / n) - 0.5 for side, n in sides)
     places = np.stack(np.meshgrid(u, v), axis=-1)
     moved = family.undistorted(places) - places
     if not np.isfinite(moved).all():
