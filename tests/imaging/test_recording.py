@@ -1,5 +1,6 @@
 """A recorded frame: exposure by the lens, seeds of its own, the truth in each column."""
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -308,3 +309,56 @@ def test_a_line_that_a_knee_flattens_is_found_as_wide_as_it_is(scene, frame):
     assert errors.rms_px < 0.05
     ordinary = vs.record(scene, frame)
     assert ordinary.linear_grey is ordinary
+
+
+def test_a_folder_holds_the_frame_its_ideal_one_the_truth_and_what_made_them(
+    scene, frame, tmp_path
+):
+    shot = vs.record(scene, frame, 6, sensor="cmos_5um5")
+    for images in ("png", "tif"):
+        folder = shot.write(tmp_path / images, images)
+        names = sorted(each.name for each in folder.iterdir())
+        assert names == sorted([f"frame.{images}", "ideal.exr", "summary.json", "truth.csv"])
+        image = vs.read_image(folder / f"frame.{images}")
+        np.testing.assert_array_equal(image.pixels, shot.grey)
+        assert image.detector_options == pytest.approx(shot.detector_options)
+        assert vs.line_centres(image) == vs.line_centres(shot)
+    np.testing.assert_array_equal(vs.read_image(folder / "ideal.exr").pixels, frame.radiance)
+    rows = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["row_px"], shot.truth.row_px, rtol=1e-12)
+    said = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    again = vs.record(
+        vs.load_scene(said["scene"], **said["parameters"]),
+        frame,
+        said["seed"],
+        sensor=said["sensor"]["name"],
+    )
+    np.testing.assert_array_equal(again.grey, shot.grey)
+    with pytest.raises(InputError, match="exists"):
+        shot.write(folder)
+    assert shot.write(folder, overwrite=True) == folder
+    assert vs.read_image(shot.write(tmp_path / "one.tif")).detector_options["gain"] == 0.29
+
+
+def test_files_of_sequences_and_radiances(scene, tmp_path):
+    both = np.stack([np.full((160, 160), level) for level in (1.0, 2.0)])
+    shots = vs.record(scene, both)
+    folder = shots.write(tmp_path / "two")
+    names = sorted(each.name for each in folder.iterdir())
+    ends = ("00", "01")
+    images = [f"frame_{n}.png" for n in ends] + [f"ideal_{n}.exr" for n in ends]
+    assert names == [*images, "summary.json"]
+    np.testing.assert_array_equal(vs.read_image(folder / "frame_01.png").pixels, shots.grey[1])
+    for words, path in {"name a folder": "a.png", "without a suffix": "a.jpg"}.items():
+        with pytest.raises(InputError, match=words):
+            shots.write(tmp_path / path)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["two"]
+
+
+def test_a_scene_of_other_pixels_than_its_sensors_is_told(scene, frame):
+    small = replace(QUIET, name="small", width_px=64, height_px=200, pixel_um=3.45)
+    lens = with_lens(scene, pixel_um=5.5)
+    size, pitch = vs.record(lens, frame, sensor=small).notes
+    assert "160 x 160 px, and small 64 x 200" in size
+    assert "5.5 um wide in the scene, and 3.45 um" in pitch
+    assert vs.record(lens, frame, sensor=QUIET).notes == ()

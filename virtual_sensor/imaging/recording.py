@@ -12,10 +12,12 @@ rough surface that speckles is the same while the part, the camera and the light
 
 from __future__ import annotations
 
+import importlib
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -49,6 +51,7 @@ PEAK = 0.8
 
 _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _MANY = 0.5  # of the line's columns
+_SAME_PIXEL = 0.01
 _REMEDY = (
     'give its camera one, <float name="f_number" value="8"/> in a <sensor type="lens_camera">, or'
     " leave the exposure to auto"
@@ -223,11 +226,14 @@ class RecordedFrame(Displayed):
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What made it, as files carry it; ``vs.record`` with these makes the same bits."""
+        """What made it, as files carry it: ``vs.record`` of the same frame makes the same bits."""
+        lens = self.camera.lens
         return {
+            "software": f"virtual_sensor {version('virtual-sensor')}",
             "scene": str(self.scene),
             "parameters": dict(self.parameters),
             "sensor": asdict(self.sensor),
+            "lens": None if lens is None else {**asdict(lens), "f_number": lens.f_number},
             "exposure_s": self.exposure_s,
             "electrons_per_radiance": self.electrons_per_radiance,
             "seed": self.seed,
@@ -235,6 +241,34 @@ class RecordedFrame(Displayed):
             **self.detector_options,
             "notes": list(self.notes),
         }
+
+    def write(self, path: str | Path, images: str = "png", *, overwrite: bool = False) -> Path:
+        """Write it: grey values alone to a file, or with ideal frame and truth into a folder.
+
+        Parameters
+        ----------
+        path : str or Path
+            Of an image that ends with .png or .tif, which carries noise, gain, saturation, black
+            level and all else that is known (`read_image` reads them); or of a folder, of which
+            `imaging.recording_files` says what it holds.
+        images : {"png", "tif"}
+            What the grey values in a folder are written as.
+        overwrite : bool
+            Whether what exists is replaced.
+
+        Returns
+        -------
+        Path
+            Of the file or the folder, which are written whole or not at all.
+
+        Raises
+        ------
+        InputError
+            If it exists, can't be written, or a sequence is to be one image.
+        """
+        files: Any = importlib.import_module("virtual_sensor.imaging.recording_files")
+        written: Path = files.write_recording(self, path, images, overwrite)
+        return written
 
 
 @public
@@ -525,14 +559,14 @@ def _light_e(sensor: ImageSensor, stored_e: float) -> float:
 
 
 def _doubts(shot: RecordedFrame) -> list[str]:
-    """Notes of a recorded frame whose line is clipped, or drowns."""
+    """Notes of a recorded frame whose line is clipped, or drowns, or that is of other pixels."""
+    notes = _of_other_pixels(shot)
     lit = getattr(shot.ideal, "lit", None)
     if lit is None or not lit.any():
-        return []
+        return notes
     columns = lit.any(axis=0)
     clipped = (shot.saturated & lit).any(axis=0)
     share = float(clipped.sum() / columns.sum())
-    notes = []
     if share > _MANY:
         which = "all" if share == 1.0 else f"{share:.0%} of the"
         notes.append(
@@ -544,5 +578,23 @@ def _doubts(shot: RecordedFrame) -> list[str]:
         notes.append(
             f"the line is at most {brightest:.3g} grey values above black, and the noise"
             f" {shot.sensor.grey_noise:.3g}: expose for a longer time, or leave it to auto"
+        )
+    return notes
+
+
+def _of_other_pixels(shot: RecordedFrame) -> list[str]:
+    """Notes of a scene whose image is no part of its sensor's."""
+    sensor, camera, notes = shot.sensor, shot.camera, []
+    name = sensor.name or "the sensor"
+    whole = sensor.width_px, sensor.height_px
+    if any(most and size > most for size, most in zip(camera.size, whole, strict=True)):
+        sizes = (" x ".join(map(str, size)) for size in (camera.size, whole))
+        notes.append("the image has {} px, and {name} {}".format(*sizes, name=name))
+    counted = shot.exposure_s is not None or shot.speckled is not None
+    seen, own = camera.pixel_um, sensor.pixel_um
+    if counted and seen and own and abs(seen / own - 1.0) > _SAME_PIXEL:
+        notes.append(
+            f"pixels are {seen:.4g} um wide in the scene, and {own:.4g} um by the data sheet of"
+            f" {name}, by which photons and speckle are counted; set the scene's (-D pixel={own:g})"
         )
     return notes

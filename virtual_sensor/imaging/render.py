@@ -393,6 +393,11 @@ EXR_LAYERS = (
         "Coordinates of the ray of the source of this name that lights the point: of a laser line"
         " a across it and b along it; NaN where none does.",
     ),
+    Described(
+        "background.Y",
+        "W/(mm² sr)",
+        "Radiance that lamps and glow alone make, where it was asked for.",
+    ),
 )
 """Layers of a frame's EXR file, float32; the truth is that at the pixel's centre."""
 
@@ -409,4 +414,6 @@ def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
     }
     for name, coordinates in frame.source_coordinates.items():
         channels |= {f"{name}.a": coordinates[:, :, 0], f"{name}.b": coordinates[:, :, 1]}
+    if frame.background is not None:
+        channels["background.Y"] = frame.background
     write_layers(path, channels, header)
