@@ -143,3 +143,18 @@ def test_an_unknown_detector_is_refused_before_any_work():
         trial(["centroid"])
     with pytest.raises(InputError, match="columns is 3"):
         trial(columns=3)
+
+
+def test_a_line_that_an_image_sensor_records_is_of_its_data_sheet():
+    """Its peak at 80 % of what the sensor can tell, its noise and its fixed pattern."""
+    for name in ("cmos_5um5", "profile_sensor"):  # one with a knee-point
+        condition = Condition.of_sensor("task", 2.0, name, None)
+        sheet = condition.camera
+        image = drawn_line(condition, 300, seed=1)
+        assert condition.read_noise_electrons == sheet.dark_noise_e
+        top = np.median(image.grey.max(axis=0)) - sheet.black_level
+        assert top == pytest.approx(0.8 * sheet.saturation_e * sheet.gain, rel=0.15)
+        found = score("max_likelihood", condition, image)
+        assert found.condition == condition
+        assert found.lost_share < 0.05
+        assert found.ratio < 4.0

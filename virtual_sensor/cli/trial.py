@@ -6,11 +6,17 @@ from typing import Annotated
 import typer
 
 from virtual_sensor.cli import shared
+from virtual_sensor.errors import InputError
+from virtual_sensor.files import exists
+
+PEAK_E, READ_NOISE_E = 5000.0, 2.0
+"""Of a line and a camera that nothing is said of."""
 
 EPILOG = (
     "Examples:\n\n"
     "    virtual-sensor trial\n\n"
     "    virtual-sensor trial --width 2.5 --peak 900 --read-noise 6\n\n"
+    "    virtual-sensor trial --sensor-model cmos_5um5 --width 2.5\n\n"
     "    virtual-sensor trial --quick -o glance\n\n"
     "    virtual-sensor trial --detector max_likelihood --detector my_package.my_module:mine"
 )
@@ -29,8 +35,25 @@ def trial(
         float,
         typer.Option(help="Of your line, px standard deviation: a detector is chosen for it."),
     ] = 1.5,
-    peak: Annotated[float, typer.Option(help="Electrons of a pixel at your line's peak.")] = 5000.0,
-    read_noise: Annotated[float, typer.Option(help="Of your camera, electrons.")] = 2.0,
+    peak: Annotated[
+        float | None,
+        typer.Option(
+            help="Electrons of a pixel at your line's peak; by default 5000, or 80 % of what the"
+            " image sensor can tell."
+        ),
+    ] = None,
+    read_noise: Annotated[
+        float | None,
+        typer.Option(help="Of your camera, electrons; by default 2, or the image sensor's."),
+    ] = None,
+    sensor_model: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Record your line, and the part cold and hot, by this image sensor: cmos_5um5,"
+            " cmos_3um45, profile_sensor, or a .toml file of your own.",
+        ),
+    ] = None,
     seed: Annotated[
         int, typer.Option(metavar="N", min=0, help="Of all images: the same, the same images.")
     ] = 0,
@@ -56,7 +79,19 @@ def trial(
 
     shared.see_own_modules()
     shared.check_folder(output, overwrite)
-    task = Condition.of_peak("task", width, peak, read_noise)
+    if sensor_model is None:
+        peak = PEAK_E if peak is None else peak
+        read_noise = READ_NOISE_E if read_noise is None else read_noise
+        task = Condition.of_peak("task", width, peak, read_noise)
+    elif read_noise is not None:
+        raise InputError(
+            f"--read-noise {read_noise:g}: {sensor_model} has read noise of its own; leave it out,"
+            " or --sensor-model"
+        )
+    else:
+        file = Path(sensor_model)  # other processes read it too
+        sensor = str(file.absolute()) if file.suffix and exists(file) else sensor_model
+        task = Condition.of_sensor("task", width, sensor, peak)
     with shared.reporting("getting ready") as report:
         result = run(
             *(detector or [], task, seed, columns, quick, frames, workers),

@@ -176,6 +176,11 @@ class ImageSensor(Displayed):
         """Grey value from which on pixels are clipped, by the well or by the converter."""
         return float(min(self.white, np.floor(self.black_level + self.gain * self.full_well_e)))
 
+    @property
+    def saturation_e(self) -> float:
+        """Electrons read from which on a pixel is clipped, by the well or by the converter."""
+        return float(min(self.full_well_e, (self.white - self.black_level) / self.gain))
+
     def without_knee(self, grey: ArrayLike) -> NDArray[np.floating]:
         """Grey values in proportion to the light: those beyond the knee-point are stretched back.
 

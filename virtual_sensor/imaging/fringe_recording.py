@@ -137,9 +137,7 @@ class FringeRecording(RecordingOptions):
         """The exposure, as `record` takes it."""
         if self.electrons is None:
             return {"exposure_s": self.exposure}
-        from virtual_sensor.imaging.recording import saturation_e
-
-        return {"exposure_s": AUTO, "peak": self.electrons / saturation_e(sensor)}
+        return {"exposure_s": AUTO, "peak": self.electrons / sensor.saturation_e}
 
     def facts(self, shot: RecordedFrame | NDArray[Any]) -> dict[str, Any]:
         """What is to be told of frames as `shot` gives them."""

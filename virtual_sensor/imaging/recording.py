@@ -528,7 +528,7 @@ def exposure_of(
     brightest = float(np.nanmax(light, initial=0.0))
     if not 0.0 < brightest < np.inf:
         return 0.0, None, ("the frame is dark: automatic exposure found no light",)
-    factor = _light_e(sensor, peak * saturation_e(sensor)) / brightest
+    factor = _light_e(sensor, peak * sensor.saturation_e) / brightest
     if per_second is None:
         return factor, None, ()
     time_s = factor / per_second
@@ -542,11 +542,6 @@ def exposure_of(
         )
     )
     return per_second * kept, kept, notes
-
-
-def saturation_e(sensor: ImageSensor) -> float:
-    """Electrons at which a pixel is clipped, by the well or by the converter."""
-    return float(min(sensor.full_well_e, (sensor.white - sensor.black_level) / sensor.gain))
 
 
 def _light_e(sensor: ImageSensor, stored_e: float) -> float:

@@ -188,9 +188,10 @@ def markdown(trial: Trial) -> str:
 def described(condition: Condition) -> str:
     """What an image is like, in words."""
     kind = "line" if condition.kind in ("task", "clean") else condition.kind
+    sensor = f", recorded by {Path(condition.sensor).stem}" if condition.sensor else ""
     return (
         f"{kind} of sigma {condition.width_px:.3g} px with {condition.peak_electrons:,.0f} e at its"
-        f" peak and {condition.read_noise_electrons:g} e of read noise"
+        f" peak and {condition.read_noise_electrons:g} e of read noise{sensor}"
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.devices.image_sensor import ImageSensor
+from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor
 from virtual_sensor.display import Displayed, span
 from virtual_sensor.imaging.grey_values import exposed, grey_values
 from virtual_sensor.imaging.speckle import Aperture, speckled
@@ -25,6 +25,7 @@ HEIGHT_PX = 64
 SPECKLE = Aperture(5.6, pixel_um=5.5, polarisations=2)
 CLIPPED = 2.0  # times the full well: the peak of a saturated line
 AMBIENT_ELECTRONS = 100.0  # of a pixel
+EXPOSED = 0.8  # of what a sensor can tell is where a line's peak lies, unless it is given
 _FULL_WELL_ELECTRONS = 60_000.0
 _SWING_PX, _WAVE_PX = 2.0, 600.0  # amplitude and length of a drawn line's waves
 
@@ -44,20 +45,38 @@ class Condition(Record):
         That a column of the line makes; of a rendered frame its brightest column.
     read_noise_electrons : float
         Of the camera, for each pixel.
+    sensor : str
+        Image sensor that records, by its name or file; empty: one that has this noise alone.
     """
 
     kind: str
     width_px: float
     column_electrons: float
     read_noise_electrons: float
+    sensor: str = field(default="", kw_only=True)
 
     @classmethod
     def of_peak(
-        cls, kind: str, width_px: float, peak_electrons: float, read_noise_electrons: float
+        cls,
+        kind: str,
+        width_px: float,
+        peak_electrons: float,
+        read_noise_electrons: float,
+        sensor: str = "",
     ) -> Condition:
         """The condition whose line makes so many electrons in a pixel at its peak."""
         electrons = peak_electrons * np.sqrt(2.0 * np.pi) * width_px
-        return cls(kind, width_px, float(electrons), read_noise_electrons)
+        return cls(kind, width_px, float(electrons), read_noise_electrons, sensor=sensor)
+
+    @classmethod
+    def of_sensor(cls, kind: str, width_px: float, sensor: str, peak_e: float | None) -> Condition:
+        """A line that an image sensor records, by its name or file.
+
+        Its peak makes `peak_e` electrons, by default 80 % of what the sensor can tell.
+        """
+        sheet = image_sensor(sensor)
+        peak = EXPOSED * sheet.saturation_e if peak_e is None else peak_e
+        return cls.of_peak(kind, width_px, peak, sheet.dark_noise_e, sensor)
 
     @property
     def peak_electrons(self) -> float:
@@ -66,7 +85,9 @@ class Condition(Record):
 
     @property
     def camera(self) -> ImageSensor:
-        """One grey value an electron and a well that no clean line fills: nothing but noise."""
+        """The sensor; else one grey value an electron, and a well that no clean line fills."""
+        if self.sensor:
+            return image_sensor(self.sensor)
         clipped = self.kind == "saturated"
         well = self.peak_electrons / CLIPPED if clipped else _FULL_WELL_ELECTRONS
         return ImageSensor(
@@ -137,9 +158,9 @@ def drawn_line(
         mean = speckled(mean, SPECKLE, rng)
     if condition.kind in ("speckle", "saturated"):
         bound_px = np.full(columns, np.nan)
-    grey = grey_values(mean, condition.camera, rng)
-    line = TrueLine.of_rows(truth)
-    return TrialImage(grey.astype(np.uint16), line, bound_px, _known(condition))
+    camera = condition.camera
+    grey = _recorded(mean / camera.quantum_efficiency, camera, rng)
+    return TrialImage(grey, TrueLine.of_rows(truth), bound_px, _known(condition))
 
 
 def frame_line(
@@ -151,9 +172,16 @@ def frame_line(
     lit = np.flatnonzero(frame.lit.any(axis=1))
     rows = slice(max(lit[0] - HEIGHT_PX // 2, 0), lit[-1] + HEIGHT_PX // 2)
     light = light[rows]
-    grey = grey_values(light, camera, np.random.default_rng(seed))
-    bound_px = cramer_rao_px(light, shifted(light), condition.read_noise_electrons)
-    return TrialImage(grey.astype(np.uint16), truth.moved(-rows.start), bound_px, _known(condition))
+    grey = _recorded(light, camera, np.random.default_rng(seed))
+    mean = light * camera.quantum_efficiency
+    bound_px = cramer_rao_px(mean, shifted(mean), condition.read_noise_electrons)
+    return TrialImage(grey, truth.moved(-rows.start), bound_px, _known(condition))
+
+
+def _recorded(photons: Array, sensor: ImageSensor, rng: np.random.Generator) -> NDArray[Any]:
+    """Grey values, in proportion to the light where the sensor has a knee-point."""
+    grey = grey_values(photons, sensor, rng)
+    return grey.astype(np.uint16) if sensor.knee is None else sensor.without_knee(grey)
 
 
 def shifted(mean: Array) -> Array:
@@ -169,5 +197,5 @@ def _known(condition: Condition) -> dict[str, Any]:
     return {
         "noise": float(np.hypot(camera.grey_noise, camera.gain * np.sqrt(ambient))),
         "gain": camera.gain,
-        "saturation": camera.saturation,
+        "saturation": float(camera.without_knee(camera.saturation)),
     }

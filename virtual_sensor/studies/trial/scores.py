@@ -62,7 +62,8 @@ class Score(Condition):
     @property
     def condition(self) -> Condition:
         """What the image is like."""
-        return Condition(self.kind, self.width_px, self.column_electrons, self.read_noise_electrons)
+        numbers = self.width_px, self.column_electrons, self.read_noise_electrons
+        return Condition(self.kind, *numbers, sensor=self.sensor)
 
     @property
     def ratio(self) -> float:

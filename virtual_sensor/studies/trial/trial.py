@@ -182,7 +182,7 @@ def trial(
     number_within("trial: electrons at the peak", task.peak_electrons, *_PEAKS, "10 to 50000")
     number_within("trial: read noise", task.read_noise_electrons, 0.0, 1000.0, "0 to 1000 e")
     report("rendering the part", 0.0)
-    rendered = list(_frames(quick, seed, report)) if frames else []
+    rendered = list(_frames(quick, seed, task, report)) if frames else []
     drawn = conditions(task, quick)
     widths = PHASE_WIDTHS_PX[1:4:2] if quick else PHASE_WIDTHS_PX
     pairs = [(name, width) for name in names for width in widths]
@@ -210,8 +210,14 @@ def trial(
     )
 
 
-def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition, TrialImage]]:
-    """The part cold and hot, rendered; each at some exposures."""
+def _frames(
+    quick: bool, seed: int, task: Condition, report: Report
+) -> Iterator[tuple[Condition, TrialImage]]:
+    """The part cold and hot, rendered; each at some exposures, or by the task's sensor at its."""
+    peaks = FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E
+    noise_e = DARK_NOISES_E[0]
+    if task.sensor:
+        peaks, noise_e = (task.peak_electrons,), task.read_noise_electrons
     film = _QUICK_FILM_PX if quick else _FILM_PX
     scene = load_scene(SCENE, width=film, height=film, line_radius=0.1 * 2048 / film)
     states = (("cold frame", scene.cold()), ("hot frame", scene))
@@ -220,8 +226,8 @@ def _frames(quick: bool, seed: int, report: Report) -> Iterator[tuple[Condition,
         frame = render_frame(state)
         truth = TrueLine.of_frame(frame)
         width = float(np.nanmedian(line_centres(frame.radiance).width))
-        for peak in FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E:
-            condition = Condition.of_peak(kind, round(width, 2), peak, DARK_NOISES_E[0])
+        for peak in peaks:
+            condition = Condition.of_peak(kind, round(width, 2), peak, noise_e, task.sensor)
             yield condition, frame_line(condition, frame, truth, (seed, number, int(peak)))
 
 
