@@ -12,7 +12,9 @@ from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, rms
+from virtual_sensor.reporting.error_split import split_words
 from virtual_sensor.studies.error_split import (
+    ErrorSplit,
     half_a_pixel_lower,
     nearest_rows,
     split_error,
@@ -37,7 +39,9 @@ def test_the_parts_of_each_point_add_up_to_its_error(hot):
     split = hot.split
     known = split.known
     assert known.sum() > 0.95 * hot.centres
-    np.testing.assert_allclose(split.total_um[known], hot.section_error_um[known], atol=1e-9)
+    whole = np.sum([*split.parts_um.values()], axis=0)
+    np.testing.assert_allclose(whole[known], hot.section_error_um[known], atol=1e-9)
+    np.testing.assert_array_equal(split.error_um, hot.section_error_um)
     np.testing.assert_array_equal(split.pixel, hot.centres_px)
     assert list(split.parts_um) == ["refraction", "detector", "pixels", "noise", "rounding"]
 
@@ -135,7 +139,8 @@ def test_dots_are_split_too(hot):
     state = measure(scene, recording=RecordingOptions(TEMPORAL, seed=1)).hot
     split = state.split
     assert split.known.all()
-    np.testing.assert_allclose(split.total_um, state.section_error_um, atol=1e-9)
+    whole = np.sum([*split.parts_um.values()], axis=0)
+    np.testing.assert_allclose(whole, state.section_error_um, atol=1e-9)
     np.testing.assert_allclose(split.parts_um["refraction"], state.searched_error_um, atol=1e-9)
 
 
@@ -159,5 +164,23 @@ def test_where_nothing_is_found_no_part_is_known(hot):
     over = RecordingOptions(replace(TEMPORAL, dark_noise_e=9000.0))
     state = measure(load_scene("cold_cylinder", **FILM), recording=over).cold
     figures = split_summary(state.split)
-    assert (figures.points, figures.largest) == (0, "")
+    assert (figures.points, figures.others, figures.largest) == (0, 0, "")
     assert np.isnan(figures.whole.rms_um)
+
+
+def test_points_of_which_not_all_parts_are_known_are_counted():
+    """Rationale: an rms of the easy points alone says too little, and must say of how many it is.
+
+    One point has no centre in the ideal frame, one none at all.
+    """
+    nothing, error = np.nan, np.array([3.0, 4.0, 5.0, np.nan])
+    parts = {"detector": np.array([1.0, 1.0, nothing, nothing]), "noise": error - 1.0}
+    split = ErrorSplit(np.zeros((4, 2)), np.zeros(4), error, parts, parts)
+    figures = split_summary(split)
+    assert (figures.points, figures.others) == (2, 1)
+    assert figures.whole.rms_um == pytest.approx(np.sqrt(12.5))
+    assert figures.parts["noise"].mean_um == 2.5
+    assert split_words({"hot": figures}) == [
+        "In hot air the error of 3.54 µm rms is made of: noise 2.55 and detector 1 µm. Of 1 point"
+        " more not all parts are known."
+    ]

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from virtual_sensor.reporting.pictures import Panel
 from virtual_sensor.reporting.style import colour
 from virtual_sensor.reporting.tables import Column, TextTable, pair_table, text_table
-from virtual_sensor.reporting.words import NIL_UM, listed
+from virtual_sensor.reporting.words import NIL_UM, counted, listed
 from virtual_sensor.studies.error_split import PartErrors, SplitSummary
 
 Splits = Mapping[str, SplitSummary]
@@ -81,13 +81,17 @@ def split_words(splits: Splits) -> list[str]:
     said = []
     for state, split in splits.items():
         if not split.largest:
-            said.append(f"In {state} air no point has a known error, nor its parts.")
+            said.append(f"In {state} air there is no point all parts of whose error are known.")
             continue
         sizes = {name: part.rms_um for name, part in split.parts.items()}
         ordered = sorted(sizes, key=lambda name: -sizes[name])
         parts = listed([f"{name} {_short(sizes[name])}" for name in ordered])
         whole = _short(split.whole.rms_um)
-        said.append(f"In {state} air the error of {whole} µm rms is made of: {parts} µm.")
+        others = f" Of {counted(split.others, 'point')} more not all parts are known."
+        said.append(
+            f"In {state} air the error of {whole} µm rms is made of: {parts} µm."
+            + others * bool(split.others)
+        )
     return said
 
 

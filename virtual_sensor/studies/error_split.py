@@ -59,9 +59,10 @@ class ErrorSplit(Displayed):
         Where the line, or a dot, is found at last, (u, v).
     y_mm : ndarray of shape (N,)
         Position along the line of the point that is measured there.
+    error_um : ndarray of shape (N,)
+        Distance of that point from the true section: positive outside the part.
     parts_um : dict of ndarray of shape (N,)
-        By the stage, what it adds to the point's distance from the true section: positive outside
-        the part.
+        By the stage, what it adds to that distance.
     parts_px : dict of ndarray of shape (N,)
         By the stage, how far it moves the place across the line, along v.
     """
@@ -70,6 +71,7 @@ class ErrorSplit(Displayed):
 
     pixel: Array
     y_mm: Array
+    error_um: Array
     parts_um: Mapping[str, Array]
     parts_px: Mapping[str, Array]
 
@@ -84,11 +86,6 @@ class ErrorSplit(Displayed):
     def known(self) -> NDArray[np.bool_]:
         """Of which points all parts are known, (N,)."""
         return np.asarray(np.isfinite([*self.parts_um.values()]).all(axis=0))
-
-    @property
-    def total_um(self) -> Array:
-        """Distance of the points from the true section, (N,)."""
-        return np.sum([*self.parts_um.values()], axis=0)
 
     @property
     def total_px(self) -> Array:
@@ -111,7 +108,7 @@ class ErrorSplit(Displayed):
             }
             for each in (distance, row)
         )
-        return cls(places[last], section.along_mm(points[last]), um, px)
+        return cls(places[last], section.along_mm(points[last]), distance[-1], um, px)
 
 
 def split_error(
@@ -217,6 +214,9 @@ class SplitSummary(Record):
     ----------
     points : int
         Of which all parts are known; the figures are of these.
+    others : int
+        Points whose error is known, and not all of its parts: where an edge cuts the line, say, the
+        ideal frame may have no centre.
     whole : PartErrors
         The whole error.
     parts : dict of PartErrors
@@ -227,6 +227,7 @@ class SplitSummary(Record):
     """
 
     points: int
+    others: int
     whole: PartErrors
     parts: dict[str, PartErrors]
     largest: str
@@ -244,8 +245,9 @@ def split_summary(split: ErrorSplit) -> SplitSummary:
 
     parts = {name: errors(um, split.parts_px[name]) for name, um in split.parts_um.items()}
     largest = max(parts, key=lambda name: parts[name].rms_um) if known.any() else ""
-    whole = errors(split.total_um, split.total_px)
-    return SplitSummary(int(known.sum()), whole, parts, largest)
+    whole = errors(split.error_um, split.total_px)
+    others = int((np.isfinite(split.error_um) & ~known).sum())
+    return SplitSummary(int(known.sum()), others, whole, parts, largest)
 
 
 ByPart = Annotated[
@@ -287,4 +289,4 @@ class SplitTable(Table):
 
 def split_table(split: ErrorSplit) -> SplitTable:
     """The table of a split error."""
-    return SplitTable(split.pixel, split.y_mm, split.total_um, split.parts_um, split.parts_px)
+    return SplitTable(split.pixel, split.y_mm, split.error_um, split.parts_um, split.parts_px)
