@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import virtual_sensor as vs
 from virtual_sensor.devices.camera import LensCamera
+from virtual_sensor.imaging.checks import check_scene
 from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.optics.lens import Lens
 
@@ -189,6 +190,23 @@ def test_a_camera_is_exchanged_and_stays_so():
             scene.with_camera(wrong)
     with pytest.raises(vs.InputError, match="no camera 'x'"):
         scene.with_camera(camera, "x")
+
+
+def test_a_line_out_of_focus_and_a_pupil_in_the_part_are_told():
+    """The blur by hand: 2 r |1/g - 1/z| f at the sharpest place."""
+    near = cold(f_number=8, focus_distance=200)
+    (note,) = check_scene(near)
+    lens, z = near.camera.lens, near.camera.pose.to_local([[0.0, 0.0, 0.0]])[0, 2]
+    blur = 2.0 * lens.pupil_radius_mm * (1.0 / 200.0 - 1.0 / z) * near.camera.matrix[0, 0]
+    assert f"is nowhere in focus: its blur is {blur:.2g}" in note
+    assert check_scene(cold(f_number=8)) == []
+    close = {"f_number": 0.5, "distance": 20, "focal_length": 20}
+    with pytest.raises(vs.InputError, match=r"a shape reaches into the lens's pupil.*f_number"):
+        cold(**close, alpha=80, tilt=0)
+    scene = cold(**(close | {"f_number": 8}), alpha=80, tilt=0)
+    wide = replace(scene.camera, lens=replace(scene.camera.lens, pupil_radius_mm=10.0))
+    with pytest.raises(vs.InputError, match="a shape reaches into the lens's pupil"):
+        scene.with_camera(wide)
 
 
 def test_mitsubas_thinlens_is_a_camera_of_an_assumed_film(tmp_path):

@@ -25,6 +25,7 @@ from virtual_sensor.optics.field_border import (
     BorderCrossing,
     border_crossing,
 )
+from virtual_sensor.optics.lens import circle_of_confusion
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 from virtual_sensor.optics.sensor_geometry import NEAREST_MM, SINGULAR, check_geometry
@@ -34,6 +35,9 @@ Array = NDArray[np.float64]
 
 FACETS_TOLD_PX = 0.03
 """Facets that lie beside their surface by more than this are noted."""
+
+FOCUS_TOLD_PX = 5.0
+"""Light whose blur is wider than this wherever a camera sees it is noted."""
 
 FACETS_LIE = "the part's facets lie"
 """How the note of facets begins."""
@@ -122,7 +126,7 @@ def _check_pair(scene: Scene, facets: bool) -> list[str]:
         _check_solid(scene, line)
         found = _check_border(scene, scene.medium, line) if scene.medium else []
         found += _facet_note(scene, line) if facets else []
-    return found + _glow_note(scene, line)
+    return found + _focus_note(scene, line) + _glow_note(scene, line)
 
 
 def _facet_note(scene: Scene, line: LitLine) -> list[str]:
@@ -142,6 +146,25 @@ def _facet_note(scene: Scene, line: LitLine) -> list[str]:
         f" the curved surface, where the {_light(scene.source).split()[-1]} meets them (estimated"
         " from the angles between them);"
         f" export the part finer, with a chord tolerance of {tolerance_um:.1g} um"
+    ]
+
+
+def _focus_note(scene: Scene, line: LitLine) -> list[str]:
+    """Note light that a camera with a lens has nowhere in focus."""
+    camera = scene.camera
+    if camera.lens is None:
+        return []
+    seen = camera.inside(camera.project(line.points_mm))
+    blur_px = circle_of_confusion(camera.lens, camera, line.points_mm[seen]).max(axis=1)
+    sharpest, most = np.min(blur_px, initial=np.inf), np.max(blur_px, initial=0.0)
+    if not FOCUS_TOLD_PX < sharpest < np.inf:
+        return []
+    depth_mm = camera.pose.to_local(line.points_mm[seen])[:, 2]
+    return [
+        f"{scene.camera_element}: the {_light(scene.source)} is nowhere in focus: its blur is"
+        f" {sharpest:.3g} to {most:.3g} px wide; it lies {depth_mm.min():.4g} to"
+        f" {depth_mm.max():.4g} mm before the lens, which is focused at"
+        f" {camera.lens.focus_distance_mm:.4g} mm (focus_distance; a larger f_number blurs less)"
     ]
 
 

@@ -96,6 +96,7 @@ _NAMING_FILES = ("string", "include", "spectrum")  # elements of Mitsuba's XML t
 _SAME = 1e-3  # of two pitches of pixels
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
+_ROUND_PUPIL = 24  # directions in which a shape within the pupil is looked for
 _ELEMENTS = {  # that a scene may lack
     "camera": '<sensor type="lens_camera">',
     "source": '<emitter type="laser_line">, or <emitter type="pattern_projector">',
@@ -483,6 +484,7 @@ class Scene(Displayed):
             )
         with naming(where):
             check_unfolded(camera)
+        _check_pupil(where, self.mitsuba, camera)
         return replace(self, cameras={**self.cameras, name: camera})
 
     def with_pose(self, name: str, pose: Pose) -> Scene:
@@ -896,7 +898,9 @@ def _places(path: Path, loaded: Any, cameras: dict[str, LensCamera]) -> list[str
     if not (np.isfinite(corners).all() and np.all(corners[0] <= corners[1])):
         raise InputError(f"{path}: its shapes have no finite size; give the scene a part")
     for name, camera in cameras.items():
-        _check_clearance(f"{path}: {_sensor(name)}", loaded, camera.pose.origin_mm)
+        where = f"{path}: {_sensor(name)}"
+        _check_clearance(where, loaded, camera.pose.origin_mm)
+        _check_pupil(where, loaded, camera)
     size, middle = float(np.max(corners[1] - corners[0])), corners.mean(axis=0)
     distances, views = [], []
     for camera in cameras.values():
@@ -924,6 +928,23 @@ def _check_clearance(where: str, loaded: Any, place_mm: Array) -> None:
     if np.isfinite(np.array(met)).any():
         raise InputError(
             f"{where}: the camera stands on a surface; move it away from it (to_world)"
+        )
+
+
+def _check_pupil(where: str, loaded: Any, camera: LensCamera) -> None:
+    """Refuse a lens whose pupil a shape reaches into."""
+    if camera.lens is None or not camera.lens.pupil_radius_mm:
+        return
+    angle = np.linspace(0.0, 2.0 * np.pi, _ROUND_PUPIL, endpoint=False)
+    beside = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_ROUND_PUPIL)])
+    unit = beside @ camera.pose.rotation.T
+    start = np.broadcast_to(camera.pose.origin_mm, unit.shape)
+    radius_mm = camera.lens.pupil_radius_mm
+    met = SceneSurface(loaded).distance(to_vectors(start), to_vectors(unit), radius_mm, True)
+    if np.isfinite(np.array(met)).any():
+        raise InputError(
+            f"{where}: a shape reaches into the lens's pupil, which is {2.0 * radius_mm:.3g} mm"
+            " wide; give a larger f_number, or move the camera away from it"
         )
 
 
