@@ -167,6 +167,18 @@ def test_the_lasers_coherence_makes_the_contrast_and_projected_light_has_none(sc
         vs.record(dark, frame, sensor=QUIET, speckle=True)
 
 
+def test_motion_during_the_exposure_adds_patterns(scene):
+    """0.2 m/s along the line for 1 ms at magnification 1/4: 50 um in the image."""
+    lens = with_lens(scene, f_number=16.0, sub_pupils=1)
+    frame = vs.render_exposure(lens, 1e-3, velocity_mm_s=(0.0, 200.0, 0.0))
+    pixel_um = 11_264 / 160
+    sensor = replace(QUIET, pixel_um=pixel_um)
+    still, moved = (aperture_of(lens, f, sensor, True) for f in (vs.render_frame(lens), frame))
+    path = 50.0 / (0.532 * 16.0 * 1.25) / (32.0 / (3.0 * np.pi**2))  # in grains
+    assert still.patterns == 1.0
+    assert moved.patterns == pytest.approx(path, rel=0.2)
+
+
 def test_detectors_are_told_what_the_sensor_knows(scene, frame):
     shot = vs.record(scene, frame, 1, sensor="cmos_5um5")
     told = {name: shot.detector_options[name] for name in ("noise", "gain", "saturation")}

@@ -406,6 +406,27 @@ def test_a_line_out_of_focus_keeps_the_mean_of_its_frame_and_has_the_grains_of_t
     assert speckled(elsewhere, aperture, 3, radius, sharp)[:25].max() < 0.1 * mean.max()
 
 
+def test_a_surface_that_moves_during_the_exposure_has_the_contrast_of_its_instants_mean():
+    """Frames of one surface, moved pixel by pixel, and their mean."""
+    aperture, path = with_grain(2.0), 8
+    still = speckled(np.ones((400, 500)), aperture, 1)
+    instants = np.linspace(0.0, path, 33)
+    frequency = np.fft.rfftfreq(500)
+    steps = np.exp(2j * np.pi * frequency * instants[:, None])
+    steps[[0, -1]] *= 0.5
+    mean = np.fft.irfft(np.fft.rfft(still, axis=1) * steps.sum(axis=0) / 32.0, 500, axis=1)
+    moved = aperture.moved(path)
+    assert 2.0 < moved.patterns < 6.0
+    error = scatter_of_contrast(moved, mean.size)
+    # Large grains: the pixels' own integration is in both.
+    assert mean.std() / mean.mean() == pytest.approx(moved.contrast, rel=4.0 * error + 0.05)
+    assert aperture.moved(0.0).patterns == pytest.approx(1.0)
+    far = aperture.moved(400.0).patterns  # ends do not matter: the path over the grain's length
+    assert far == pytest.approx(
+        400.0 / (32.0 / (3.0 * np.pi**2) * aperture.resolution_px), rel=0.03
+    )
+
+
 def test_diffraction_alone_is_the_mean_of_speckle_and_keeps_the_light():
     """A point's image is Airy's: its first dark ring is 1.22 lambda N away, and 84 % lie within."""
     aperture = with_grain(8.0)

@@ -34,6 +34,7 @@ from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
+from virtual_sensor.imaging.exposures import ExposedFrame
 from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
 from virtual_sensor.imaging.render import Frame, arrangement, render_frame
 from virtual_sensor.imaging.scene import Scene
@@ -410,7 +411,8 @@ def aperture_of(
 ) -> Aperture:
     """What makes a frame's speckle: the lens of the scene's camera, the pixels, the laser's light.
 
-    Of several lasers it is the most coherent one.
+    Of several lasers it is the most coherent one.  Patterns of a part that moves during the
+    exposure add.
 
     Raises
     ------
@@ -428,7 +430,7 @@ def aperture_of(
             ' type="lens_camera">, or an Aperture (speckle=)'
         )
     wavelength_nm = scene.air.wavelength_nm
-    shining = ideal.source_coordinates if isinstance(ideal, Frame) else scene.sources
+    shining = ideal.truth.source_coordinates if isinstance(ideal, Frame) else scene.sources
     sources = (source for name, source in scene.sources.items() if name in shining)
     lasers = [source.coherence for source in sources if isinstance(source, LaserLine)]
     if not lasers:
@@ -437,7 +439,18 @@ def aperture_of(
             " speckle out, or give an Aperture (speckle=)"
         )
     coherence = min(lasers, key=lambda each: each.patterns_at(wavelength_nm))
-    return Aperture.of(lens, pixel_um_of(scene, sensor), wavelength_nm, coherence)
+    aperture = Aperture.of(lens, pixel_um_of(scene, sensor), wavelength_nm, coherence)
+    return aperture.moved(_path_px(scene, ideal)) if isinstance(ideal, ExposedFrame) else aperture
+
+
+def _path_px(scene: Scene, frame: ExposedFrame) -> float:
+    """How far the part moves in the image while a row is exposed, px: the mean of what is lit."""
+    lit = frame.truth.point_mm[np.isfinite(frame.truth.depth_mm)].astype(float)
+    step_mm = frame.velocity_mm_s * frame.exposure_s
+    ends = (scene.camera.project(lit + share * step_mm) for share in (-0.5, 0.5))
+    paths = np.linalg.norm(np.subtract(*ends), axis=1)
+    paths = paths[np.isfinite(paths)]
+    return float(paths.mean()) if paths.size else 0.0
 
 
 def _ideal(scene: Scene, frame: Any) -> Ideal:

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -124,6 +124,23 @@ class Aperture(Coherence):
     def patterns(self) -> float:
         """Number of equal patterns that would have the contrast of all that add."""
         return self.patterns_at(self.wavelength_nm)
+
+    def moved(self, path_px: float) -> Aperture:
+        """The same where the surface moves so far in the image during the exposure, evenly.
+
+        Its patterns add: the squared contrast is the mean of the correlation over all pairs of
+        instants, 2 (1 - t) |2 J1/x|^2 over t from 0 to 1 at the distance t `path_px`.  They are
+        counted as modes.
+        """
+        path = number_within("aperture: path_px", path_px, 0.0, LARGEST, "it in px, from 0 on")
+        if path < 1e-9 * self.resolution_px:
+            return self
+        ends = np.clip(np.arange(12.0) ** 2 * self.resolution_px / path, 0.0, 1.0)
+
+        def pairs(t: float) -> float:
+            return 2.0 * (1.0 - t) * float(self.correlation(t * path))
+
+        return replace(self, modes=self.modes / _integral(pairs, [*ends, 1.0]))
 
     def correlation(self, distance_px: ArrayLike) -> Array:
         """Correlation of the intensity on the sensor, |2 J1(x)/x|^2: Goodman 2007, 4.4."""
