@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import LARGEST, number_within, whole_number
+from virtual_sensor.arrays import number_within, whole_number
 from virtual_sensor.display import Displayed
 
 _FWHM = 2.0 * np.sqrt(2.0 * np.log(2.0))  # of a Gaussian, in standard deviations
+_MOST = 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +39,8 @@ class Coherence(Displayed):
     def __post_init__(self) -> None:
         whole_number("polarisations", self.polarisations, 1, 2)
         for name in ("linewidth_nm", "roughness_um"):
-            number_within(name, getattr(self, name), 0.0, LARGEST, "it from 0 on")
-        number_within("modes", self.modes, 1.0, LARGEST, "it from 1 on")
+            number_within(name, getattr(self, name), 0.0, _MOST, f"it from 0 to {_MOST:g}")
+        number_within("modes", self.modes, 1.0, _MOST, f"it from 1 to {_MOST:g}")
 
     def patterns_at(self, wavelength_nm: float) -> float:
         """Number of equal patterns that would have the contrast of all, which is 1/sqrt(it).

@@ -49,6 +49,7 @@ Box = tuple[slice, slice]
 _APRON_GRAINS = 8  # about what is lit, and about each window; 1 % of the light is scattered farther
 _WINDOW = 128  # px: width of the strips in which lit runs are looked for, and their most height
 _MOST_SAMPLES = 1 << 22  # of a window
+_LARGEST_PX = 32  # grain
 _MOST_FINE = 32  # samples per pixel's side
 _MOST_PATTERNS = 256
 _BLOCK = 8, 16  # px, rows and columns: of the surface, each with random numbers of its own
@@ -90,8 +91,9 @@ class Aperture(Coherence):
     magnification: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("f_number", "wavelength_nm", "pixel_um"):
+        for name in ("f_number", "pixel_um"):
             number_within(f"aperture: {name}", getattr(self, name), SMALLEST, LARGEST, "it above 0")
+        number_within("aperture: wavelength_nm", self.wavelength_nm, 1.0, 1e6, "it from 1 to 1e6")
         number_within("aperture: magnification", self.magnification, 0.0, LARGEST, "it from 0 on")
         with naming("aperture"):
             super().__post_init__()
@@ -213,7 +215,8 @@ def speckled(
     ------
     InputError
         Where the image has another shape, or holds what is negative or no number; where the grains
-        are finer than a 16th of a pixel, or more patterns add than are worth simulating.
+        are finer than a 16th of a pixel or larger than 32 of them, or more patterns add than are
+        worth simulating.
     """
     if not isinstance(aperture, Aperture):
         raise InputError(f"speckled: aperture is {short(aperture)}; give an Aperture")
@@ -224,18 +227,7 @@ def speckled(
             f"speckled: sharp is of shape {source.shape}, and image of {image.shape}; give it alike"
         )
     blur = _blur_of(blur_px, image.shape)
-    fine = max(2, int(np.ceil(2.0 / aperture.resolution_px)))  # Nyquist, of the intensity
-    faint = f"their contrast is {aperture.contrast:.2g}; leave speckle out, or"
-    if fine > _MOST_FINE:
-        raise InputError(
-            f"speckled: {fine} grains to a pixel's side are too many to simulate, and {faint} make"
-            " f_number larger"
-        )
-    if aperture.patterns > _MOST_PATTERNS:
-        raise InputError(
-            f"speckled: {aperture.patterns:.3g} patterns that add are too many to simulate, and"
-            f" {faint} make linewidth_nm, roughness_um or modes smaller"
-        )
+    fine = _fineness(aperture)
     key = int(generator_of("speckled: seed", seed).integers(2**63))
     seen = np.zeros(image.shape)
     brightest = image.max(initial=0.0)
@@ -268,6 +260,28 @@ def speckled(
     return seen
 
 
+def _fineness(aperture: Aperture) -> int:
+    """Samples per pixel's side, by Nyquist for the intensity; refuses what is too much work."""
+    fine = max(2, int(np.ceil(2.0 / aperture.resolution_px)))
+    if fine > _MOST_FINE:
+        raise InputError(
+            f"speckled: {fine} grains to a pixel's side are too many to simulate, and their"
+            f" contrast is {aperture.contrast:.2g}; leave speckle out, or make f_number larger"
+        )
+    if aperture.patterns > _MOST_PATTERNS:
+        raise InputError(
+            f"speckled: {aperture.patterns:.3g} patterns that add are too many to simulate, and"
+            f" their contrast is {aperture.contrast:.2g}; leave speckle out, or make linewidth_nm,"
+            " roughness_um or modes smaller"
+        )
+    if aperture.grain_px > _LARGEST_PX:
+        raise InputError(
+            f"speckled: grains of {aperture.grain_px:.3g} px are too large to simulate; make"
+            f" f_number or wavelength_nm smaller (up to {_LARGEST_PX} px)"
+        )
+    return fine
+
+
 def _factor(wanted: NDArray[np.float32], made: NDArray[np.float32]) -> NDArray[np.float32]:
     """What makes one mean image of another; NaN where blur alone can't have made it."""
     factor = np.clip(wanted / np.maximum(made, _FAINT * wanted.max() + SMALLEST), 0.0, _MOST_FACTOR)
@@ -295,7 +309,7 @@ def _windows(lit: NDArray[np.bool_], apron: int, fine: int) -> Iterator[Box]:
         return
     height, width = lit.shape
     side = max(_WINDOW, 2 * apron)
-    most = max(_MOST_SAMPLES // (fine**2 * (side + 2 * apron)) - 2 * apron, _BLOCK[0])
+    most = max(_MOST_SAMPLES // (fine**2 * (side + 2 * apron)) - 2 * apron, _BLOCK[0], apron)
     first, last = max(columns[0] - apron, 0), min(columns[-1] + apron + 1, width)
     for left in range(first - first % side, last, side):
         strip = lit[rows[0] : rows[-1] + 1, max(left - apron, 0) : left + side + apron]
