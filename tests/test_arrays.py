@@ -67,6 +67,7 @@ OTHERS = {
     "projector_marks",
     "codec_of",
     "record",
+    "difference",
     "dot_centres",
     "fit_cylinder",
     "fit_shape",

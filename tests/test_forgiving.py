@@ -60,6 +60,7 @@ CALIBRATION = {
     "distortion": 0,
 }
 TETRAHEDRON = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+SHOT = vs.record(SCENE, np.ones((64, 64)))
 CALLS = {
     "load_scene": (vs.load_scene, {"name": "hot_cylinder"}),
     "render": (vs.render, {"scene": SCENE}),
@@ -68,6 +69,7 @@ CALLS = {
     "render_sequence": (vs.render_sequence, {"scene": FRINGES, "patterns": ["white"]}),
     "grey_values": (vs.grey_values, {"photons": 100.0 * LINE}),
     "record": (vs.record, {"scene": SCENE, "frame": np.ones((64, 64))}),
+    "difference": (vs.difference, {"on": SHOT, "off": SHOT}),
     "gaussian_blur": (vs.gaussian_blur, {"image": LINE, "sigma_px": 1.0}),
     "diffraction_blur": (
         vs.diffraction_blur,

@@ -34,6 +34,8 @@ Scenes, and what a camera sees of them
 Images as a camera gives them
     record               Record a rendered frame as the scene's camera stores it.
     RecordedFrame        What a camera stored of a frame, or of a sequence, and all that made it.
+    difference           A recorded frame with the laser on, minus one with it off.
+    DifferenceFrame      A frame with the laser on minus one with it off, above a pedestal.
     ImageSensor          A monochrome image sensor's parameters by EMVA 1288; the defaults are a
                          12-bit CMOS sensor's.
     image_sensor         A sensor by its name, or by the path of its data sheet, a TOML file.
@@ -185,6 +187,8 @@ if TYPE_CHECKING:
     from virtual_sensor.devices.projector import Projector as Projector
     from virtual_sensor.errors import EngineError as EngineError
     from virtual_sensor.errors import InputError as InputError
+    from virtual_sensor.imaging.difference import DifferenceFrame as DifferenceFrame
+    from virtual_sensor.imaging.difference import difference as difference
     from virtual_sensor.imaging.exposures import ExposedFrame as ExposedFrame
     from virtual_sensor.imaging.exposures import render_exposure as render_exposure
     from virtual_sensor.imaging.grey_values import grey_values as grey_values
@@ -288,6 +292,7 @@ _HOME = {
     "ErrorBudget": "metrology.error_budget",
     "EstimateStatus": "metrology.identifiability",
     "FittedShape": "metrology.shape_fits",
+    "DifferenceFrame": "imaging.difference",
     "ExposedFrame": "imaging.exposures",
     "Frame": "imaging.render",
     "FringeCalibration": "metrology.fringes.calibration",
@@ -364,6 +369,7 @@ _HOME = {
     "record": "imaging.recording",
     "reconstruct": "metrology.range_image",
     "render": "imaging.render",
+    "difference": "imaging.difference",
     "render_exposure": "imaging.exposures",
     "render_frame": "imaging.render",
     "render_sequence": "imaging.sequence",

@@ -52,6 +52,7 @@ _DRIFT_PX = 4.0  # nor by more to either side of where lit pixels and maps are m
 _MOST_INSTANTS = 4096
 _LONGEST_S = 3600.0
 _FASTEST_MM_S = 1e7
+_S_PER_US = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +95,10 @@ class ExposedFrame(Frame):
 @public
 def render_exposure(
     scene: Scene | str | Path,
-    exposure_s: float,
+    exposure_s: float | None = None,
     velocity_mm_s: ArrayLike = (0.0, 0.0, 0.0),
     *,
-    row_time_s: float = 0.0,
+    row_time_s: float | None = None,
     instants: int | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -119,13 +120,13 @@ def render_exposure(
     ----------
     scene, spp, seed, camera, source
         As those of `render`; the instants share the samples of a pixel, and each has one at least.
-    exposure_s : float
-        How long each row is exposed.
+    exposure_s : float, optional
+        How long each row is exposed; by default as the scene's camera says.
     velocity_mm_s : array_like of shape (3,)
         Of the part, world.
-    row_time_s : float
+    row_time_s : float, optional
         From the start of a row's exposure to the next row's, as of a rolling shutter; of a negative
-        one the last row is the first.
+        one the last row is the first.  By default that of the camera's image sensor, else 0.
     instants : int, optional
         Of each row: by default so many that the image moves by half a pixel in between.
     background : bool
@@ -136,14 +137,18 @@ def render_exposure(
     Raises
     ------
     InputError
-        As `render` does; and if a time or the velocity is no number, or the part would move out of
-        all sight.
+        As `render` does; and if a time or the velocity is no number, no exposure time is known, or
+        the image would smear by thousands of px.
     EngineError
         If the scene was loaded under another Mitsuba variant.
     """
     check_progress("render_exposure", progress)
     boolean("render_exposure: background", background)
     scene, samples, seed = checked("render_exposure", scene, spp, seed, camera, source)
+    known = scene.camera
+    exposure_s = known.exposure_s if exposure_s is None else exposure_s
+    if row_time_s is None:
+        row_time_s = _S_PER_US * getattr(known.sensor, "row_time_us", 0.0)
     motion = _motion(exposure_s, velocity_mm_s, row_time_s)
     pixel_mm = _pixel_mm(scene)
     smear_px = motion.speed_mm_s * motion.exposure_s / pixel_mm

@@ -42,6 +42,10 @@ class FringeRecording(RecordingOptions):
         Of the noise.
     speckle : bool
         A projector's light has none.
+    velocity : str, optional
+        The part is at rest while the patterns are shown.
+    difference : bool
+        Codecs find the light that does not change by themselves.
     electrons : float, optional
         Record the frames with a sensor's noise, so exposed that the brightest pixel of all has so
         many electrons, in place of --exposure.
@@ -51,6 +55,8 @@ class FringeRecording(RecordingOptions):
     """
 
     speckle: bool = field(default=False, metadata={"internal": True})
+    velocity: str | None = field(default=None, metadata={"internal": True})
+    difference: bool = field(default=False, metadata={"internal": True})
     electrons: float | None = None
     bits: int | None = None
 

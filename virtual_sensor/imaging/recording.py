@@ -13,6 +13,7 @@ rough surface that speckles is the same while the part, the camera and the light
 from __future__ import annotations
 
 import importlib
+import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -28,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import SMALLEST, number_within, truth_of, unmasked, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.devices.camera import LensCamera
-from virtual_sensor.devices.exposure_time import LONGEST_S, SHORTEST_S, exposure_time_s
+from virtual_sensor.devices.exposure_time import AUTO, LONGEST_S, SHORTEST_S, exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed, listed, span
@@ -53,6 +54,7 @@ PEAK = 0.8
 _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _MANY = 0.5  # of the line's columns
 _SAME_PIXEL = 0.01
+_SAME_TIME = 0.01  # of an exposure
 _REMEDY = (
     'give its camera one, <float name="f_number" value="8"/> in a <sensor type="lens_camera">, or'
     " leave the exposure to auto"
@@ -302,8 +304,9 @@ def record(
     sensor : ImageSensor, str or Path, optional
         Or its name, or its file; by default the camera's, else `ImageSensor()`.
     exposure_s : float or str, optional
-        Exposure time in s, or a text such as "2ms"; by default the camera's; "auto" puts the
-        brightest pixel at `peak`.  A time needs a lens with an f-number.
+        Exposure time in s, or a text such as "2ms"; by default that of a frame that took time
+        (`render_exposure`), else the camera's; "auto" puts the brightest pixel at `peak`.  A time
+        needs a lens with an f-number.
     speckle : bool or Aperture
         Whether the laser's light is speckled, by the camera's lens; or by that aperture.
     surface_seed : int
@@ -333,7 +336,16 @@ def record(
         drawn["surface"] = surface_of(scene, number)
         aperture = aperture_of(scene, ideal, chosen, speckle)
         light = shown = _speckled(scene, ideal, aperture, drawn["surface"])
+    taken_s = ideal.exposure_s if isinstance(ideal, ExposedFrame) else None
+    if exposure_s is None and taken_s is not None:
+        exposure_s = AUTO if lens_of(scene) is None else taken_s
     factor, time_s, notes = exposure_of(scene, chosen, light, exposure_s, peak)
+    if taken_s and time_s and not math.isclose(time_s, taken_s, rel_tol=_SAME_TIME):
+        notes = (
+            *notes,
+            f"the part moves for {taken_s:g} s in this frame, and it is exposed for {time_s:.4g} s;"
+            " render it by vs.render_exposure with that time",
+        )
     falling = light * (factor / chosen.quantum_efficiency)
     grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
     shot = RecordedFrame(

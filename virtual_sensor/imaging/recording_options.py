@@ -5,6 +5,7 @@ Nothing here loads the engine or NumPy before a frame is recorded: a command's h
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.display import Displayed
+from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists
 from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
 
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.render import Frame
     from virtual_sensor.imaging.scene import Scene
     from virtual_sensor.imaging.sequence import PatternFrames
+
+_AXES = 3
+_S_PER_US = 1e-6
 
 
 @dataclass(frozen=True)
@@ -41,14 +46,26 @@ class RecordingOptions(Displayed):
         Of the noise and the speckle; each frame's own follows from it.
     speckle : bool
         Speckle the laser's light, for which the scene's camera needs an f-number.
+    velocity : str, optional
+        Of the part, x, y, z in mm/s, such as 0,0,100: it smears the frame in its exposure time, and
+        the rows of a rolling shutter (row_time_us of the sensor) skew it.
+    difference : bool
+        Record a second frame with the laser off, and take the difference: without the light of
+        lamps and glow.
     """
 
     sensor_model: str | None = None
     exposure: str | None = None
     seed: int = 0
     speckle: bool = False
+    velocity: str | None = None
+    difference: bool = False
 
     def __post_init__(self) -> None:
+        if self.velocity is not None and len(self.velocity_mm_s) != _AXES:
+            raise InputError(
+                f"--velocity {self.velocity[:40]}: give the part's x, y, z in mm/s, such as 0,0,100"
+            )
         if self.exposure is not None:
             exposure_time_s("--exposure", self.exposure)
         if type(self.seed) is not int or not 0 <= self.seed <= LARGEST_SEED:
@@ -59,7 +76,17 @@ class RecordingOptions(Displayed):
     @property
     def asked(self) -> bool:
         """Whether frames are to be recorded, whatever the scene's camera has."""
-        return self.sensor_model is not None or self.exposure is not None or self.speckle
+        by_sensor = self.sensor_model is not None or self.exposure is not None
+        return by_sensor or self.speckle or self.difference
+
+    @property
+    def velocity_mm_s(self) -> tuple[float, ...]:
+        """Of the part; what is no three numbers is none."""
+        try:
+            found = tuple(map(float, (self.velocity or "0,0,0").split(",")))
+        except ValueError:
+            return ()
+        return found if all(map(math.isfinite, found)) else ()
 
     @property
     def words(self) -> list[str]:
@@ -84,9 +111,29 @@ class RecordingOptions(Displayed):
 
     def rendered(self, scene: Scene, progress: Callable[[float], None] | None = None) -> Frame:
         """The ideal frame, with the light of lamps and glow beside it where speckle needs that."""
-        from virtual_sensor.imaging.render import render_frame
+        background = self.speckle or self.difference
+        if not any(self.velocity_mm_s):
+            from virtual_sensor.imaging.render import render_frame
 
-        return render_frame(scene, progress=progress, background=self.speckle)
+            return render_frame(scene, progress=progress, background=background)
+        from virtual_sensor.imaging.exposures import render_exposure
+
+        said = scene.camera.exposure_s if self.exposure is None else self.exposure
+        exposure_s = exposure_time_s("--exposure", said)
+        if exposure_s is None:
+            raise InputError(
+                f"{scene.path}: --velocity {self.velocity}: how far the part moves in a frame"
+                " follows from its exposure time; give one, such as --exposure 2ms"
+            )
+        sensor = self.of(scene)
+        return render_exposure(
+            scene,
+            exposure_s,
+            self.velocity_mm_s,
+            row_time_s=_S_PER_US * sensor.row_time_us if sensor else 0.0,
+            background=background,
+            progress=progress,
+        )
 
     def recorded(
         self, scene: Scene, frame: Frame | PatternFrames, *parts: int | str
@@ -105,15 +152,20 @@ class RecordingOptions(Displayed):
         sensor = self.of(scene)
         if sensor is None:
             return None
-        return record(
+        shot = record(
             scene,
             frame,
             self.frame_seed(*parts),
             sensor=sensor,
-            exposure_s=self.exposure,
+            exposure_s=None if any(self.velocity_mm_s) else self.exposure,  # the frame's own
             speckle=self.speckle,
             surface_seed=self.seed,
         )
+        if not self.difference:
+            return shot
+        from virtual_sensor.imaging.difference import difference
+
+        return difference(shot)
 
     def anywhere(self) -> RecordingOptions:
         """The same, with a sensor's file that is found from any folder."""

@@ -163,9 +163,11 @@ def half_a_pixel_lower(scene: Scene) -> NDArray[np.float32]:
 
 def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     """A frame as its sensor would record it with 16 bits: the same electrons, finer grey values."""
+    from virtual_sensor.imaging.difference import DifferenceFrame, difference
     from virtual_sensor.imaging.grey_values import grey_values
 
-    sensor = shot.sensor
+    on = shot.on if isinstance(shot, DifferenceFrame) else shot
+    sensor = on.sensor
     finer = 2.0 ** (_MOST_BITS - sensor.bit_depth)
     fine = replace(
         sensor,
@@ -173,10 +175,11 @@ def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
         black_level=sensor.black_level * finer,
         bit_depth=_MOST_BITS,
     )
-    light = np.asarray(shot.ideal) if shot.speckled is None else shot.speckled
-    photons = light * (shot.electrons_per_radiance / sensor.quantum_efficiency)  # to the bit
-    grey = grey_values(photons, fine, shot.drawn["noise"], exposure_s=shot.exposure_s)
-    return replace(shot, grey=grey, sensor=fine)
+    light = np.asarray(on.ideal) if on.speckled is None else on.speckled
+    photons = light * (on.electrons_per_radiance / sensor.quantum_efficiency)  # to the bit
+    grey = grey_values(photons, fine, on.drawn["noise"], exposure_s=on.exposure_s)
+    finest = replace(on, grey=grey, sensor=fine)
+    return finest if on is shot else difference(finest)
 
 
 def rows_through_pupil(seen: PupilPixels, row: Array) -> Array:

@@ -372,6 +372,8 @@ def _measure_state(
 
 def _split(state: State, straight: FoundPixels, dense_y: Array) -> ErrorSplit:
     """What the error of a recorded state is made of; `straight` are its rays in cold air."""
+    from virtual_sensor.imaging.difference import DifferenceFrame
+
     scene, shot, found = state.scene, state.shot, state.centres_px
     assert shot is not None
 
@@ -392,9 +394,10 @@ def _split(state: State, straight: FoundPixels, dense_y: Array) -> ErrorSplit:
         )
         if pupil:
             through_lens = np.stack([column, rows_through_pupil(pupil, after[:, 1])], axis=1)
-    images: dict[str, Any] = {"pixels": state.frame}
+    off: Any = state.frame.background if isinstance(shot, DifferenceFrame) else 0.0
+    images: dict[str, Any] = {"pixels": state.frame.radiance - off}
     if shot.speckled is not None:
-        images["speckle"] = shot.speckled
+        images["speckle"] = shot.speckled - off
     images["noise"] = in_16_bits(shot)
     places = {name: centres(image) for name, image in images.items()} | {"rounding": found}
     lower = centres(half_a_pixel_lower(scene))
@@ -791,9 +794,11 @@ def _state_summary(state: State) -> StateSummary:
 
 
 def _recording_facts(shot: RecordedFrame) -> RecordingFacts:
+    from virtual_sensor.imaging.difference import DifferenceFrame
+
     clipped = shot.saturated & np.asarray(getattr(shot.ideal, "lit", False))
     return RecordingFacts(
-        sensor=asdict(shot.sensor),
+        sensor=asdict(shot.on_sensor if isinstance(shot, DifferenceFrame) else shot.sensor),
         exposure_s=shot.exposure_s,
         electrons_per_radiance=shot.electrons_per_radiance,
         seed=shot.seed,
