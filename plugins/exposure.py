@@ -231,9 +231,10 @@ class Exposure:
         for frame, value in zip(range(self._frames), self._of_each(values), strict=True):
             place = own + dr.opaque(mi.UInt32, frame * self.view.pixels)
             mean = mi.Float((dr.block_sum(value, spp) / spp)[0])
-            if self._passes > 1:
-                mean = dr.gather(mi.Float, self._images, place) + mean / self._passes
-            dr.scatter(self._images, mean, place)
+            if self._passes > 1:  # each pixel once: the sum is that of the passes' order
+                dr.scatter_add(self._images, mean / self._passes, place)
+            else:
+                dr.scatter(self._images, mean, place)
         dr.eval(self._images)
 
     def _put(self, place: Any, values: list[Any], alpha: Any, pixel: Any) -> None:

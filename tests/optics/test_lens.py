@@ -109,19 +109,26 @@ def test_slopes_of_pixels_are_their_derivatives():
 
 
 def test_a_pupils_points_stand_for_equal_areas():
-    """Moments of the disc: <x^2> = r^2/4, <x^4> = r^4/8, <x^2 y^2> = r^4/24."""
-    for count in (5, 8, 12, 16, 17, 24, 64, 256):
+    """Moments of the disc, <x^2> = r^2/4, <x^4> = r^4/8, <x^2 y^2> = r^4/24, <x^6> = 5 r^6/64."""
+    for count in (3, 5, 6, 8, 12, 16, 17, 24, 64, 256):
         x, y = Lens(75.0, 300.0, 2.0).pupil(count).T
         assert len(x) == count
         np.testing.assert_allclose([x.mean(), y.mean(), (x * y).mean()], 0.0, atol=1e-14)
         np.testing.assert_allclose([(x**2).mean(), (y**2).mean()], 1.0, rtol=1e-12)
         assert np.hypot(x, y).max() < 2.0
-    np.testing.assert_allclose([(x**4).mean(), (y**4).mean()], 2.0, rtol=0.01)
-    assert (x**2 * y**2).mean() == pytest.approx(2.0 / 3.0, rel=0.01)
-    for share in np.arange(1, 9) / 8.0:  # as many points as there is area
-        assert np.sum(np.hypot(x, y) < 2.0 * share) == 256 * share**2
-    sixteen = np.sort(Lens(75.0, 300.0, 1.0).pupil(16)[:, 0])
-    assert np.diff(sixteen).min() > 0.02  # none beside another along u
+        if count >= 12:
+            cubes = [(x**3).mean(), (x**2 * y).mean(), (x * y**2).mean(), (y**3).mean()]
+            np.testing.assert_allclose(cubes, 0.0, atol=1e-13)
+            np.testing.assert_allclose([(x**4).mean(), (y**4).mean()], 2.0, rtol=1e-12)
+            assert (x**2 * y**2).mean() == pytest.approx(2.0 / 3.0, rel=1e-12)
+        if count in (16, 24, 64, 256):
+            np.testing.assert_allclose([(x**6).mean(), (y**6).mean()], 5.0, rtol=1e-12)
+    for share in (0.25, 0.5, 0.75, 1.0):  # as many points as there is area
+        assert np.sum(x**2 + y**2 < 4.0 * share) == 256 * share
+    sixteen = Lens(75.0, 300.0, 1.0).pupil(16)
+    gaps = np.diff(np.sort(sixteen, axis=0), axis=0)
+    assert gaps.min() > 0.005  # none beside another along u or v
+    assert gaps.max() < 0.18
 
 
 def test_what_is_no_lens_is_refused():
