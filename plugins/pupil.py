@@ -34,7 +34,8 @@ _BESIDE_PX = 8.0  # of a window, beyond what refraction moves
 _SPARE = 1.25  # times what refraction moves light by, seen from the middle of the pupil
 _MOST_SIGHTS = 1 << 22  # of pixels' centres that are held for marches, of all points
 _PROBES = 256  # points that the chief rays see lit
-_SWAPS = 1000  # of places within pixels
+_ORDERS, _SWAPS = 24, 100  # of places within pixels
+_SAME = 1e-9
 
 
 @dataclass(frozen=True)
@@ -216,21 +217,42 @@ def _window(
 def shifts_within(at_mm: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
     """Where points of a pupil take their samples within pixels, from -1/2 to 1/2.
 
-    On a lattice, each row and column of which has one, and in an order that does not go with the
-    places in the pupil: what goes with them would change the width of the blur.
+    On a lattice, each row and column of which has one.  What goes with the place in the pupil would
+    change the width of the blur: points opposite to each other have opposite shifts, and of some
+    orders that one is taken in which the shifts go least with place and cube.
     """
     count, at = len(at_mm), np.array(at_mm)
-    steps = next(n for n in range(round(count * 0.618) or 1, count + 1) if np.gcd(n, count) == 1)
+    first = round(count * 0.618) | 1
+    steps = next(n for n in range(first, 2 * count + 2, 2) if np.gcd(n, count) == 1)
     number = np.arange(count)
-    lattice = (np.stack([number, steps * number % count], axis=1) + 0.5) / count - 0.5
-    shuffled, order = random.Random(0), list(range(count))
-    shuffled.shuffle(order)
-    best, least = lattice[order], np.inf
-    for _ in range(_SWAPS if count > 2 else 0):
-        one, other = shuffled.sample(range(count), 2)
-        best[[one, other]] = best[[other, one]]
-        together = float(np.abs(at.T @ best).max())
-        if together > least:
-            best[[one, other]] = best[[other, one]]
-        least = min(least, together)
+    across = (steps * number + (steps - 1) // 2) % count  # opposite of opposite ones
+    lattice = (np.stack([number, across], axis=1) + 0.5) / count - 0.5
+    opposite = np.abs(at[:, None] + at).sum(axis=2).argmin(axis=1)
+    paired = count % 2 == 0 and np.abs(at + at[opposite]).max() < _SAME * np.abs(at).max()
+    free = np.flatnonzero(number < opposite) if paired else number
+    x, y = at.T / np.abs(at).max()
+    goes_with = np.stack([2.0 * x, 2.0 * y, x**3, x**2 * y, x * y**2, y**3])
+
+    def together(shifts: Array) -> float:
+        return float(np.sum((goes_with @ shifts) ** 2))
+
+    drawn, best, least = random.Random(0), lattice, np.inf
+    for _ in range(_ORDERS):
+        order = list(range(len(free)))
+        drawn.shuffle(order)
+        here = lattice.copy()
+        here[free] = lattice[order]
+        if paired:
+            here[opposite[free]] = -here[free]
+        low = together(here)
+        for _ in range(_SWAPS if len(free) > 1 else 0):
+            two, swapped = drawn.sample(free.tolist(), 2), here.copy()
+            swapped[two] = swapped[two[::-1]]
+            if paired:
+                swapped[two[0]] *= drawn.choice((-1.0, 1.0))
+                swapped[opposite[two]] = -swapped[two]
+            if (less := together(swapped)) <= low:
+                here, low = swapped, less
+        if low < least:
+            best, least = here, low
     return tuple((float(u), float(v)) for u, v in best)
