@@ -1,6 +1,7 @@
 """A recorded frame: exposure by the lens, seeds of its own, the truth in each column."""
 
 import json
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from scipy import constants
+from several import text_of
 
 import virtual_sensor as vs
 from virtual_sensor.devices.coherence import Coherence
@@ -267,7 +269,12 @@ def test_bad_input_is_told(scene, frame):
         "how large its pixels": lambda: vs.record(unscaled, frame, exposure_s=0.002),
         "160 x 160": lambda: vs.record(scene, np.ones((8, 8))),
         "give a Frame": lambda: vs.record(scene, "shot.png"),
-        "not finite": lambda: vs.record(scene, np.full((160, 160), np.nan)),
+        "negative, or not finite": lambda: vs.record(scene, np.full((160, 160), np.nan)),
+        "holds what is negative": lambda: vs.record(scene, frame.radiance - 1.0),
+        "recorded already": lambda: vs.record(scene, vs.record(scene, frame)),
+        "bits end at 255": lambda: vs.record(
+            scene, frame, sensor=vs.ImageSensor(bit_depth=8, black_level=300)
+        ),
         "give an ImageSensor": lambda: vs.record(scene, frame, sensor=3),
         "no_such": lambda: vs.record(scene, frame, sensor="no_such"),
         "such as 2ms": lambda: vs.record(lens, frame, exposure_s="2 parsec"),
@@ -374,3 +381,25 @@ def test_a_scene_of_other_pixels_than_its_sensors_is_told(scene, frame):
     assert "160 x 160 px, and small 64 x 200" in size
     assert "5.5 um wide in the scene, and 3.45 um" in pitch
     assert vs.record(lens, frame, sensor=QUIET).notes == ()
+
+
+def test_a_recorded_frame_goes_to_other_processes_and_into_tables(scene, frame):
+    shot = vs.record(scene, frame, 1)
+    assert pickle.loads(pickle.dumps(shot)) == shot
+    assert list(shot.to_dataframe()["column"]) == list(shot.truth.column)
+    (row,) = vs.record(scene, frame.radiance, peak=2.0).to_dataframe().to_dict("records")
+    assert row["brightest"] == shot.sensor.saturation
+    assert row["saturated"] > 0
+
+
+def test_lines_of_several_lasers_have_a_truth_each(tmp_path):
+    path = tmp_path / "two.xml"
+    path.write_text(text_of("hot_cylinder", [("eye", 0, 1)], [("one", 0, 0), ("two", 5, 6)]))
+    scene = vs.load_scene(path, width=128, height=128, spp=1)
+    shot = vs.record(scene, vs.render_frame(scene))
+    with pytest.raises(InputError, match="one, two"):
+        _ = shot.truth
+    rows = [shot.line_truth(name).row_px.mean() for name in ("one", "two")]
+    assert abs(rows[0] - rows[1]) > 2.0
+    names = {each.name for each in shot.write(tmp_path / "out").iterdir()}
+    assert {"truth_0_one.csv", "truth_1_two.csv"} < names

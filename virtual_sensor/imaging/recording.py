@@ -20,7 +20,6 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -136,13 +135,26 @@ class RecordedFrame(Displayed):
 
     def __post_init__(self) -> None:
         for name in ("drawn", "parameters"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            object.__setattr__(self, name, dict(getattr(self, name)))
 
     def _line(self) -> str:
         *count, height, width = self.grey.shape
         size = f"{f'{count[0]} of ' if count else ''}{width} x {height} px"
         time = f"{self.exposure_s * 1e3:.4g} ms" if self.exposure_s else ""
         return listed(size, f"{self.sensor.bit_depth} bits", span("", self.grey), time)
+
+    def _columns(self) -> dict[str, Any]:
+        """The truth of the only line in each column; else a row for each frame."""
+        if isinstance(self.ideal, Frame) and len(self.ideal.radius_mm) == 1:
+            (name,) = self.ideal.radius_mm
+            return self.line_truth(name).columns()
+        frames = self.grey.reshape(-1, *self.grey.shape[-2:])
+        return {
+            "frame": np.arange(len(frames)),
+            "mean": frames.mean(axis=(1, 2)),
+            "brightest": frames.max(axis=(1, 2)),
+            "saturated": self.saturated.reshape(frames.shape).sum(axis=(1, 2)),
+        }
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
         """The grey values, wherever an image is asked for."""
@@ -467,6 +479,8 @@ def _path_px(scene: Scene, frame: ExposedFrame) -> float:
 
 def _ideal(scene: Scene, frame: Any) -> Ideal:
     """The frame, of the size of the camera's image."""
+    if isinstance(frame, RecordedFrame):
+        raise InputError("record: frame is recorded already; give its ideal one, frame.ideal")
     ideal = frame if isinstance(frame, Frame | PatternFrames) else unmasked(frame)
     light = _radiance(ideal)
     width, height = scene.camera.size
@@ -480,6 +494,11 @@ def _ideal(scene: Scene, frame: Any) -> Ideal:
         raise InputError(
             f"record: frame is of {size} px, and {scene.camera_element} of {width} x {height};"
             " give a frame of this scene"
+        )
+    if not (light.min() >= 0.0 and light.max() < np.inf):
+        raise InputError(
+            "record: frame holds what is negative, or not finite; give a radiance from 0 on, such"
+            " as np.nan_to_num(frame)"
         )
     return ideal
 
@@ -550,8 +569,13 @@ def exposure_of(
             )
         return per_second * time_s, time_s, ()
     number_within("record: peak", peak, SMALLEST, _MOST_PEAK, "a share of the saturation above 0")
-    brightest = float(np.nanmax(light, initial=0.0))
-    if not 0.0 < brightest < np.inf:
+    if sensor.saturation_e <= 0.0:
+        raise InputError(
+            f"record: sensor: {sensor.bit_depth} bits end at {sensor.white}, and its black_level is"
+            f" {sensor.black_level:g}; give a lower one"
+        )
+    brightest = float(light.max(initial=0.0))
+    if not brightest:
         return 0.0, None, ("the frame is dark: automatic exposure found no light",)
     factor = _light_e(sensor, peak * sensor.saturation_e) / brightest
     if per_second is None:

@@ -81,11 +81,12 @@ def save(
 
         def keep(number: int, shots: PoseFrames) -> None:
             patterns = [f"pattern_{n:02d}" for n in range(len(shots.patterns))]
-            for images, names in ((shots.lit[None], ["lamp"]), (shots.patterns, patterns)):
+            both = (shots.lit[None], ["lamp"]), (shots.patterns, patterns)
+            for (images, names), said in zip(both, shots.metadata, strict=True):
                 white = None if bits else float(images.max()) or None
                 for image, name in zip(images, names, strict=True):
                     path = place / "frames" / f"pose_{number:02d}_{name}.png"
-                    save_png(image, path, bits or 16, white=white)
+                    save_png(image, path, bits or 16, white=white, metadata=said)
 
         result = calibrate_scene(scene, settings, report, keep if frames else None)
         report("writing the results", 0.98)

@@ -178,9 +178,11 @@ def _frames_written(
     bits = state.summary.frames.bits or 16
     white = None if state.summary.frames.bits else float(state.images.max())
     digits = len(str(len(state.images) - 1))
+    files = [folder / f"{number:0{digits}d}.png" for number in range(len(state.images))]
+    said = state.metadata
     return [
-        aside.submit(save_png, image, folder / f"{number:0{digits}d}.png", bits, white=white)
-        for number, image in enumerate(state.images)
+        aside.submit(save_png, image, file, bits, white=white, metadata=said)
+        for image, file in zip(state.images, files, strict=True)
     ]
 
 

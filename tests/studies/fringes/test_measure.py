@@ -217,7 +217,7 @@ def test_wrong_requests_are_refused():
         measure_fringes(vs.load_scene("cold_cylinder"))
 
 
-def test_a_data_sheet_records_the_frames_and_is_named_beside_the_figures(measured):
+def test_a_data_sheet_records_the_frames_and_is_named_beside_the_figures(measured, tmp_path):
     scene = vs.load_scene("fringe_cylinder", **FINE)
     recording = FringeRecording(sensor_model="cmos_5um5", seed=2)
     state = measure_fringes(scene, Settings("phase 4 u", recording=recording, cold=True)).cold
@@ -227,6 +227,8 @@ def test_a_data_sheet_records_the_frames_and_is_named_beside_the_figures(measure
     assert facts.electrons == pytest.approx(0.8 * sheet.full_well_e, rel=0.01)
     pull = (state.decoded.column - measured.cold.decoded.column) / state.decoded.sigma_column
     assert np.nanstd(pull) == pytest.approx(1.0, abs=0.1)
+    path = vs.save_png(state.images[0], tmp_path / "0.png", facts.bits, metadata=state.metadata)
+    assert vs.read_image(path).detector_options == sheet.detector_options
 
 
 def test_options_of_recording_that_contradict_each_other_are_told():

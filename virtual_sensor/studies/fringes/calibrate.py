@@ -8,7 +8,7 @@ air.  What is found from these frames is compared with the scene's own camera an
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -278,10 +278,13 @@ class PoseFrames(Displayed):
         By the lamp.
     patterns : ndarray of shape (K, H, W)
         By the projector.
+    metadata : tuple of Mapping
+        Of the one and of the others, as their files carry it; empty where nothing is recorded.
     """
 
     lit: NDArray[Any]
     patterns: NDArray[Any]
+    metadata: tuple[Mapping[str, Any], Mapping[str, Any]] = field(default=({}, {}), repr=False)
 
 
 @dataclass(frozen=True)
@@ -511,7 +514,8 @@ def _recorded(
     of_lamp = lamp.shot(scene, lit, number, "lamp")
     of_patterns = recording.shot(scene, shown, number, "patterns")
     decoded = recording.decoded(codec, of_patterns, edges=False)
-    frames = PoseFrames(np.asarray(of_lamp), np.asarray(of_patterns))
+    said = getattr(of_lamp, "metadata", {}), getattr(of_patterns, "metadata", {})
+    frames = PoseFrames(np.asarray(of_lamp), np.asarray(of_patterns), said)
     return frames, decoded, recording.facts(of_patterns)
 
 

@@ -221,7 +221,7 @@ def _measure_state(
         border_px = scene.projector.blurred_border_px
         decoded = settings.recording.decoded(codec, shot, border_px=border_px)
         recorded, told = settings.recording.facts(shot), getattr(shot, "notes", ())
-        images = np.asarray(shot)
+        images, metadata = np.asarray(shot), getattr(shot, "metadata", {})
         del shot
         if not settings.frames:
             images = shrunk(images)
@@ -252,7 +252,7 @@ def _measure_state(
         ),
         times_s=times,
     )
-    return FringeState(scene, images, decoded, straight, bent, grid, facts)
+    return FringeState(scene, images, decoded, straight, bent, grid, facts, metadata)
 
 
 def shrunk(images: NDArray[Any]) -> NDArray[Any]:

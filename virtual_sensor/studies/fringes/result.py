@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -103,6 +103,8 @@ class FringeState(Displayed):
         Found through the air; None where light runs straight.
     grid : SearchedGrid
     summary : FringeStateSummary
+    metadata : Mapping
+        Of recorded frames, as their files carry it; empty of others.
     """
 
     scene: Scene
@@ -112,6 +114,7 @@ class FringeState(Displayed):
     bent: Surface | None
     grid: SearchedGrid
     summary: FringeStateSummary
+    metadata: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def surfaces(self) -> dict[str, Surface]:
