@@ -109,7 +109,7 @@ def test_detection_heeds_what_the_file_says(tmp_path):
     write_sidecar(path, {"seed": 1})
     [found] = detect([path], Settings("max_likelihood"))
     assert found.line == told
-    assert any("noise 3.781 and gain 0.29" in remark for remark in found.remarks)
+    assert any("noise 3.781 and gain 0.29, which are used" in remark for remark in found.remarks)
     [given] = detect([path], Settings("max_likelihood", noise=5.0, gain=1.0, saturation=4095.0))
     assert not any("noise" in remark for remark in given.remarks)
     found_there = told.status == vs.Status.OK

@@ -155,10 +155,11 @@ def grey_values(
         _check_exposure(scale * brightest)
     grey: NDArray = np.empty(images.shape, sensor.kind)
     with ThreadPoolExecutor(_THREADS) as threads:  # NumPy computes beside itself
+        each = threads.map if images[0].size > _BLOCK_PX else map
         for number, image in enumerate(images):
             light = _light(f"grey_values: photons of frame {number}", image)
             expose = partial(_expose, light, scale, dark_e, sensor, noise, number, grey[number])
-            deque(threads.map(expose, _blocks(*light.shape)), maxlen=0)
+            deque(each(expose, _blocks(*light.shape)), maxlen=0)
     return grey if several else grey[0]
 
 

@@ -74,7 +74,7 @@ class Settings(Record):
         if not used:
             return self, ()
         words = " and ".join(f"{name} {value:.4g}" for name, value in used.items())
-        return replace(self, **used), (f"says that it has {words}: so it is taken.",)
+        return replace(self, **used), (f"says that it has {words}, which are used.",)
 
     def centres(self, image: NDArray) -> LineCentres:
         """Find the line in an image (H, W).
