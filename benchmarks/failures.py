@@ -25,6 +25,7 @@ PANELS = {
     "search": "failing_searches",
     "correction": "failing_corrections",
     "fringes": "failing_fringes",
+    "camera": "failing_cameras",
     "lines": "failing_lines",
 }
 

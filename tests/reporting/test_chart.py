@@ -286,5 +286,8 @@ def test_an_unknown_panel_ends_the_command(tmp_path):
     """Rationale: who mistypes a name wants to see the right ones."""
     status, out, err = command("chart", "--panel", "wheels", "-o", tmp_path / "c")
     assert (status, out) == (2, "")
-    assert "--panel wheels: the chart has rays, frames, search, correction, fringes, lines" in err
+    assert (
+        "--panel wheels: the chart has rays, frames, search, correction, fringes, camera, lines"
+        in err
+    )
     assert list(tmp_path.iterdir()) == []

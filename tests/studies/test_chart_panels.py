@@ -8,7 +8,7 @@ from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.drawn_lines import line_shares
-from virtual_sensor.studies.chart import corrections, detectors, fringes, searches
+from virtual_sensor.studies.chart import cameras, corrections, detectors, fringes, searches
 from virtual_sensor.studies.chart.benchmark import measure_all
 
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood")
@@ -69,6 +69,25 @@ def test_a_rendered_sequence_is_as_good_as_the_search():
     for each in measure_all("fringes", [rendered], lambda *now: None, 1):
         assert each.rms_px < 0.01
         assert each.failed < 0.2 * each.items
+
+
+@pytest.mark.slow
+def test_cameras_are_ordered_by_their_sub_pupils_and_by_what_is_recorded():
+    """A pinhole misses what the lens does to hot air; noise and speckle hide what few pupils err.
+
+    The reference is marched, through other points of the pupil.
+    """
+    tasks = list(cameras.tasks(quick=True))
+    found = [list(measure_all("camera", [task], lambda *now: None, 1)) for task in tasks]
+    by = [{(m.name, m.chosen.get("sub_pupils")): m.rms_px for m in each} for each in found]
+    light, noisy, speckled = by
+    assert all(m.time_s > 0.0 for each in found for m in each)
+    assert all(m.failed == 0 for each in found for m in each if m.chosen.get("sub_pupils") != 4)
+    (few, _), (many, _) = cameras.QUICK_SUB_PUPILS
+    assert light["pinhole", None] > 3.0 * light["cached_maps", many]
+    assert light["cached_maps", few] > light["cached_maps", many] == light["new_maps", many]
+    assert light["marched", few] == pytest.approx(light["cached_maps", few], abs=2e-3)
+    assert light["cached_maps", many] < noisy["recorded", many] < 0.1 * speckled["recorded", many]
 
 
 def test_detectors_know_their_truth_and_their_bound():

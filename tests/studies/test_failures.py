@@ -21,6 +21,7 @@ SILENT = {  # of these no status can know: the remedy stands beside each
     ("correction", "air known wrong"),
     ("fringes", "gamma of the projector"),
     ("fringes", "air or part moves between the images"),
+    ("camera", "the sensor moves while its shutter rolls"),
 }
 WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "turned back by total reflection",  # within a micrometre of the field's border
@@ -28,6 +29,8 @@ WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "the air's field ends too early",  # 1 um; `correct` notes such an end from 0.003 px on
     "air that bends light too sharply",  # 20 times that of 1250 degC
     "air of another family",  # from one pose; two are the remedy
+    "out of focus",  # a note comes where points of the pupil are 2 px apart
+    "speckle",  # statuses see the worst grains; a part that is measured again shows the same ones
 }
 
 
@@ -45,6 +48,8 @@ def table():
         ("search", "at the limb", "tabulated search"),
         ("fringes", "gamma of the projector", "3 steps"),
         ("fringes", "a step in depth", "Gray code"),
+        ("camera", "exposed too long", "knee-point"),
+        ("camera", "exposed too short", "12 bits"),
         ("lines", "line saturated", "gaussian"),
         ("lines", "line cut by an edge", "centre_of_gravity"),
     ],

@@ -22,8 +22,8 @@ def chart(
         typer.Option(
             "--panel",
             metavar="NAME",
-            help="rays, frames, search, correction, fringes or lines; repeatable. All of them"
-            " without it.",
+            help="rays, frames, search, correction, fringes, camera or lines; repeatable. All of"
+            " them without it.",
         ),
     ] = None,
     quick: Annotated[
@@ -35,10 +35,9 @@ def chart(
 ) -> None:
     """Chart error against time on this machine, and say how little is enough.
 
-    Every configuration is measured: bent rays, rendered frames, searches, corrections, line
-    detectors. Leave
-    the machine idle meanwhile: some eight minutes on two cores. A CUDA device that is found gets
-    rows of its own.
+    Every configuration is measured: bent rays, rendered frames, searches, corrections, fringes,
+    frames through a lens, line detectors. Leave the machine idle meanwhile: some ten minutes on two
+    cores. A CUDA device that is found gets rows of its own.
     """
     from virtual_sensor.reporting.chart import front_tables, headline, save
     from virtual_sensor.studies.chart.chart import chart as measure

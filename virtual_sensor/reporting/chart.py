@@ -44,6 +44,7 @@ TITLES = {
     "search": "Search for laser points",
     "correction": "Correction",
     "fringes": "Fringes",
+    "camera": "Cameras with a lens",
     "lines": "Line detectors",
 }
 _JOBS = {
@@ -52,6 +53,7 @@ _JOBS = {
     "search": "Laser points",
     "correction": "Corrected points",
     "fringes": "Decoded pixels",
+    "camera": "Frames through a lens",
     "lines": "Line centres",
 }
 ITEMS = {
@@ -60,6 +62,7 @@ ITEMS = {
     "search": "laser point",
     "correction": "point",
     "fringes": "pixel",
+    "camera": "frame",
     "lines": "column",
 }
 _METHODS = {
@@ -93,6 +96,7 @@ _METHODS = {
 }
 _SETTINGS: dict[str, Callable[[Any], str]] = {
     "samples_per_pixel": lambda number: f"{counted(number, 'sample')} per pixel",
+    "sub_pupils": lambda number: counted(number, "sub-pupil"),
     "images": lambda number: counted(number, "image"),
     "steps": "{} steps".format,
     "periods_px": lambda text: f"periods of {text.replace(',', ', ')} px",

@@ -63,6 +63,7 @@ PANELS = {
     "search": Panel("searches", 0.12),
     "correction": Panel("corrections", 0.1),
     "fringes": Panel("fringes", 0.1),
+    "camera": Panel("cameras", 0.15),
     "lines": Panel("detectors", 0.03),
 }
 

@@ -29,8 +29,8 @@ class Failures(Table):
     Attributes
     ----------
     panel : sequence of str
-        Panel of the chart whose methods they are: rays, frames, search, correction, fringes or
-        lines.
+        Panel of the chart whose methods they are: rays, frames, search, correction, fringes,
+        camera or lines.
     trouble : sequence of str
         What is made worse.
     method : sequence of str

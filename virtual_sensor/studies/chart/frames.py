@@ -41,25 +41,30 @@ _NAMES = {"spp": "samples_per_pixel", "step": "step_mm", "tolerance": "tolerance
 
 
 def _reference(film_px: int, spp: int, step_mm: float) -> tuple[Scene, TrueLine, str]:
-    """The line by marched rays in float64, in windows at its ends and between; and that in words.
+    """The line by marched rays in float64, and that in words."""
+    best = {"transport": "marched", "method": "rk4", "precision": "double", "step": step_mm}
+    scene = load_scene(SCENE, width=film_px, height=film_px, spp=spp, **best)
+    words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples per pixel"
+    return scene, line_in_windows(scene, spp), words
+
+
+def line_in_windows(scene: Scene, spp: int) -> TrueLine:
+    """The line of a frame in windows at its ends and between.
 
     The whole line would take minutes, and shows no more than these windows do.
     """
-    best = {"transport": "marched", "method": "rk4", "precision": "double", "step": step_mm}
-    scene = load_scene(SCENE, width=film_px, height=film_px, spp=spp, **best)
+    width, height = scene.camera.size
     half = 0.5 * scene.sensor.laser.length_mm
     seen = ray_search(scene, [-half, half], "newton").pixel[:, 0]
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
-    image = np.zeros((film_px, film_px), np.float32)
-    inside = np.zeros(film_px, bool)
-    for left, right in _windows(first, last, inner=6 if film_px > QUICK_FILM_PX else 1):
+    image = np.zeros((height, width), np.float32)
+    inside = np.zeros(width, bool)
+    for left, right in _windows(first, last, inner=6 if width > QUICK_FILM_PX else 1):
         image[:, left:right] = render_columns(scene, np.arange(left, right), spp)[:, left:right]
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
         inside[sound] = True
     line = line_centres(image)
-    row = np.where(inside & (line.status == Status.OK), line.row, np.nan)
-    words = f"marched rays in float64, RK4 of {step_mm:g} mm, {spp} samples per pixel"
-    return scene, TrueLine.of_rows(row), words
+    return TrueLine.of_rows(np.where(inside & (line.status == Status.OK), line.row, np.nan))
 
 
 def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:
