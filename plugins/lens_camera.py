@@ -114,18 +114,19 @@ class LensCameraSensor(mi.Sensor):
         self.ideal = None
 
     def sample_ray(
-        self, time: Any, wavelengths: Any, place: Any, aperture: Any, active: Any = True
+        self, time: Any, colour: Any, place: Any, aperture: Any, active: Any = True
     ) -> tuple[Any, Any]:
         """A straight ray through a place of the film's crop window, and its weight.
 
         For other integrators; it leaves the pupil where the sample of the aperture is.
         """
         if self.ideal is not None:
-            ray, weight = self.ideal.sample_ray(time, wavelengths, place, aperture, active)
+            ray, weight = self.ideal.sample_ray(time, colour, place, aperture, active)
             return ray, weight
         film, camera = self.film(), self.camera
         place = place * mi.Point2f(film.crop_size()) + mi.Point2f(film.crop_offset())
-        ray, weight = View(self, camera.chief).rays(place, aperture)
+        ray, _ = View(self, camera.chief).rays(place, aperture)
+        wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), colour)
         x, y, z = (mi.Vector3f(*axis.tolist()) for axis in camera.pose.rotation.T)
         heading, origin = ray.d / dr.dot(ray.d, z), mi.Point3f(ray.o)
         if camera.lens:
@@ -136,7 +137,7 @@ class LensCameraSensor(mi.Sensor):
             origin = origin + x * ax + y * ay
             heading = heading - x * (ax * sharp) - y * (ay * sharp)
         length, start = dr.norm(heading), mi.Point3f(origin + heading * self._near)
-        ray = mi.Ray3f(start, mi.Vector3f(heading / length), time, mi.sample_wavelength(0.0)[0])
+        ray = mi.Ray3f(start, mi.Vector3f(heading / length), time, wavelengths)
         ray.maxt = (self._far - self._near) * length
         return ray, weight
 

@@ -126,7 +126,8 @@ class LensCamera(Pinhole):
         tau_y = math.atan(by_p * math.cos(tau_x))
         focus_mm = float(away_mm / across[2])
         lens = replace(self.lens, focus_distance_mm=focus_mm) if self.lens else None
-        return with_tilt(replace(self, lens=lens), (math.degrees(tau_x), math.degrees(tau_y)))
+        tilt_deg = math.degrees(tau_x) + 0.0, math.degrees(tau_y) + 0.0  # without -0
+        return with_tilt(replace(self, lens=lens), tilt_deg)
 
     @staticmethod
     def of(chief: Pinhole, **built: Any) -> LensCamera:
