@@ -204,6 +204,11 @@ def test_the_recorded_frame_lies_beside_the_ideal_one(measured):
         stored = read_image(folder / f"recorded_{name}.png")
         np.testing.assert_array_equal(stored.pixels, state.shot.grey)
         assert stored.detector_options == state.shot.detector_options
+        with (folder / f"truth_{name}.csv").open(encoding="utf-8") as file:
+            truth = {int(row["column"]): float(row["row_px"]) for row in csv.DictReader(file)}
+        found = dict(zip(state.line.column, state.line.row, strict=True))
+        apart = [found[column] - row for column, row in truth.items() if column in found]
+        assert np.nanmedian(np.abs(apart)) < 0.02
         ideal = measured["hot"][0].states[name]
         np.testing.assert_array_equal(state.frame.radiance, ideal.frame.radiance)
         assert not np.array_equal(state.line.row, ideal.line.row, equal_nan=True)

@@ -26,6 +26,7 @@ class ColumnTruth(Table):
     Attributes
     ----------
     column : ndarray of int of shape (N,)
+        Of the image.
     row_px : ndarray of shape (N,)
         v of the sheet's middle at the column's middle, along chief rays.
     width_px : ndarray of shape (N,)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.imaging.checks import LitLine
+from virtual_sensor.imaging.column_truth import ColumnTruth
 from virtual_sensor.imaging.image_files import save_png
 from virtual_sensor.imaging.render import EXR_LAYERS, write_exr
 from virtual_sensor.medium.index_field import IndexField
@@ -130,6 +131,7 @@ FILES = (
         "recorded_*.png",
         "The frame as it was recorded: grey values of the sensor's bits, with what made them.",
     ),
+    FileOf("truth_*.csv", "What is true of the recorded line in each column.", ColumnTruth),
     FileOf("split_*.csv", "What the error of each recorded point is made of.", SplitTable),
     FileOf("line_*.csv", "The line's centres and the points measured there.", LineTable),
     FileOf("dots_*.csv", "The laser's dots, where it makes some.", DotTable),
@@ -169,6 +171,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
             if state.shot is not None:
                 path = place / f"recorded_{name}.png"
                 written.append(aside.submit(save_png, state.shot, path))
+                tables[f"truth_{name}.csv"] = state.shot.truth
             if state.split is not None:
                 tables[f"split_{name}.csv"] = error_split.split_table(state.split)
             if state.dots:
