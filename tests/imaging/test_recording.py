@@ -14,7 +14,7 @@ from several import text_of
 import virtual_sensor as vs
 from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.recording import aperture_of
+from virtual_sensor.imaging.recording import aperture_of, blur_px_of
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
@@ -141,6 +141,8 @@ def test_a_line_out_of_focus_is_speckled_by_a_pupil_that_is_out_of_focus(scene):
     narrow = vs.load_scene("cold_cylinder", width=128, height=96, spp=16, pixel=5.5)
     blurred = replace(narrow, cameras={"camera": replace(narrow.camera, lens=lens)})
     frame = vs.render_frame(blurred)
+    radius = lens.pupil_radius_mm * (1.0 / 290.0 - 1.0 / 300.0) * 75.0 / 5.5e-3
+    assert np.median(blur_px_of(blurred, frame)[frame.lit]) == pytest.approx(radius, rel=0.03)
     v = np.arange(96)[:, None]
     near = np.abs(v - (v * frame.radiance).sum(axis=0) / frame.radiance.sum(axis=0)) < 15
 

@@ -522,7 +522,7 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
             " speckled; render it by vs.render_frame(scene, background=True)"
         )
     light = light if background is None else np.maximum(light - background, 0.0)
-    blur_px = _blur_px(scene, ideal)
+    blur_px = blur_px_of(scene, ideal)
     if blur_px.max() > aperture.resolution_px:
         in_focus = {scene.camera_name: replace(scene.camera, sub_pupils=1)}
         other_light = background is not None
@@ -534,7 +534,7 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
     return seen.astype(np.float32) + (0.0 if background is None else background)
 
 
-def _blur_px(scene: Scene, ideal: Ideal) -> NDArray[np.float64]:
+def blur_px_of(scene: Scene, ideal: Ideal) -> NDArray[np.float64]:
     """Radius (H, W) of the circle of confusion with which a frame was rendered; 0 in the dark."""
     width, height = scene.camera.size
     blur = np.zeros(height * width)
