@@ -265,7 +265,7 @@ def test_bad_input_is_told(scene, frame):
     lens, unscaled = with_lens(scene), with_lens(scene, pixel_um=None)
     plain = vs.render_frame(scene)
     for words, ask in {
-        "f-number": lambda: vs.record(scene, frame, exposure_s=0.002),
+        "-D f_number=8": lambda: vs.record(scene, frame, exposure_s=0.002),
         "pinhole has no aperture": lambda: vs.record(scene, frame, speckle=True),
         "background=True": lambda: vs.record(lens, plain, sensor=QUIET, speckle=True),
         "how large its pixels": lambda: vs.record(unscaled, frame, exposure_s=0.002),
@@ -405,3 +405,21 @@ def test_lines_of_several_lasers_have_a_truth_each(tmp_path):
     assert abs(rows[0] - rows[1]) > 2.0
     names = {each.name for each in shot.write(tmp_path / "out").iterdir()}
     assert {"truth_0_one.csv", "truth_1_two.csv"} < names
+
+
+def test_the_width_of_a_blurred_line_is_that_of_its_sharp_profile_and_the_lenss_disc():
+    """Beside the second moments of what is rendered through the pupil, 8 mm out of focus."""
+    scene = vs.load_scene(
+        "cold_cylinder", width=128, height=128, f_number=4, focus_distance=292, line_radius=0.6
+    )
+    frame = vs.render_frame(scene, spp=16)
+    truth = vs.record(scene, frame).truth
+    middle = np.abs(truth.column - 63.5) < 6.0  # where the line lies along the rows
+    light = frame.radiance[:, truth.column[middle]].astype(float)
+    v = np.arange(128)[:, None]
+    row = (v * light).sum(0) / light.sum(0)
+    sigma = np.sqrt(((v - row) ** 2 * light).sum(0) / light.sum(0) - 1.0 / 12.0)
+    found = np.hypot(truth.width_px, truth.blur_px)[middle]
+    assert middle.sum() > 10
+    assert np.all(truth.blur_px[middle] > 0.2)
+    np.testing.assert_allclose(found, sigma, rtol=0.01)

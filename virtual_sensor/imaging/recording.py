@@ -54,10 +54,6 @@ _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _MANY = 0.5  # of the line's columns
 _SAME_PIXEL = 0.01
 _SAME_TIME = 0.01  # of an exposure
-_REMEDY = (
-    'give its camera one, <float name="f_number" value="8"/> in a <sensor type="lens_camera">, or'
-    " leave the exposure to auto"
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -424,6 +420,13 @@ def pixel_um_of(scene: Scene, sensor: ImageSensor) -> float:
     return float(pixel_um)
 
 
+def _with_f_number(scene: Scene) -> str:
+    """How a scene's camera gets an f-number."""
+    if "f_number" in scene.parameters:
+        return "give it one (-D f_number=8)"
+    return 'give <float name="f_number" value="8"/> in a <sensor type="lens_camera">'
+
+
 def lens_of(scene: Scene) -> Lens | None:
     """The lens of the scene's camera; None of a pinhole."""
     lens: Lens | None = scene.camera.lens
@@ -450,8 +453,7 @@ def aperture_of(
     if lens is None:
         raise InputError(
             f"{scene.path}: {scene.camera_element}: a pinhole has no aperture, and speckle needs"
-            ' its f-number; give <float name="f_number" value="8"/> in a <sensor'
-            ' type="lens_camera">, or an Aperture (speckle=)'
+            f" its f-number; {_with_f_number(scene)}, or an Aperture (speckle=)"
         )
     wavelength_nm = scene.air.wavelength_nm
     shining = ideal.truth.source_coordinates if isinstance(ideal, Frame) else scene.sources
@@ -565,7 +567,8 @@ def exposure_of(
         if per_second is None:
             raise InputError(
                 f"{scene.path}: {scene.camera_element}: a pinhole has no aperture, and the time"
-                f" exposure_s = {short(given)} needs its f-number; {_REMEDY}"
+                f" exposure_s = {short(given)} needs its f-number; {_with_f_number(scene)}, or"
+                " leave the exposure to auto"
             )
         return per_second * time_s, time_s, ()
     number_within("record: peak", peak, SMALLEST, _MOST_PEAK, "a share of the saturation above 0")
