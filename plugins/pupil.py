@@ -34,7 +34,8 @@ _BESIDE_PX = 8.0  # of a window, beyond what refraction moves
 _SPARE = 1.25  # times what refraction moves light by, seen from the middle of the pupil
 _MOST_SIGHTS = 1 << 22  # of pixels' centres that are held for marches, of all points
 _PROBES = 256  # points that the chief rays see lit
-_ORDERS, _SWAPS = 24, 100  # of places within pixels
+_ORDERS = 12  # of places within pixels
+_SWAPS, _MOST_SWAPS = 10, 1000  # of each order, for each of them
 _SAME = 1e-9
 
 
@@ -213,6 +214,13 @@ def _window(
     return None if empty else (slice(top, bottom), slice(left, right))
 
 
+def _lattice(count: int, steps: int) -> Array:
+    """Places (count, 2) from -1/2 to 1/2, opposite of which are others of them; steps are odd."""
+    number = np.arange(count)
+    across = (steps * number + (steps - 1) // 2) % count
+    return (np.stack([number, across], axis=1) + 0.5) / count - 0.5
+
+
 @lru_cache
 def shifts_within(at_mm: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
     """Where points of a pupil take their samples within pixels, from -1/2 to 1/2.
@@ -222,16 +230,15 @@ def shifts_within(at_mm: tuple[tuple[float, float], ...]) -> tuple[tuple[float, 
     orders that one is taken in which the shifts go least with place and cube.
     """
     count, at = len(at_mm), np.array(at_mm)
-    first = round(count * 0.618) | 1
-    steps = next(n for n in range(first, 2 * count + 2, 2) if np.gcd(n, count) == 1)
     number = np.arange(count)
-    across = (steps * number + (steps - 1) // 2) % count  # opposite of opposite ones
-    lattice = (np.stack([number, across], axis=1) + 0.5) / count - 0.5
+    lattices = [_lattice(count, steps) for steps in range(1, 2 * count, 2)]
+    coprime = [each for each in lattices if len(np.unique(each[:, 1])) == count]
+    lattice = min(coprime, key=lambda each: round(abs(float(each[:, 0] @ each[:, 1])), 9))
     opposite = np.abs(at[:, None] + at).sum(axis=2).argmin(axis=1)
     paired = count % 2 == 0 and np.abs(at + at[opposite]).max() < _SAME * np.abs(at).max()
     free = np.flatnonzero(number < opposite) if paired else number
     x, y = at.T / np.abs(at).max()
-    goes_with = np.stack([2.0 * x, 2.0 * y, x**3, x**2 * y, x * y**2, y**3])
+    goes_with = np.stack([4.0 * x, 4.0 * y, x**3, x**2 * y, x * y**2, y**3])
 
     def together(shifts: Array) -> float:
         return float(np.sum((goes_with @ shifts) ** 2))
@@ -245,7 +252,7 @@ def shifts_within(at_mm: tuple[tuple[float, float], ...]) -> tuple[tuple[float, 
         if paired:
             here[opposite[free]] = -here[free]
         low = together(here)
-        for _ in range(_SWAPS if len(free) > 1 else 0):
+        for _ in range(min(_SWAPS * count, _MOST_SWAPS) if len(free) > 1 else 0):
             two, swapped = drawn.sample(free.tolist(), 2), here.copy()
             swapped[two] = swapped[two[::-1]]
             if paired:

@@ -9,6 +9,7 @@ from virtual_sensor_plugins.pupil import Pupil, shifts_within
 from virtual_sensor_plugins.renderer import Prepared
 
 import virtual_sensor as vs
+from virtual_sensor.devices.camera import with_tilt
 from virtual_sensor.imaging.render import arrangement, render_uncached
 from virtual_sensor.optics.lens import Lens, circle_of_confusion
 from virtual_sensor.optics.map_cache import MAPS
@@ -143,6 +144,7 @@ def test_samples_within_pixels_go_with_no_place_in_the_pupil():
             assert np.abs(shifts.T @ places).max() / count < 0.01
             even = np.stack([places[:, 0] ** 2, places[:, 0] * places[:, 1], places[:, 1] ** 2])
             np.testing.assert_allclose(even @ shifts, 0.0, atol=1e-12)
+            assert abs(np.prod(shifts, axis=1).mean()) < 0.15 / 12.0  # no diagonal
 
 
 def test_a_point_of_the_pupil_that_sees_no_light_adds_none():
@@ -173,3 +175,34 @@ def test_a_pupil_of_too_few_points_for_its_blur_is_told():
     assert many.pupil_points == 64
     assert frame_notes(many) == []
     assert np.isnan(vs.render_frame(scene).report.pupil_gap_px)
+
+
+def test_scheimpflugs_tilt_keeps_the_line_as_sharp_along_the_depth():
+    """By tan phi' = m tan phi 8.2 degrees: m is 0.25, the laser plane 30 degrees off the lens's."""
+    scene = part(width=256, height=256, fov=FOV * 32, line_radius=0.6)
+    camera = replace(scene.camera, lens=lens(4.0), pixel_um=44.0)
+    tilted = camera.focused_on(*scene.laser.family.plane(0.0))
+    angle = np.hypot(*tilted.lens.sensor_tilt_deg)
+    assert angle == pytest.approx(np.degrees(np.arctan(0.25 * np.tan(np.radians(30.0)))), abs=0.02)
+
+    def widths(camera, points):
+        seen = replace(scene, cameras={"camera": replace(camera, sub_pupils=points)})
+        return np.sqrt(moments(vs.render(seen, spp=16)[:, 70:186])[1])
+
+    sharp, blurred = widths(tilted, 1), widths(tilted, 16)
+    np.testing.assert_allclose(blurred, sharp, rtol=0.02)
+    assert (widths(camera, 16) / widths(camera, 1)).max() > 1.02  # a sensor square to the axis
+
+
+def test_through_a_tilted_lens_that_distorts_the_line_is_where_the_search_has_it():
+    scene = part("hot_cylinder", line_radius=0.05)
+    bends = (-0.2, 0.1, 1e-3, -2e-3, 0.0)
+    camera = replace(scene.camera, lens=lens(8.0, 301.0), pixel_um=5.5, distortion=np.array(bends))
+    camera = with_tilt(camera, (8.2, 3.0))
+    seen = replace(scene, cameras={"camera": camera})
+    row, spread = vs.pupil_search(seen, np.linspace(-0.6, 0.6, 9)).rows_at(np.arange(64))
+    known = np.isfinite(row)
+    assert known.sum() > 20
+    centre, _ = moments(vs.render(seen))
+    np.testing.assert_allclose(centre[known], row[known], atol=0.003)
+    assert spread[known].min() > 0.1
