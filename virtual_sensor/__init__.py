@@ -24,7 +24,8 @@ Scenes, and what a camera sees of them
                          that light it.
     render               Render a camera's image: radiance in W/(mm^2 sr), shape (H, W).
     render_frame         Render a camera's image together with its ground truth.
-    render_exposure      Render a frame that takes time: the part moves, and rows may be skewed.
+    render_exposure      Render a frame while the part moves past the sensor: smeared by its way,
+                         skewed by rows.
     ExposedFrame         A frame that took time, and the truth at the middle of each row's
                          exposure.
     Frame                A rendered frame, and the truth at its pixels' centres.
@@ -109,6 +110,8 @@ Light through air
                          projector's rays.
     pupil_search         Find where incidence points are seen through a lens, in bent air:
                          `ray_search` for its pupil.
+    PupilPixels          Where N rays' incidence points are seen from K points of the pupil.
+    PupilStatus          Which part of the pupil sees what a ray of laser or projector lights.
     circle_of_confusion_px  How wide a lens out of focus shows points, by the formula of the thin
                          lens, in cold air.
     Lens                 A thin lens, its pupil and the sensor behind it.
