@@ -106,6 +106,21 @@ def test_a_rendered_dot_is_where_opencv_has_it():
         assert np.abs([u[near] @ light, v[near] @ light] - place).max() < 0.003
 
 
+def test_fringes_are_decoded_through_distortion_and_tilt():
+    """To the projector pixels that the search finds, cold and in hot air."""
+    size = {"width": 96, "height": 96, "spp": 4, "pixels": False}
+    hot = vs.load_scene("fringe_cylinder", distortion="-2, 0, 0.01, 0.01", **size)
+    tilted = vs.load_scene("fringe_cylinder", sensor_tilt="10, -6", **size)
+    codec = vs.PhaseShift(axes="u", periods_px=(40.0, 160.0, 1280.0))
+    for scene in (hot, hot.cold(), tilted):
+        decoded = codec.decode(vs.render_sequence(scene, codec.patterns).radiance)
+        rows, columns = np.mgrid[30:70:8, 30:70:8]
+        pixel = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+        found = vs.projector_pixels(scene, pixel).projector_pixel[:, 0]
+        apart = decoded.column[rows.ravel(), columns.ravel()] - found
+        assert np.abs(apart).max() < 0.02
+
+
 def test_a_calibration_is_the_cameras(tmp_path):
     """OpenCV's file with K and distortion; of another resolution it is refused, with both."""
     path = tmp_path / "camera.yaml"
@@ -132,6 +147,13 @@ def test_a_calibration_is_the_cameras(tmp_path):
         cold(calibration=path, distortion=DISTORTION)
     with pytest.raises(vs.InputError, match=r"there is no file .none\.yaml. where"):
         cold(calibration="none.yaml")
+
+
+def test_a_film_larger_than_its_sensor_is_noted():
+    """A frame may be a part of a sensor, and no more."""
+    assert cold(sensor_model="cmos_5um5").notes == ()
+    (note,) = cold(sensor_model="profile_sensor", width=4096, spp=1).notes
+    assert '<sensor id="camera">: its film is larger than its sensor, of' in note
 
 
 def test_what_no_camera_can_be_is_refused_with_the_remedy():

@@ -93,7 +93,6 @@ T = TypeVar("T")
 
 _ABSOLUTE_ZERO_C = -273.15
 _NAMING_FILES = ("string", "include", "spectrum")  # elements of Mitsuba's XML that may
-_SAME = 1e-3  # of two pitches of pixels
 _SAME_MM = 1e-4  # float32 leaves so much doubt of a place
 _CLEARANCE_MM = 0.01
 _ROUND_PUPIL = 24  # directions in which a shape within the pupil is looked for
@@ -980,11 +979,6 @@ def _camera_notes(sensor: Any, camera: LensCamera) -> list[str]:
         notes.append(
             f": a thinlens has no film in mm; one {THIN_LENS_FILM_MM:g} mm wide is assumed, which"
             f" makes it f/{lens.f_number:.3g}; use a lens_camera"
-        )
-    if chip and chip.pixel_um and abs(chip.pixel_um / (camera.pixel_um or np.inf) - 1.0) > _SAME:
-        notes.append(
-            f": its pixels are {camera.pixel_um:.4g} um wide, and those of its sensor {chip.name}"
-            f" {chip.pixel_um:g} um: frames are recorded as if by the latter"
         )
     whole = (chip.width_px, chip.height_px) if chip else (None, None)
     if any(n and n < m for n, m in zip(whole, camera.size, strict=True)):
