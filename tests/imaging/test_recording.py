@@ -14,7 +14,7 @@ from several import text_of
 import virtual_sensor as vs
 from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.recording import aperture_of, blur_px_of
+from virtual_sensor.imaging.recording import aperture_of, blur_px_of, surface_of
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
@@ -121,6 +121,9 @@ def test_a_part_at_rest_keeps_its_speckle_and_one_that_moved_has_another(scene, 
         return vs.record(where, frame, seed, sensor=QUIET, speckle=aperture, **others).speckled
 
     first = seen(scene)
+    told = vs.record(scene, frame, sensor=QUIET, speckle=aperture, surface_seed=7).drawn
+    assert told["surface_seed"] == 7
+    assert told["surface"] == surface_of(scene, 7) != surface_of(scene)
     for still in (seen(scene, 5), seen(scene.cold()), seen(with_lens(scene, f_number=4.0))):
         np.testing.assert_array_equal(still, first)
     pose = scene.laser.pose

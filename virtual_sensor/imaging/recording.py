@@ -341,7 +341,7 @@ def record(
     light, shown = _radiance(ideal), None
     if speckle is not False:
         number = whole_number("record: surface_seed", surface_seed, 0, LARGEST_SEED)
-        drawn["surface"] = surface_of(scene, number)
+        drawn |= {"surface_seed": number, "surface": surface_of(scene, number)}
         aperture = aperture_of(scene, ideal, chosen, speckle)
         light = shown = _speckled(scene, ideal, aperture, drawn["surface"])
     taken_s = ideal.exposure_s if isinstance(ideal, ExposedFrame) else None
