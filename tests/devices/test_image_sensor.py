@@ -58,6 +58,10 @@ def test_dark_current_doubles_with_the_temperature():
     assert sensor.dark_current == pytest.approx(10.0)
     warm = vs.ImageSensor(dark_current_e_s=10.0, doubling_c=7.0, temperature_c=46.0)
     assert warm.dark_current == pytest.approx(80.0)
+    extreme = vs.ImageSensor(dark_current_e_s=1.0, doubling_c=1.0, temperature_c=200.0)
+    assert vs.grey_values([[0.0]], extreme, exposure_s=1e9) == extreme.saturation
+    with pytest.raises(vs.InputError, match=r"doubling_c is 0\.0; give the rise"):
+        vs.ImageSensor(doubling_c=0.0)
 
 
 def test_a_data_sheet_that_can_not_be_is_refused_by_file_key_and_remedy(sheet):

@@ -111,7 +111,7 @@ class ImageSensor(Displayed):
     description: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
-        positive = ("quantum_efficiency", "gain", "full_well_e", "doubling_c")
+        positive = ("quantum_efficiency", "gain", "full_well_e")
         others = ("dark_noise_e", "black_level", "dsnu_e", "prnu", "dark_current_e_s")
         for name in (*positive, *others, "row_time_us"):
             least, kind = (SMALLEST, "positive") if name in positive else (0.0, "not negative")
@@ -123,6 +123,7 @@ class ImageSensor(Displayed):
             )
         for name in ("temperature_c", "dark_current_at_c"):
             self._number(name, _COLDEST_C, _HOTTEST_C, "a temperature in degC, up to 200")
+        self._number("doubling_c", 1.0, 100.0, "the rise in degC, 1 to 100; about 8")
         if self.pixel_um is not None:
             self._number("pixel_um", SMALLEST, LARGEST, "the pitch of the pixels in um")
         for name in ("width_px", "height_px"):
