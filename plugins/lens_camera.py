@@ -18,7 +18,6 @@ from virtual_sensor_plugins.properties import (
 )
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, View, camera_of
 
-from virtual_sensor.devices.calibration_files import CalibrationFile, camera_in
 from virtual_sensor.devices.camera import MM_PER_UM, SUB_PUPILS, LensCamera, tilt_of, with_tilt
 from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor, image_sensors
@@ -177,7 +176,7 @@ def _built(
             f" {pixel_um:g} um makes it {focal_px * pixel_um * MM_PER_UM:.6g} mm; give one of them"
         )
     points = optional(props, "sub_pupils", "a whole number")
-    points = SUB_PUPILS if points is None else int(points) if points == round(points) else points
+    points = SUB_PUPILS if points is None else int(points) if points % 1.0 == 0.0 else points
     lets = optional_positive(props, "transmission", "a part, above 0 and up to 1") or 1.0
     tilt = str(props.get("tilt", "")).strip()
     f_number = optional(props, "f_number", "an f-number, such as 8; 0 or empty for a pinhole")
@@ -218,6 +217,11 @@ def _rays(
     """The chief rays: by a calibration, a field of view, or an image distance."""
     distortion = distortion_of(str(props.get("distortion", "")))
     if name := str(props.get("calibration", "")):
+        from virtual_sensor.devices.calibration_files import (  # which few scenes have
+            CalibrationFile,
+            camera_in,
+        )
+
         refuse_both(props, "calibration", _SHIFTS)
         if distortion.size:
             raise InputError("has a 'calibration' and a 'distortion'; give one of them")

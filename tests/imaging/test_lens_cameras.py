@@ -167,6 +167,7 @@ def test_what_no_camera_can_be_is_refused_with_the_remedy():
         ({"f_number": 8, "focus_distance": -1}, "'focus_distance' is -1"),
         ({"f_number": 8, "sub_pupils": 0}, "sub_pupils must be a whole number from 1"),
         ({"sub_pupils": 2.5}, "sub_pupils must be a whole number from 1"),
+        ({"sub_pupils": "nan"}, "sub_pupils must be a whole number from 1"),
         ({"sensor_tilt": "steep"}, "give an angle about x in degrees"),
         ({"sensor_tilt": 89}, "the distortion folds|at most 80 degrees"),
         ({"sensor_tilt": 5, "distortion": f"{'0, ' * 13}0.1"}, "its distortion has one too"),
@@ -229,6 +230,18 @@ def test_a_line_out_of_focus_and_a_pupil_in_the_part_are_told():
     wide = replace(scene.camera, lens=replace(scene.camera.lens, pupil_radius_mm=10.0))
     with pytest.raises(vs.InputError, match="a shape reaches into the lens's pupil"):
         scene.with_camera(wide)
+
+
+def test_a_sensor_stays_tilted_where_the_laser_is_moved():
+    """As one that was built so; other parameters count all the same, where it is unpickled too."""
+    scene = cold(sensor_tilt="laser_plane", f_number=8)
+    pose = scene.laser.pose.moved(vs.Pose.turn(2.0, [0.0, 1.0, 0.0]))
+    moved = scene.with_pose("laser", pose)
+    assert moved.camera == scene.camera
+    for same in (moved, pickle.loads(pickle.dumps(moved))):
+        again = same.with_parameters(f_number=4)
+        assert again.camera.lens.f_number == pytest.approx(4.0)
+        assert again.camera.lens.sensor_tilt_deg != scene.camera.lens.sensor_tilt_deg
 
 
 def test_mitsubas_thinlens_is_a_camera_of_an_assumed_film(tmp_path):

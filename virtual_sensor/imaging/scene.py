@@ -171,6 +171,7 @@ class _Stage:
     notes: tuple[str, ...]
     where: str  # its integrator stands, for messages
     variant: str  # of Mitsuba
+    exchanged: frozenset[str] = frozenset()  # cameras, by `with_camera`
     fits: dict[Hashable, SolidFit | None] = dataclasses.field(default_factory=dict)
 
     @property
@@ -484,7 +485,8 @@ class Scene(Displayed):
         with naming(where):
             check_unfolded(camera)
         _check_pupil(where, self.mitsuba, camera)
-        return replace(self, cameras={**self.cameras, name: camera})
+        stage = replace(self._stage, exchanged=self._stage.exchanged | {name})
+        return replace(self, cameras={**self.cameras, name: camera}, _stage=stage)
 
     def with_pose(self, name: str, pose: Pose) -> Scene:
         """The same scene with one of its cameras or sources at another place.
@@ -574,6 +576,7 @@ class Scene(Displayed):
         origin.check()
         given, poses = origin.given | parameters, before.poses | poses
         stage = _staged(path or origin.files[0], given, origin.here, poses)
+        stage = replace(stage, exchanged=before.exchanged)
         air, medium, values = self.air, self.medium, stage.parameters
         if air.path:
             air = stage.air
@@ -599,7 +602,7 @@ class Scene(Displayed):
         Where parameters were changed the file's camera counts, unless `with_camera` gave another.
         """
         mine = self.cameras[name]
-        if changed and mine == self._stage.cameras[name]:
+        if changed and name not in self._stage.exchanged:
             return again
         return mine.with_pose(again.pose) if mine.size == again.size else again
 
@@ -650,7 +653,8 @@ class Scene(Displayed):
         return hash(self._values())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        stage, chosen = self._stage, (dict(self.cameras), tuple(self.sources))
+        stage = self._stage
+        chosen = dict(self.cameras), stage.exchanged, tuple(self.sources)
         air = self.air.time_s if self.air.path else self.medium
         of_file = self.air.path is not None
         changes = dict(self.parameters), of_file, air, self.transport, self.hot
@@ -667,7 +671,7 @@ class Scene(Displayed):
 def _unpickled(
     origin: _Origin,
     poses: dict[str, Array],
-    chosen: tuple[dict[str, LensCamera], tuple[str, ...]],
+    chosen: tuple[dict[str, LensCamera], frozenset[str], tuple[str, ...]],
     parameters: dict[str, str],
     of_file: bool,
     air: Any,
@@ -677,11 +681,12 @@ def _unpickled(
     """A scene that was pickled, loaded again; `air` is an instant of its file, or a medium."""
     origin.check()
     path = origin.files[0]
-    stage = _staged(path, origin.given, origin.here, poses)
+    cameras, exchanged, names = chosen
+    stage = replace(_staged(path, origin.given, origin.here, poses), exchanged=exchanged)
     described = replace(stage.air, time_s=air) if of_file else stage.air.without_file()
     medium = described.read() if of_file else air
-    sources = {name: stage.sources[name] for name in chosen[1]}
-    return Scene(path, parameters, medium, described, chosen[0], sources, transport, hot, stage)
+    sources = {name: stage.sources[name] for name in names}
+    return Scene(path, parameters, medium, described, cameras, sources, transport, hot, stage)
 
 
 def _counted(kind: str, named: Mapping[str, Any]) -> str:
