@@ -32,12 +32,15 @@ class Drift:
         Rows of the film that are exposed.
     within_px : tuple of two float
         By how much the samples are moved within their pixels.
+    spread : float
+        By how much farther from the pixel's middle they are.
     """
 
     first_mm: Array
     per_row_mm: Array
     rows: slice
     within_px: tuple[float, float] = (0.0, 0.0)
+    spread: float = 1.0
 
     def at(self, row: Any) -> Any:
         """The shift in rows of the film, Dr.Jit's: a vector, mm."""
@@ -53,7 +56,8 @@ class Drift:
 
     def within(self, place: Any) -> Any:
         """Places of samples within pixels, from 0 to 1."""
-        moved = place + dr.opaque(mi.Point2f, self.within_px)
+        aside = (place - 0.5) * dr.opaque(mi.Float, self.spread)
+        moved = aside + 0.5 + dr.opaque(mi.Point2f, self.within_px)
         return moved - dr.floor(moved)
 
     def ray(self, ray: Any, row: Any) -> Any:

@@ -30,14 +30,15 @@ class ColumnTruth(Table):
     row_px : ndarray of shape (N,)
         v of the sheet's middle at the column's middle, along chief rays.
     width_px : ndarray of shape (N,)
-        Standard deviation of the sharp line's profile along the column.
+        Standard deviation along the column of a sharp line with the laser's radius and a Gaussian
+        profile; without the smear of a part that moves.
     blur_px : ndarray of shape (N,)
         Standard deviation of the lens's blur along the column, out of focus; 0 of a pinhole.
     electrons : ndarray of shape (N,)
         Mean electrons of the line's light in the column, where lamps and glow are known without
         theirs.
     visibility : ndarray of shape (N,)
-        Which part of the sheet's profile the camera sees there: less than 1 at edges.
+        Which part of a Gaussian profile the camera sees there: less than 1 at edges.
     """
 
     column: NDArray[np.int64]

@@ -44,6 +44,7 @@ from virtual_sensor.poses import Pose
 Array = NDArray[np.float64]
 
 _GAUSS = 0.5 / math.sqrt(3.0)  # the two points of an interval of length 1, from its middle
+_FEWEST = 2  # samples of an instant along each side of a pixel, if it has as many at rest
 # Where instants with one sample have it within pixels: at Gauss points too, in an order in which
 # neither coordinate goes with the time, nor with the other.
 _WITHIN = _GAUSS * np.array([[1, 1, -1, -1, -1, -1, 1, 1], [1, -1, -1, 1, 1, -1, -1, 1]])
@@ -119,7 +120,8 @@ def render_exposure(
     Parameters
     ----------
     scene, spp, seed, camera, source
-        As those of `render`; the instants share the samples of a pixel, and each has one at least.
+        As those of `render`; the instants share the samples of a pixel, and each has four at least,
+        or as many as the scene has if these are fewer.
     exposure_s : float, optional
         How long each row is exposed; by default as the scene's camera says.
     velocity_mm_s : array_like of shape (3,)
@@ -316,10 +318,16 @@ def _instant(
     """The images of one of so many instants, (frames, H, W), by its share of the samples."""
     spp, seed = sampling
     spp = spp or int(prepared.arrangement.sensor.sampler().sample_count())
-    share = spp if count == 1 else max(1, round(math.sqrt(spp / count))) ** 2
-    if share == 1 and count > 1:
+    share = max(math.ceil(math.sqrt(spp / count)), min(_FEWEST, math.isqrt(spp))) ** 2
+    if count == 1:
+        share = spp
+    elif prepared.pupil is not None:  # whose points cover a pixel
+        pass
+    elif share == 1:
         u, v = _WITHIN[:, number % _WITHIN.shape[1]].tolist()
         drift = replace(drift, within_px=(u, v))
+    else:  # such that they cover a pixel as all its samples on a grid would
+        drift = replace(drift, spread=math.sqrt((1.0 - 1.0 / spp) / (1.0 - 1.0 / share)))
     fluxes = {n: on_and_off(each) for n, each in prepared.arrangement.sources.items() if background}
     exposure, report = prepared.exposed(
         share, seed, frames=1 + background, fluxes=fluxes, drift=drift
