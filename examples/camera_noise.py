@@ -35,12 +35,13 @@ for peak_e, image in zip(peaks_e, images, strict=True):
     )
 
 # %% [markdown]
-# The last image for other programs: 12 bits in a 16-bit PNG, which says so.
+# The last image for other programs: 12 bits in a 16-bit PNG, which says so, with noise and gain.
 
 # %%
-path = vs.save_png(images[-1], "line_12bit.png", bits=12)
+path = vs.save_png(images[-1], "line_12bit.png", sensor=sensor)
 stored = vs.read_image(path)
 print(f"{path}: {stored.pixels.dtype}, grey values {stored.pixels.min()} to {stored.pixels.max()}")
+print(f"gain {stored.detector_options['gain']}, noise {stored.detector_options['noise']:.2f}")
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
