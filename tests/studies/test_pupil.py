@@ -5,6 +5,7 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
+from virtual_sensor.studies.measure import measure
 from virtual_sensor.studies.pupil import blur_through_air
 
 LOW_MM, HIGH_MM, BEND = 80.0, 160.0, 2e-6
@@ -58,3 +59,16 @@ def test_what_can_not_be_studied_is_refused():
         blur_through_air(cold)
     with pytest.raises(InputError, match="points"):
         blur_through_air(vs.load_scene("hot_cylinder", width=64, height=64), points=1)
+
+
+def test_measure_checks_the_line_through_the_lens():
+    """Rationale: beside the chief rays' line, a lens in hot air moved the check by 0.24 px."""
+    scene = vs.load_scene(
+        "hot_cylinder", width=256, height=256, f_number=8, line_radius=0.6, line_length=16
+    )
+    result = measure(scene)
+    for state, most in ((result.cold, 0.003), (result.hot, 0.02)):
+        assert state.frame.report.pupil_points == 16
+        assert state.compared.count > 70
+        assert state.compared.rms_px < most
+        assert state.by_frame.wrong().sum() == 0

@@ -39,13 +39,14 @@ from virtual_sensor.metrology.truth import (
     DotErrors,
     LineErrors,
     TrueLine,
+    TruthStatus,
     compare_dots,
     compare_line,
     largest,
     rms,
 )
 from virtual_sensor.optics.field_border import FACES
-from virtual_sensor.optics.pupil_search import pupil_search
+from virtual_sensor.optics.pupil_search import PupilPixels, pupil_search
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import WITH_NORM, Record, Table, counts_of, status_names
 from virtual_sensor.studies.error_split import (
@@ -104,7 +105,8 @@ class State(Displayed):
     by_frame : LineErrors
         The line centres beside the frame's own truth, those that an edge cuts among them.
     compared : LineErrors or DotErrors
-        Rendered line minus dense search; or of a laser that makes dots, their centroids minus it.
+        Rendered line minus dense search, through the lens where there is one; or of a laser that
+        makes dots, their centroids minus it.
     section : Section
         The true one.
     search_time_s, render_time_s : float
@@ -354,23 +356,37 @@ def _measure_state(
     seen = frame if shot is None else shot
     line = line_centres(seen)
     laser, across_mm = scene.sensor.laser, frame.coordinates()[:, :, 0]
-    by_frame = compare_line(line, frame, cut=True)
+    blurred = frame.report.pupil_points > 0
+    pupil = pupil_search(scene, dense_y, "tabulated") if blurred else None
+    truth = _through_lens(TrueLine.of_frame(frame), pupil) if pupil else frame
+    by_frame = compare_line(line, truth, cut=True)
     compared: LineErrors | DotErrors
     if laser.dots_mm.size:
-        compared = compare_dots(dot_centres(seen), dense.pixel)
+        compared = compare_dots(dot_centres(seen), (pupil or dense).pixel)
     else:
         searched = searched_line(scene, dense).seen_in(across_mm, laser.working_radius_mm)
-        compared = compare_line(line, searched)
+        compared = compare_line(line, _through_lens(searched, pupil) if pupil else searched)
     found = line, paper, newton, dense, by_frame, compared
     state = State(scene, frame, *found, section, search_s, render_s, shot, None, record_s)
     if shot is not None:
         report("splitting the error", 0.9)
-        state = replace(state, split=_split(state, straight or dense, dense_y))
+        state = replace(state, split=_split(state, straight or dense, pupil))
     report("done", 1.0)
     return state
 
 
-def _split(state: State, straight: FoundPixels, dense_y: Array) -> ErrorSplit:
+def _through_lens(line: TrueLine, pupil: PupilPixels) -> TrueLine:
+    """A line that chief rays see, where all points of a pupil together show it."""
+    width = line.row.shape[1]
+    lines = [TrueLine.of_search(each, np.isfinite(each[:, 0]), width) for each in pupil.pixels]
+    rows = np.mean([[nearest_rows(each, row) for row in line.row] for each in lines], axis=0)
+    known = np.isfinite(line.row)
+    lost = known & ~np.isfinite(rows)  # for some point of the pupil
+    status = np.where(lost, TruthStatus.NO_LINE, line.status).astype(np.uint8)
+    return replace(line, row=np.where(known, rows, np.nan), status=status)
+
+
+def _split(state: State, straight: FoundPixels, pupil: PupilPixels | None) -> ErrorSplit:
     """What the error of a recorded state is made of; `straight` are its rays in cold air."""
     from virtual_sensor.imaging.difference import DifferenceFrame
 
@@ -382,7 +398,6 @@ def _split(state: State, straight: FoundPixels, dense_y: Array) -> ErrorSplit:
             return compare_dots(dot_centres(image), state.dense.pixel).pixel
         return line_centres(image).pixel
 
-    pupil = pupil_search(scene, dense_y, "tabulated") if scene.camera.lens else None
     through_lens = pupil.pixel if pupil else None
     if state.dots:
         before, after = straight.pixel, state.dense.pixel
