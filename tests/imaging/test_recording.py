@@ -16,6 +16,7 @@ from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.recording import aperture_of, blur_px_of, surface_of
 from virtual_sensor.imaging.recording_options import RecordingOptions
+from virtual_sensor.imaging.render import light_of_sources
 from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.optics.lens import Lens
@@ -96,6 +97,7 @@ def test_the_background_is_the_frame_without_its_sources_and_changes_no_bit(scen
     np.testing.assert_allclose(vs.render(replace(scene, sources={})), frame.background, rtol=1e-5)
     assert frame.background.max() > 0.0
     assert vs.render_frame(scene.cold(), background=True).background.max() == 0.0
+    np.testing.assert_array_equal(light_of_sources(scene), frame.radiance - frame.background)
 
 
 def test_laser_light_alone_is_speckled(scene, frame):

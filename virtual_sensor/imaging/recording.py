@@ -36,7 +36,7 @@ from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
 from virtual_sensor.imaging.exposures import ExposedFrame
 from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
-from virtual_sensor.imaging.render import Frame, arrangement, render_frame
+from virtual_sensor.imaging.render import Frame, arrangement, light_of_sources
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
 from virtual_sensor.imaging.sequence import PatternFrames
@@ -527,10 +527,8 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
     blur_px = blur_px_of(scene, ideal)
     if blur_px.max() > aperture.resolution_px:
         in_focus = {scene.camera_name: replace(scene.camera, sub_pupils=1)}
-        other_light = background is not None
-        sharp = render_frame(replace(scene, cameras=in_focus), background=other_light)
-        laser = sharp.radiance - (0.0 if sharp.background is None else sharp.background)
-        seen = speckled(light, aperture, seed, blur_px, np.maximum(laser, 0.0))
+        sharp = light_of_sources(replace(scene, cameras=in_focus))
+        seen = speckled(light, aperture, seed, blur_px, sharp)
     else:
         seen = speckled(light, aperture, seed)
     return seen.astype(np.float32) + (0.0 if background is None else background)

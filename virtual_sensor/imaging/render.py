@@ -266,6 +266,18 @@ def on_and_off(device: Device) -> Fluxes:
     return fluxes
 
 
+def light_of_sources(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
+    """Radiance (H, W) that a scene's sources make, without that of its lamps and its glow."""
+    scene, samples, seed = checked("light_of_sources", scene, spp, seed)
+    fluxes = {name: on_and_off(each) for name, each in scene.sources.items()}
+    with ONE_FRAME:
+        exposure, _ = prepared_for(scene).exposed(
+            samples, seed, others=False, frames=2, fluxes=fluxes
+        )
+        on, off = exposure.images()
+    return np.maximum(on - off, np.float32(0.0))
+
+
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
     """Radiance (H, W) of the pixels that sources light in some columns; zero in all others."""
     scene, samples, seed = checked("render_columns", scene, spp, seed)
