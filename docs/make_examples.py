@@ -25,7 +25,7 @@ ORDER = (
     "own_part",
     "shiny_metal",
     "two_cameras",
-    "camera_noise",
+    "camera",
     "scan",
     "own_detector",
     "training_images",

@@ -158,14 +158,17 @@ def test_two_cameras(run):
 
 
 @slow
-def test_camera_noise(run):
-    """Shot noise: ten times the light, a third of the error; and the file holds the grey values."""
-    names = run("camera_noise")
+def test_camera(run):
+    """Shot noise: nine times the light, a third of the error; of speckle, no light makes less."""
+    names = run("camera")
     true, predicted = np.array(names["true_px"]), np.array(names["predicted_px"])
     np.testing.assert_allclose(predicted, true, rtol=0.15)
-    np.testing.assert_allclose(true[2] / true[4], np.sqrt(10.0), rtol=0.15)
+    np.testing.assert_allclose(true[2] / true[4], 3.0, rtol=0.15)
+    speckled = np.array(names["speckled_px"])
+    np.testing.assert_allclose(speckled[2:], speckled[-1], rtol=0.15)
+    assert speckled[-1] > 10.0 * true[-1]
     stored = cv2.imread("line_12bit.png", cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(stored, names["images"][-1])
+    np.testing.assert_array_equal(stored, names["shots"][-1].grey)
     assert 2000 < stored.max() <= 4095
 
 
