@@ -354,6 +354,8 @@ def record(
             f"the part moves for {taken_s:g} s in this frame, and it is exposed for {time_s:.4g} s;"
             " render it by vs.render_exposure with that time",
         )
+    if isinstance(ideal, ExposedFrame):
+        notes = (*notes, *_skew(ideal))
     falling = light * (factor / chosen.quantum_efficiency)
     grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
     shot = RecordedFrame(
@@ -371,6 +373,19 @@ def record(
         shown,
     )
     return replace(shot, notes=(*notes, *_doubts(shot)))
+
+
+def _skew(frame: ExposedFrame) -> list[str]:
+    """A note of a moving part that a rolling shutter skews."""
+    rows = np.flatnonzero(frame.lit.any(axis=1))
+    if not rows.size or not frame.row_time_s or not frame.velocity_mm_s.any():
+        return []
+    span_s = abs(frame.row_time_s) * np.ptp(rows)
+    way_mm = float(np.linalg.norm(frame.velocity_mm_s)) * span_s
+    return [
+        f"the part moves by {way_mm:.2g} mm from the first lit row's exposure to the last one's:"
+        " the line is skewed against that of the part at rest"
+    ]
 
 
 def surface_of(scene: Scene, number: int = 0) -> int:
