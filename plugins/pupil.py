@@ -25,7 +25,7 @@ from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.lens import PupilPoint
 from virtual_sensor.optics.sources import Source
 from virtual_sensor.optics.surfaces import SceneSurface
-from virtual_sensor.optics.transports import Transport, opaque
+from virtual_sensor.optics.transports import Tabulated, Transport, opaque
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class Pupil:
         medium, sources, transport, column, drift_mm
             As of `find_lit_pixels`.
         """
-        surface, found = straight.surface, []
+        surface, found, held = straight.surface, [], 0
         shifts = shifts_within(tuple(point.at_mm for point in points))
         for point, shift in zip(points, shifts, strict=True):
             view = View(straight.view.sensor, point)
@@ -121,9 +121,10 @@ class Pupil:
                 row, across = np.divmod(lit.index, np.uint32(within.width))
                 index = (row + window[0].start) * view.width + across + window[1].start
                 lit = replace(lit, index=index.astype(np.uint32))
+            held += lit.index.size
+            if isinstance(lit.tracer, Tabulated) or held > _MOST_SIGHTS:
+                lit = replace(lit, sight=None)  # only marches start from it
             found.append(SubPupil(view, surface, lit, shift))
-        if sum(each.lit.index.size for each in found) > _MOST_SIGHTS:
-            found = [replace(each, lit=replace(each.lit, sight=None)) for each in found]
         return Pupil(tuple(found), _gap_px(points, _probes(chief)))
 
     @cached_property
