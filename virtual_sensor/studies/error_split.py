@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed, listed
-from virtual_sensor.imaging.render import render
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import TrueLine, rms
@@ -131,7 +130,7 @@ def split_error(
     straight, searched : ndarray of shape (N, 2)
         Where straight and where bent light is searched: in each column, or of each dot.
     lower : ndarray of shape (N, 2)
-        Where the line or the dots are found in the ideal image that `half_a_pixel_lower` gives.
+        Where the line or the dots are found in the ideal image of `half_a_pixel_lower`.
     places : mapping of ndarray of shape (N, 2)
         By the parts' names, where they are found after them: of "pixels", in the ideal frame, and
         on.
@@ -153,12 +152,11 @@ def nearest_rows(line: TrueLine, row: Array) -> Array:
     return rows
 
 
-def half_a_pixel_lower(scene: Scene) -> NDArray[np.float32]:
-    """The ideal image of a scene in which all lies half a pixel lower, (H, W)."""
+def half_a_pixel_lower(scene: Scene) -> Scene:
+    """The same scene, in whose image all lies half a pixel lower."""
     camera = scene.camera
     matrix = camera.matrix + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, _HALF_PX], [0.0, 0.0, 0.0]])
-    lower = {scene.camera_name: replace(camera, matrix=matrix)}
-    return render(replace(scene, cameras=lower))
+    return replace(scene, cameras={scene.camera_name: replace(camera, matrix=matrix)})
 
 
 def in_16_bits(shot: RecordedFrame) -> RecordedFrame:

@@ -370,7 +370,7 @@ def _measure_state(
     state = State(scene, frame, *found, section, search_s, render_s, shot, None, record_s)
     if shot is not None:
         report("splitting the error", 0.9)
-        state = replace(state, split=_split(state, straight or dense, pupil))
+        state = replace(state, split=_split(state, straight or dense, pupil, recording))
     report("done", 1.0)
     return state
 
@@ -386,7 +386,9 @@ def _through_lens(line: TrueLine, pupil: PupilPixels) -> TrueLine:
     return replace(line, row=np.where(known, rows, np.nan), status=status)
 
 
-def _split(state: State, straight: FoundPixels, pupil: PupilPixels | None) -> ErrorSplit:
+def _split(
+    state: State, straight: FoundPixels, pupil: PupilPixels | None, recording: RecordingOptions
+) -> ErrorSplit:
     """What the error of a recorded state is made of; `straight` are its rays in cold air."""
     from virtual_sensor.imaging.difference import DifferenceFrame
 
@@ -409,13 +411,18 @@ def _split(state: State, straight: FoundPixels, pupil: PupilPixels | None) -> Er
         )
         if pupil:
             through_lens = np.stack([column, rows_through_pupil(pupil, after[:, 1])], axis=1)
-    off: Any = state.frame.background if isinstance(shot, DifferenceFrame) else 0.0
-    images: dict[str, Any] = {"pixels": state.frame.radiance - off}
+
+    def without_off(frame: Frame, light: Any) -> Any:
+        """What a difference leaves of light: that of the laser."""
+        return light - frame.background if isinstance(shot, DifferenceFrame) else light
+
+    images: dict[str, Any] = {"pixels": without_off(state.frame, state.frame.radiance)}
     if shot.speckled is not None:
-        images["speckle"] = shot.speckled - off
+        images["speckle"] = without_off(state.frame, shot.speckled)
     images["noise"] = in_16_bits(shot)
     places = {name: centres(image) for name, image in images.items()} | {"rounding": found}
-    lower = centres(half_a_pixel_lower(scene))
+    lower_frame = recording.rendered(half_a_pixel_lower(scene))
+    lower = centres(without_off(lower_frame, lower_frame.radiance))
     return split_error(scene, state.section, before, after, lower, places, through_lens)
 
 
