@@ -451,7 +451,7 @@ def state_notes(state: FringeState, codec: Codec) -> dict[str, bool]:
     """What the user should know of a state; of each whether the figures are worth little for it."""
     facts, decoded, agreement = state.summary, state.decoded, state.summary.decoded_minus_search
     notes = dict.fromkeys([*frame_notes(facts.frames.report), *decoded.notes], False)
-    notes |= dict.fromkeys(facts.frames.recording_notes, True)
+    notes |= dict.fromkeys(facts.frames.recording_notes, False)
     if not facts.decoded.pixels:
         return {**notes, f"no pixel has a phase: {counts_in_words(facts.decoded.status)}": True}
     seen = {name: n for name, n in agreement.only_searched.items() if name != _AT_EDGES}
