@@ -87,7 +87,7 @@ def test_cameras_are_ordered_by_their_sub_pupils_and_by_what_is_recorded():
     assert light["pinhole", None] > 3.0 * light["cached_maps", many]
     assert light["cached_maps", few] > light["cached_maps", many] == light["new_maps", many]
     assert light["marched", few] == pytest.approx(light["cached_maps", few], abs=2e-3)
-    assert light["cached_maps", many] < noisy["recorded", many] < 0.1 * speckled["recorded", many]
+    assert light["cached_maps", many] < noisy["recorded", many] < 0.3 * speckled["recorded", many]
 
 
 def test_detectors_know_their_truth_and_their_bound():

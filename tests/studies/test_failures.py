@@ -29,7 +29,6 @@ WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "the air's field ends too early",  # 1 um; `correct` notes such an end from 0.003 px on
     "air that bends light too sharply",  # 20 times that of 1250 degC
     "air of another family",  # from one pose; two are the remedy
-    "out of focus",  # a note comes where points of the pupil are 2 px apart
     "speckle",  # statuses see the worst grains; a part that is measured again shows the same ones
 }
 

@@ -42,7 +42,8 @@ SUB_PUPILS = (4, 1), (9, 1), (16, 1), (16, 4), (36, 4), (64, 4)
 QUICK_SUB_PUPILS = (4, 1), (16, 4)
 
 _BEST, _QUICK_BEST = (256, 4), (64, 4)
-_LOST, _LOST_IN_NOISE = 0.02, 0.5  # a frame that loses this share of the columns has failed
+# A frame that loses this share of the columns has failed; the line's ends are out of focus.
+_LOST, _LOST_IN_NOISE = 0.1, 0.5
 
 
 def tasks(quick: bool = False) -> Iterator[Task]:
