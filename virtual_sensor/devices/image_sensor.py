@@ -23,6 +23,7 @@ pixels, colour.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, points_of, whole_number
 from virtual_sensor.calls import public
-from virtual_sensor.display import Displayed, listed
+from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, cause_of, naming, nearest, short
 from virtual_sensor.files import named_file, readable
 
@@ -41,6 +42,28 @@ _MOST_PX = 1 << 20
 _USUAL_NM = 532.0  # the laser of the shipped scenes
 _COLDEST_C, _HOTTEST_C = -273.15, 200.0
 _MOST_FILE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class LinearGrey(Displayed):
+    """Grey values in proportion to the light, and what is known of them.
+
+    Attributes
+    ----------
+    grey : ndarray of shape (H, W) or (K, H, W)
+    detector_options : dict
+        As an `ImageSensor` says them; beyond its knee-point the noise is more.
+    """
+
+    grey: NDArray[np.floating]
+    detector_options: Mapping[str, float]
+
+    def _line(self) -> str:
+        return span("", self.grey)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
+        """The grey values, wherever an image is asked for."""
+        return np.array(self.grey, dtype) if copy else np.asarray(self.grey, dtype)
 
 
 @public
@@ -182,6 +205,28 @@ class ImageSensor(Displayed):
         """Electrons read from which on a pixel is clipped, by the well or by the converter."""
         return float(min(self.full_well_e, (self.white - self.black_level) / self.gain))
 
+    @property
+    def row_time_s(self) -> float:
+        """Of a rolling shutter: `row_time_us` in s."""
+        return 1e-6 * self.row_time_us
+
+    @property
+    def knee_e(self) -> float:
+        """Electrons read at the knee-point; without one, those of the full well."""
+        return self.full_well_e * (self.knee[0] if self.knee else 1.0)
+
+    @property
+    def beyond_knee(self) -> float:
+        """Electrons read for each one that light makes beyond the knee-point; 1 without one."""
+        if self.knee is None:
+            return 1.0
+        share, ratio = self.knee
+        return (1.0 - share) / (ratio - share)
+
+    def light_e(self, read_e: float) -> float:
+        """Electrons that light makes where so many are read: beyond the knee-point more."""
+        return read_e + max(read_e - self.knee_e, 0.0) * (1.0 / self.beyond_knee - 1.0)
+
     def without_knee(self, grey: ArrayLike) -> NDArray[np.floating]:
         """Grey values in proportion to the light: those beyond the knee-point are stretched back.
 
@@ -191,19 +236,41 @@ class ImageSensor(Displayed):
         grey = np.asarray(grey)
         if self.knee is None:
             return grey if grey.dtype.kind == "f" else grey.astype(np.float32)
-        share, ratio = self.knee
-        knee = np.float32(self.black_level + self.gain * share * self.full_well_e)
+        knee = np.float32(self.black_level + self.gain * self.knee_e)
         beyond = np.maximum(grey - knee, np.float32(0.0))
-        return np.asarray(grey + beyond * np.float32((ratio - 1.0) / (1.0 - share)))
+        return np.asarray(grey + beyond * np.float32(1.0 / self.beyond_knee - 1.0))
+
+    def linear(self, grey: ArrayLike, options: Mapping[str, float]) -> LinearGrey:
+        """Grey values without the knee-point, and a detector's options for them."""
+        levels = {"saturation", "black"} & options.keys()
+        straight = {name: float(self.without_knee(options[name])) for name in levels}
+        return LinearGrey(self.without_knee(grey), {**options, **straight})
+
+    def with_bits(self, bits: int) -> ImageSensor:
+        """The same with grey values of so many bits, the largest still of the same electrons."""
+        finer = (2**bits - 1) / self.white
+        gain, black = self.gain * finer, self.black_level * finer
+        return replace(self, gain=gain, black_level=black, bit_depth=bits)
 
     @property
     def detector_options(self) -> dict[str, float]:
-        """What a detector or a codec is to know of the grey values, and an image's file says."""
+        """What a detector or a codec is to know of the grey values, and an image's file says.
+
+        `noise` in the dark, with the rounding; `gain` in grey values per electron; `saturation`;
+        `black`.
+        """
+        return self.detector_options_above(0.0)
+
+    def detector_options_above(self, electrons: float) -> dict[str, float]:
+        """Likewise where every pixel has so many electrons more: of dark current, or ambient light.
+
+        Beyond the knee-point the noise is more.
+        """
         return {
-            "noise": self.grey_noise,
+            "noise": float(np.hypot(self.grey_noise, self.gain * np.sqrt(electrons))),
             "gain": self.gain,
             "saturation": self.saturation,
-            "black": self.black_level,
+            "black": self.black_level + self.gain * electrons,
         }
 
     @property

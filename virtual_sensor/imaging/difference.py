@@ -18,12 +18,11 @@ from virtual_sensor.calls import public
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError, short
-from virtual_sensor.imaging.grey_values import grey_values
-from virtual_sensor.imaging.recording import RecordedFrame
+from virtual_sensor.imaging.recording import RecordedFrame, grey_of_radiance
 from virtual_sensor.imaging.render import Frame
 from virtual_sensor.imaging.seeds import part_seed
 
-_BYTE, _MOST_BITS = 8, 16
+_MOST_BITS = 16
 _SIGMAS = 6.0  # of the noise lie above 0, so that none of it is cut off there
 
 
@@ -110,7 +109,7 @@ def difference(on: RecordedFrame, off: RecordedFrame | None = None) -> Differenc
         well_e = float(straight(sensor.white)) / sensor.gain
         sensor = replace(sensor, knee=None, bit_depth=_MOST_BITS, full_well_e=well_e)
     grey = np.rint(np.clip(np.where(saturated, sensor.white, level), 0.0, sensor.white))
-    grey = grey.astype(np.uint8 if sensor.bit_depth <= _BYTE else np.uint16)
+    grey = grey.astype(sensor.kind)
     held: dict[str, Any] = {each.name: getattr(on, each.name) for each in fields(RecordedFrame)}
     held |= {"grey": grey, "sensor": sensor}
     held |= {"drawn": {**on.drawn, "off": _seed(on) if off is None else off.seed}}
@@ -131,8 +130,9 @@ def _off_grey(on: RecordedFrame) -> NDArray:
             "difference: the frame knows no light without the laser; render it by"
             " vs.render_frame(scene, background=True), or give the recorded one too (off=)"
         )
-    photons = background * (on.electrons_per_radiance / on.sensor.quantum_efficiency)
-    return grey_values(photons, on.sensor, _seed(on), exposure_s=on.exposure_s)
+    return grey_of_radiance(
+        background, on.electrons_per_radiance, on.sensor, _seed(on), on.exposure_s
+    )
 
 
 def _checked(on: RecordedFrame, off: Any) -> NDArray:

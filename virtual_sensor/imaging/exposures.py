@@ -53,7 +53,6 @@ _DRIFT_PX = 4.0  # nor by more to either side of where lit pixels and maps are m
 _MOST_INSTANTS = 4096
 _LONGEST_S = 3600.0
 _FASTEST_MM_S = 1e7
-_S_PER_US = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +149,7 @@ def render_exposure(
     known = scene.camera
     exposure_s = known.exposure_s if exposure_s is None else exposure_s
     if row_time_s is None:
-        row_time_s = _S_PER_US * getattr(known.sensor, "row_time_us", 0.0)
+        row_time_s = known.sensor.row_time_s if known.sensor else 0.0
     motion = _motion(exposure_s, velocity_mm_s, row_time_s)
     pixel_mm = _pixel_mm(scene)
     smear_px = motion.speed_mm_s * motion.exposure_s / pixel_mm

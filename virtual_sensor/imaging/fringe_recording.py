@@ -5,7 +5,7 @@ Nothing here loads the engine or NumPy before a frame is recorded: a command's h
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from virtual_sensor.devices.exposure_time import AUTO
@@ -86,12 +86,7 @@ class FringeRecording(RecordingOptions):
     def of(self, scene: Scene) -> ImageSensor | None:
         """The sensor that records a scene's frames, of so many bits; None: they have no noise."""
         sensor = super().of(scene)
-        if sensor is None or self.bits is None:
-            return sensor
-        # Its largest grey values stay those of the same electrons.
-        finer = (2**self.bits - 1) / sensor.white
-        gain, black = sensor.gain * finer, sensor.black_level * finer
-        return replace(sensor, gain=gain, black_level=black, bit_depth=self.bits)
+        return sensor if sensor is None or self.bits is None else sensor.with_bits(self.bits)
 
     def bits_of(self, scene: Scene) -> int | None:
         """Of the grey values; None where they are not rounded."""

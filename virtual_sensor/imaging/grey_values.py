@@ -199,7 +199,7 @@ def _expose(
     """Write the grey values of some rows of a frame."""
     width = light.shape[1]
     offset, response = _pattern(sensor.pattern_seed, *light.shape)
-    brim = sensor.full_well_e * (sensor.knee[1] if sensor.knee else 1.0)
+    brim = sensor.light_e(sensor.full_well_e)
     with np.errstate(over="ignore"):  # far above the brim
         mean = light[rows] * float(scale * sensor.quantum_efficiency)
         if sensor.prnu:
@@ -212,7 +212,8 @@ def _expose(
     if sensor.knee is None:
         electrons = poisson(mean_e, shot)
     else:
-        last, barrier = (np.float32(number) for number in _knee(sensor))
+        last = np.float32(sensor.beyond_knee)
+        barrier = np.float32((1.0 - sensor.beyond_knee) * sensor.knee_e)
         electrons = np.minimum(poisson(mean_e * (1 - last), shot), barrier)
         electrons += poisson(mean_e * last, noise.normals(lines, width, frame, pair=1)[0])
     electrons += read * np.float32(sensor.dark_noise_e)
@@ -234,11 +235,3 @@ def _pattern(seed: int, height: int, width: int) -> tuple[Floats, Floats]:
         found[:, rows] = drawn.normals(range(rows.start, rows.stop), width)
     found.flags.writeable = False
     return found[0], found[1]
-
-
-def _knee(sensor: ImageSensor) -> tuple[float, float]:
-    """Share of the exposure's last part, and the level in electrons at which the first is held."""
-    assert sensor.knee is not None
-    share, ratio = sensor.knee
-    last = (1.0 - share) / (ratio - share)
-    return last, (1.0 - last) * share * sensor.full_well_e

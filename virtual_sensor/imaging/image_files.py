@@ -147,13 +147,10 @@ class Image(Displayed):
         """
         if self.sensor is None or self.sensor.knee is None:
             return self
-        straight, options = self.sensor.without_knee, dict(self.detector_options)
-        for name in {"saturation", "black"} & options.keys():
-            options[name] = float(straight(options[name]))
-        largest = None if self.largest is None else float(straight(self.largest))
-        return replace(
-            self, pixels=straight(self.pixels), largest=largest, detector_options=options
-        )
+        straight = self.sensor.linear(self.pixels, self.detector_options)
+        largest = None if self.largest is None else float(self.sensor.without_knee(self.largest))
+        options = dict(straight.detector_options)
+        return replace(self, pixels=straight.grey, largest=largest, detector_options=options)
 
 
 @public

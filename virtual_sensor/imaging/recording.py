@@ -29,7 +29,7 @@ from virtual_sensor.arrays import SMALLEST, number_within, truth_of, unmasked, w
 from virtual_sensor.calls import public
 from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.exposure_time import AUTO, LONGEST_S, SHORTEST_S, exposure_time_s
-from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor
+from virtual_sensor.devices.image_sensor import ImageSensor, LinearGrey, image_sensor
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, short
@@ -54,29 +54,6 @@ _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _MANY = 0.5  # of the line's columns
 _SAME_PIXEL = 0.01
 _SAME_TIME = 0.01  # of an exposure
-
-
-@dataclass(frozen=True, eq=False)
-class LinearGrey(Displayed):
-    """Grey values in proportion to the light, of a frame that was recorded with a knee-point.
-
-    Attributes
-    ----------
-    grey : ndarray of shape (H, W) or (K, H, W)
-        float32.
-    detector_options : dict
-        As that of a `RecordedFrame`; beyond the knee the noise is more than they say.
-    """
-
-    grey: NDArray[np.floating]
-    detector_options: Mapping[str, float]
-
-    def _line(self) -> str:
-        return span("", self.grey)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray:
-        """The grey values, wherever an image is asked for."""
-        return np.array(self.grey, dtype) if copy else np.asarray(self.grey, dtype)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +149,12 @@ class RecordedFrame(Displayed):
     @cached_property
     def electrons(self) -> Image:
         """Mean electrons of each pixel, without noise and before clipping; as `grey` in shape."""
-        light = _radiance(self.ideal) if self.speckled is None else self.speckled
-        return light * np.float32(self.electrons_per_radiance)
+        return self.light * np.float32(self.electrons_per_radiance)
+
+    @property
+    def light(self) -> NDArray[np.floating]:
+        """Radiance that was exposed: with speckle, where there is some."""
+        return _radiance(self.ideal) if self.speckled is None else self.speckled
 
     @cached_property
     def saturated(self) -> NDArray[np.bool_]:
@@ -210,18 +191,9 @@ class RecordedFrame(Displayed):
 
     @property
     def detector_options(self) -> dict[str, float]:
-        """What a detector or a codec is to know of the grey values.
-
-        `noise` in the dark, with the rounding; `gain` in grey values per electron; `saturation`;
-        `black`.
-        """
-        sensor, dark_e = self.sensor, self.sensor.dark_current * (self.exposure_s or 0.0)
-        return {
-            "noise": float(np.hypot(sensor.grey_noise, sensor.gain * np.sqrt(dark_e))),
-            "gain": sensor.gain,
-            "saturation": sensor.saturation,
-            "black": sensor.black_level + sensor.gain * dark_e,
-        }
+        """The sensor's, with the dark current of the exposure: see `ImageSensor`."""
+        dark_e = self.sensor.dark_current * (self.exposure_s or 0.0)
+        return self.sensor.detector_options_above(dark_e)
 
     @cached_property
     def linear_grey(self) -> RecordedFrame | LinearGrey:
@@ -231,9 +203,7 @@ class RecordedFrame(Displayed):
         """
         if self.sensor.knee is None:
             return self
-        straight, known = self.sensor.without_knee, self.detector_options
-        levels = {name: float(straight(known[name])) for name in ("saturation", "black")}
-        return LinearGrey(straight(self.grey), known | levels)
+        return self.sensor.linear(self.grey, self.detector_options)
 
     @property
     def metadata(self) -> dict[str, Any]:
@@ -356,8 +326,7 @@ def record(
         )
     if isinstance(ideal, ExposedFrame):
         notes = (*notes, *_skew(ideal))
-    falling = light * (factor / chosen.quantum_efficiency)
-    grey = grey_values(falling, chosen, drawn["noise"], exposure_s=time_s)
+    grey = grey_of_radiance(light, factor, chosen, drawn["noise"], time_s)
     shot = RecordedFrame(
         grey,
         ideal,
@@ -386,6 +355,18 @@ def _skew(frame: ExposedFrame) -> list[str]:
         f"the part moves by {way_mm:.2g} mm from the first lit row's exposure to the last one's:"
         " the line is skewed against that of the part at rest"
     ]
+
+
+def grey_of_radiance(
+    radiance: NDArray[np.floating],
+    electrons_per_radiance: float,
+    sensor: ImageSensor,
+    seed: int,
+    exposure_s: float | None,
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Grey values of a radiance that is exposed as a recorded frame was."""
+    falling = radiance * (electrons_per_radiance / sensor.quantum_efficiency)
+    return grey_values(falling, sensor, seed, exposure_s=exposure_s)
 
 
 def surface_of(scene: Scene, number: int = 0) -> int:
@@ -593,7 +574,7 @@ def exposure_of(
     brightest = float(light.max(initial=0.0))
     if not brightest:
         return 0.0, None, ("the frame is dark: automatic exposure found no light",)
-    factor = _light_e(sensor, peak * sensor.saturation_e) / brightest
+    factor = sensor.light_e(peak * sensor.saturation_e) / brightest
     if per_second is None:
         return factor, None, ()
     time_s = factor / per_second
@@ -607,15 +588,6 @@ def exposure_of(
         )
     )
     return per_second * kept, kept, notes
-
-
-def _light_e(sensor: ImageSensor, stored_e: float) -> float:
-    """Electrons that light makes where so many are read: beyond a knee it takes more."""
-    if sensor.knee is None:
-        return stored_e
-    share, ratio = sensor.knee
-    knee_e = share * sensor.full_well_e
-    return stored_e + max(stored_e - knee_e, 0.0) * (ratio - 1.0) / (1.0 - share)
 
 
 def _doubts(shot: RecordedFrame) -> list[str]:

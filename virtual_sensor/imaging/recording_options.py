@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.sequence import PatternFrames
 
 _AXES = 3
-_S_PER_US = 1e-6
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,7 @@ class RecordingOptions(Displayed):
             scene,
             exposure_s,
             self.velocity_mm_s,
-            row_time_s=_S_PER_US * sensor.row_time_us if sensor else 0.0,
+            row_time_s=sensor.row_time_s if sensor else 0.0,
             background=background,
             progress=progress,
         )

@@ -15,7 +15,6 @@ from scipy.ndimage import uniform_filter1d
 
 from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
-from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
@@ -38,10 +37,10 @@ from virtual_sensor.metrology.line_profiles import (
     by_width,
     checked_image,
     find_peaks,
-    known_of,
     linear_of,
     noise_beside,
     saturation_level,
+    told_of,
     window,
 )
 from virtual_sensor.metrology.line_shapes import Shapes, shapes
@@ -120,14 +119,9 @@ def line_centres(
     InputError
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
-    if sensor is not None:
-        if not all(hasattr(sensor, name) for name in ("grey_noise", "gain", "saturation")):
-            raise InputError(f"line_centres: sensor is {short(sensor)}; give an ImageSensor")
-        noise = sensor.grey_noise if noise is None else noise
-        gain, saturation = gain or sensor.gain, saturation or sensor.saturation
     image = linear_of(image)
-    told = known_of(image)
-    clipped = saturation_level(image, saturation)
+    told = told_of("line_centres: sensor", image, sensor)
+    clipped = saturation_level(image, told.get("saturation") if saturation is None else saturation)
     image = checked_image(image)
     one_of("line_centres: along", along, ALONG)
     peaks = whole_number("line_centres: peaks", peaks, 1, MOST_PEAKS)

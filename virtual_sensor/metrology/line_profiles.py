@@ -119,6 +119,19 @@ def checked_image(image: ArrayLike) -> NDArray:
     return np.ascontiguousarray(image, image.dtype.newbyteorder("=") if kept else np.float64)
 
 
+def told_of(name: str, image: Any, sensor: Any) -> dict[str, float]:
+    """What is known of an image's grey values: by the sensor that is given, else by itself.
+
+    Raises
+    ------
+    InputError
+        Naming it, if it is no sensor.
+    """
+    if sensor is not None and not hasattr(sensor, "detector_options"):
+        raise InputError(f"{name} is {short(sensor)}; give an ImageSensor")
+    return known_of(image) | known_of(sensor)
+
+
 def known_of(image: Any) -> dict[str, float]:
     """What a recorded frame says of its grey values: noise, gain, saturation and black level.
 

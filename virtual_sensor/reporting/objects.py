@@ -725,10 +725,8 @@ def _image_sensor(axes: Axes, sensor: ImageSensor) -> None:
 
     Of a sensor with a knee, both are those of the light: beyond it less of them is read.
     """
-    share, times = sensor.knee or (1.0, 1.0)
-    signal = np.geomspace(1.0, times * sensor.full_well_e, 200)
-    last = (1.0 - share) / (times - share) if sensor.knee else 1.0
-    read = np.where(signal > share * sensor.full_well_e, last, 1.0)  # per electron of light
+    signal = np.geomspace(1.0, sensor.light_e(sensor.full_well_e), 200)
+    read = np.where(signal > sensor.knee_e, sensor.beyond_knee, 1.0)  # per electron of light
     parts = {
         "dark": sensor.dark_noise_e / read,
         "shot": np.sqrt(signal / read),

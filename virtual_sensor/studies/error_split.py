@@ -162,20 +162,13 @@ def half_a_pixel_lower(scene: Scene) -> Scene:
 def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     """A frame as its sensor would record it with 16 bits: the same electrons, finer grey values."""
     from virtual_sensor.imaging.difference import DifferenceFrame, difference
-    from virtual_sensor.imaging.grey_values import grey_values
+    from virtual_sensor.imaging.recording import grey_of_radiance
 
     on = shot.on if isinstance(shot, DifferenceFrame) else shot
-    sensor = on.sensor
-    finer = 2.0 ** (_MOST_BITS - sensor.bit_depth)
-    fine = replace(
-        sensor,
-        gain=sensor.gain * finer,
-        black_level=sensor.black_level * finer,
-        bit_depth=_MOST_BITS,
+    fine = on.sensor.with_bits(_MOST_BITS)
+    grey = grey_of_radiance(
+        on.light, on.electrons_per_radiance, fine, on.drawn["noise"], on.exposure_s
     )
-    light = np.asarray(on.ideal) if on.speckled is None else on.speckled
-    photons = light * (on.electrons_per_radiance / sensor.quantum_efficiency)  # to the bit
-    grey = grey_values(photons, fine, on.drawn["noise"], exposure_s=on.exposure_s)
     finest = replace(on, grey=grey, sensor=fine)
     return finest if on is shot else difference(finest)
 

@@ -21,7 +21,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
-from virtual_sensor.metrology.line_profiles import known_of, linear_of, saturation_level
+from virtual_sensor.metrology.line_profiles import linear_of, saturation_level, told_of
 
 Block = NDArray[Any]
 """Grey values (K, P) of P pixels in K images."""
@@ -204,17 +204,16 @@ class Codec(Displayed, ABC):
             option is out of its range.
         """
         images = linear_of(images)
-        told = known_of(images)
+        told = told_of("sensor", images, sensor)
+        saturation = told.get("saturation") if saturation is None else saturation
         stack, clipped = _stack(images, saturation, self)
-        light = _noise_of(noise, gain, sensor, black, stack, told)
-        if saturation is None and sensor is not None:
-            clipped = min(clipped, float(sensor.saturation))
+        light = _noise_of(noise, gain, black, stack, told)
         within = "a fraction from 0 to 1"
         least = number_within("least_modulation", least_modulation, 0.0, 1.0, within)
         most = number_within("most_disagreement", most_disagreement, 0.0, 1.0, within)
         truth_of("edges", edges)
         number_within("border_px", border_px, 0.0, _MOST_PX, "px >= 0")
-        if noise is None and sensor is None and "noise" not in told:
+        if noise is None and "noise" not in told:
             light = self._seen_noise(stack, light, clipped)
         found = self._all_blocks(stack, light, clipped)
         return self._judged(found, light, stack.shape[1:], least, most, edges, border_px)
@@ -439,23 +438,16 @@ def _stack(images: Any, saturation: float | None, codec: Codec) -> tuple[NDArray
 def _noise_of(
     noise: float | None,
     gain: float,
-    sensor: Any,
     black: float | None,
     stack: NDArray[Any],
     told: dict[str, float],
 ) -> GreyNoise:
     step = 1.0 if stack.dtype.kind in "iu" else 0.0
-    if sensor is not None:
-        wanted = ("grey_noise", "gain", "saturation", "black_level")
-        if not all(hasattr(sensor, name) for name in wanted):
-            raise InputError(f"sensor is {short(sensor)}; give an ImageSensor")
-        noise = _before_rounding(sensor.grey_noise) if noise is None else noise
-        black = sensor.black_level if black is None else black
     noise = _before_rounding(told.get("noise")) if noise is None else noise
     black = told.get("black") if black is None else black
     read = 0.0 if noise is None else number_within("noise", noise, 0.0, LARGEST, "grey values >= 0")
     gain = number_within("gain", gain, 0.0, LARGEST, "grey values per electron >= 0")
-    gain = gain or getattr(sensor, "gain", told.get("gain", 0.0))
+    gain = gain or told.get("gain", 0.0)
     black = 0.0 if black is None else black
     dark = number_within("black", black, -LARGEST, LARGEST, "a grey value")
     return GreyNoise(read, gain, dark, step)

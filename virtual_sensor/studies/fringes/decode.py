@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from virtual_sensor.devices.image_sensor import LinearGrey
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, nearest
-from virtual_sensor.imaging.image_files import find_images, read_image
+from virtual_sensor.imaging.image_files import Image, find_images, read_image
 from virtual_sensor.metrology.fringes.codec import LEAST_MODULATION, Codec
 from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
@@ -29,6 +30,7 @@ from virtual_sensor.metrology.fringes.frame_order import (
     spare_images,
 )
 from virtual_sensor.metrology.fringes.phase_shift import PhaseShift
+from virtual_sensor.metrology.line_profiles import known_of
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.detect import joined_notes
 from virtual_sensor.studies.fringes.decoded_facts import DecodedFacts
@@ -250,7 +252,7 @@ def decode_sequence(
     report("decoding", 0.7)
     began = time.perf_counter()
     decoded = codec.decode(
-        _Stack(stack, known),
+        LinearGrey(stack, known),
         noise=settings.noise,
         gain=settings.gain,
         black=settings.black,
@@ -266,24 +268,12 @@ def decode_sequence(
     return DecodedSequence(codec, chosen, stack, decoded, table, summary, tuple(notes))
 
 
-@dataclass(frozen=True)
-class _Stack:
-    """Images (K, H, W), and what their files say of the grey values."""
-
-    images: NDArray[Any]
-    detector_options: dict[str, float]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
-        return np.array(self.images, dtype) if copy else np.asarray(self.images, dtype)
-
-
 def _read(
     paths: Sequence[Path], settings: DecodeSettings, report: Report
 ) -> tuple[list[NDArray[Any]], float, dict[str, float], list[tuple[Path, Sequence[str]]]]:
     """All images, the least level at which one is clipped, what all files say, and remarks."""
     images: list[NDArray[Any]] = []
-    known: dict[str, float] = {}
-    levels: list[float] = []
+    known: list[Image] = []
     remarks: list[tuple[Path, Sequence[str]]] = []
     for number, path in enumerate(paths):
         report(f"reading {path.name}", 0.6 * number / len(paths))
@@ -302,13 +292,11 @@ def _read(
                 f"{path}: holds {here}, but {paths[0].name} {there}; save the images of one"
                 " sequence alike"
             )
-        read = read.linear_grey
-        said = read.detector_options
-        known = {n: x for n, x in known.items() if said.get(n) == x} if images else dict(said)
-        images.append(read.pixels)
-        levels.append(np.inf if read.largest is None else read.largest)
+        known.append(read.linear_grey)
+        images.append(known[-1].pixels)
         remarks.append((path, [note.removeprefix(f"{path}: ") for note in read.notes]))
-    return images, min(levels), known, remarks
+    levels = (np.inf if each.largest is None else each.largest for each in known)
+    return images, min(levels), known_of(known), remarks
 
 
 def _wrong_number(codec: Codec, paths: Sequence[Path], images: Sequence[NDArray[Any]]) -> str:

@@ -194,8 +194,5 @@ def _known(condition: Condition) -> dict[str, Any]:
     """What a detector is to know of the camera."""
     camera = condition.camera
     ambient = AMBIENT_ELECTRONS if condition.kind == "ambient light" else 0.0
-    return {
-        "noise": float(np.hypot(camera.grey_noise, camera.gain * np.sqrt(ambient))),
-        "gain": camera.gain,
-        "saturation": float(camera.without_knee(camera.saturation)),
-    }
+    known = camera.linear([], camera.detector_options_above(ambient)).detector_options
+    return {name: known[name] for name in ("noise", "gain", "saturation")}
