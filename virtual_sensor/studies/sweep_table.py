@@ -67,7 +67,8 @@ class SweepTable(Table):
     cold_line_largest_px, hot_line_largest_px : ndarray of shape (N,)
         Rendered line minus ray search, across the line, at most.
     cold_line_shift_px, hot_line_shift_px : ndarray of shape (N,)
-        Rendered line minus ray search, across the line, on average: by blur, say.
+        Found line minus ray search, across the line, on average; of a recorded one beside the chief
+        rays, so that the shift by a lens's blur is in it.
     cold_line_width_px, hot_line_width_px : ndarray of shape (N,)
         Median of the widths of the line's profile: their standard deviations.
     cold_lens_px, hot_lens_px : ndarray of shape (N,)
@@ -304,7 +305,8 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
         state = summary.get("states", {}).get(name, {})
         parts = ("section", "dots_minus_search", "line_minus_search", "line_minus_truth")
         section, dots, line, truth = (state.get(part) or {} for part in parts)
-        split = (state.get("split") or {}).get("parts", {})
+        whole = state.get("split") or {}
+        split = whole.get("parts", {})
         figures |= {
             f"{name}_centres": dots.get("found", line.get("centres")),
             f"{name}_compared": dots.get("found", line.get("compared")),
@@ -313,7 +315,7 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
             f"{name}_section_largest_um": section.get("largest_um"),
             f"{name}_line_rms_px": line.get("rms_px"),
             f"{name}_line_largest_px": line.get("largest_px"),
-            f"{name}_line_shift_px": line.get("mean_px"),
+            f"{name}_line_shift_px": _shift(whole) if whole and line else line.get("mean_px"),
             f"{name}_line_width_px": state.get("line_width_px") if line else None,
             f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
             f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
@@ -325,3 +327,9 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
     for name in ("incidence_shift", "hot_error", "measured_shift"):
         figures[f"largest_{name}_um"] = rays.get(f"largest_{name}_um")
     return {name: np.nan if value is None else value for name, value in figures.items()}
+
+
+def _shift(split: Mapping[str, Any]) -> float | None:
+    """Mean of what all parts but refraction move the line by, px."""
+    whole, bent = split["whole"]["mean_px"], split["parts"]["refraction"]["mean_px"]
+    return None if whole is None or bent is None else whole - bent
