@@ -21,6 +21,8 @@ from virtual_sensor.imaging.scene import load_scene
 from virtual_sensor.imaging.scene_file import find_scene
 from virtual_sensor.poses import Pose
 from virtual_sensor.reporting import measure as reporting
+from virtual_sensor.reporting.error_split import known_splits
+from virtual_sensor.reporting.files import file_of
 from virtual_sensor.reporting.page import page_html
 from virtual_sensor.reporting.pictures import _lines
 from virtual_sensor.reporting.words import micrometres
@@ -212,6 +214,32 @@ def test_the_recorded_frame_lies_beside_the_ideal_one(measured):
         ideal = measured["hot"][0].states[name]
         np.testing.assert_array_equal(state.frame.radiance, ideal.frame.radiance)
         assert not np.array_equal(state.line.row, ideal.line.row, equal_nan=True)
+        assert "recorded" in file_of(reporting.FILES, f"recorded_{name}.png").words
+
+
+def test_the_page_shows_the_recorded_frame_and_tables_only_what_is_known(measured):
+    """Rationale: of a frame without noise nobody sees why its line was lost.
+
+    A difference of pixels is not counted in thousands of 0.001 px.
+    """
+    result, figures, _ = measured["recorded"]
+    (shown,) = drawn(reporting._frame_panel(result, 2)).get_images()
+    grey = result.hot.shot.grey
+    assert np.isin(shown.get_array(), grey).all()
+    assert shown.get_array().max() == grey.max()
+    compared = result.cold.compared
+    for more_px, unit in ((0.0, "0.001 px"), (1.0, "in v, px")):
+        far = replace(compared, true_row=compared.true_row + more_px)
+        state = replace(result.cold, compared=far)
+        axes = drawn(reporting._check_panel(replace(result, cold=state)))
+        assert unit in axes.get_ylabel()
+    split = figures.states["cold"].split
+    unknown = replace(split, points=0, largest="")
+    assert list(known_splits({"cold": unknown, "hot": split})) == ["hot"]
+    states = {name: replace(state, split=unknown) for name, state in figures.states.items()}
+    said = reporting.on_console(replace(figures, states=states))
+    assert "none" not in " ".join(map(str, said[1:-1]))
+    assert "In cold air there is no point all parts of whose error are known." in said
 
 
 def test_a_recorded_measurement_is_corrected_down_to_its_noise(measured):

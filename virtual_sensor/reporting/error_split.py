@@ -29,6 +29,11 @@ _SMALL_UM = 1e-3
 _HALF = 0.38  # of a bar's place
 
 
+def known_splits(splits: Splits) -> dict[str, SplitSummary]:
+    """Those of which there are figures to show."""
+    return {state: split for state, split in splits.items() if split.largest}
+
+
 def split_table(splits: Splits) -> TextTable:
     """Each part's rms and mean on the points and in the image, cold and hot."""
     rows = []

@@ -26,6 +26,7 @@ from virtual_sensor.metrology.deviation import LETTERS, euclidean
 from virtual_sensor.metrology.truth import DotErrors
 from virtual_sensor.records import Table, write_ply
 from virtual_sensor.reporting.error_split import (
+    known_splits,
     part_table,
     split_on_console,
     split_panel,
@@ -87,6 +88,7 @@ _SEARCHED_EVERY = 10  # of the searched rays, drawn as circles
 _AIR_NODES = 200
 _LEAST_CONTRAST = 0.1  # of the planes' colours, 1e-5
 _TITLE, _CLAUSE = 400, 130  # most letters: three lines, and less than one
+_WHOLE_PX = 0.5  # a difference from which on a picture's unit is no longer 0.001 px
 _LONGEST_STEP = 4.0  # times the usual one of searched points
 _LETTERS = {
     name: letters.replace("-", "\N{MINUS SIGN}").replace("_m", "ₘ")
@@ -126,11 +128,11 @@ FILES = (
     FileOf("summary.json", "The figures of the measurement.", Summary),
     FileOf("table.md", "Accuracy and speed as a table."),
     FileOf("*.exr", "The frame, cold or hot, with its ground truth.", EXR_LAYERS),
-    FileOf("*.png", "The frame as a picture of 16 bits; cold and hot have one white."),
     FileOf(
         "recorded_*.png",
         "The frame as it was recorded: grey values of the sensor's bits, with what made them.",
     ),
+    FileOf("*.png", "The frame as a picture of 16 bits; cold and hot have one white."),
     FileOf("truth_*.csv", "What is true of the recorded line in each column.", ColumnTruth),
     FileOf("split_*.csv", "What the error of each recorded point is made of.", SplitTable),
     FileOf("line_*.csv", "The line's centres and the points measured there.", LineTable),
@@ -232,7 +234,8 @@ def on_console(figures: Summary) -> list[TextTable | str]:
     splits = _splits(figures)
     said: list[TextTable | str] = [section_table(figures), *why(figures)]
     if splits:
-        said += [split_on_console(splits), *split_words(splits)]
+        known = known_splits(splits)
+        said += [*([split_on_console(known)] if known else []), *split_words(splits)]
     return [*said, check_table(figures)]
 
 
@@ -244,6 +247,11 @@ def _splits(figures: Summary) -> dict[str, SplitSummary]:
 def _seen(figures: Summary) -> str:
     """What the line was found in."""
     return "recorded" if _splits(figures) else "rendered"
+
+
+def _seen_in(result: Measurement) -> str:
+    """The same, of a measurement."""
+    return "rendered" if result.cold.shot is None else "recorded"
 
 
 def section_table(figures: Summary) -> TextTable:
@@ -317,21 +325,19 @@ def page(
         Section("What the camera sees", beside(panels, "frame", "air")),
     ]
     if splits := _splits(figures):
-        sections.insert(
-            1,
-            Section(
-                "What the error is made of",
-                *split_words(splits),
-                beside(panels, "split"),
-                split_table(splits),
-                part_table(splits),
-                "Stage by stage, from straight light to grey values, the line's place moves. What a"
-                " stage adds is the distance of the point measured there from the true section,"
-                " minus the one before it: the parts of each point add up to its error, those of"
-                " all points are split_*.csv. Squares of parts that have nothing to do with each"
-                " other add up to that of the whole.",
-            ),
+        known = known_splits(splits)
+        shown: tuple[Any, ...] = (
+            beside(panels, "split"),
+            split_table(known),
+            part_table(known),
+            "Stage by stage, from straight light to grey values, the line's place moves. What a"
+            " stage adds is the distance of the point measured there from the true section,"
+            " minus the one before it: the parts of each point add up to its error, those of"
+            " all points are split_*.csv. Squares of parts that have nothing to do with each"
+            " other add up to that of the whole.",
         )
+        what = Section("What the error is made of", *split_words(splits), *(shown if known else ()))
+        sections.insert(1, what)
     if result.hot:
         sections.append(
             Section(
@@ -347,7 +353,8 @@ def page(
         Section(
             f"Check: {_seen(figures)} line against ray search",
             f"The line's centres in the {_seen(figures)} frames stand beside a search by rays,"
-            " without any image: what separates them is the error of rendering and detecting.",
+            " without any image: what separates them is the error of rendering and detecting"
+            + (", and what recording adds." if _splits(figures) else "."),
             beside(panels, "check"),
             table(result, figures),
             *starmap(_compared, each),
@@ -435,7 +442,7 @@ def picture(result: Measurement, figures: Summary) -> tuple[Picture, dict[str, P
     """Draw a measurement: the whole picture, and its panels by name; of a cold part fewer."""
     hot = result.hot
     panels = {"section": _section_panel(result, figures)}
-    if splits := _splits(figures):
+    if splits := known_splits(_splits(figures)):
         panels["split"] = split_panel(splits)
     check = {"check": _check_panel(result)} if result.centres else {}
     if hot:
@@ -578,6 +585,9 @@ def _probe_panel(result: Measurement) -> Panel:
 
 def _check_panel(result: Measurement) -> Panel:
     curves = []
+    sizes = [np.abs(state.compared.error_px).ravel() for state in result.states.values()]
+    large = bool((np.concatenate(sizes) > _WHOLE_PX).any())
+    unit, factor = ("px", 1.0) if large else ("0.001 px", 1e3)
     for number, (name, state) in enumerate(result.states.items()):
         compared = state.compared
         rms = f"{in_words(compared.rms_px)} px rms " if compared.count else ""
@@ -589,13 +599,13 @@ def _check_panel(result: Measurement) -> Panel:
             u, dv = compared.column, compared.error_px
             u, dv = _with_gaps(u, dv, np.diff(u), 1.5)
             style["lw"] = 0.9
-        curves.append(_curve(u, 1e3 * dv, name, label, **style))
+        curves.append(_curve(u, factor * dv, name, label, **style))
     what = "dots" if result.cold.dots else "line"
-    seen = "recorded" if result.cold.shot is not None else "rendered"
+    seen = _seen_in(result)
     return _curve_panel(
         f"Check: {seen} {what} minus search",
         _U,
-        "difference in v, 0.001 px",
+        f"difference in v, {unit}",
         f"The {seen} {what} minus the ray search, px, along the line.",
         curves,
     )
@@ -609,12 +619,13 @@ def _with_gaps(x: Array, y: Array, steps: Array, longest: float) -> tuple[Array,
 
 def _frame_panel(result: Measurement, width: int) -> Panel:
     name, state = list(result.states.items())[-1]
-    image = state.frame.radiance
+    light = state.frame.radiance
+    image = light if state.shot is None else state.shot.grey
 
     def draw(axes: Axes) -> None:
         found = np.concatenate([s.centres_px for s in result.states.values()])
         found = found[np.isfinite(found).all(axis=1)]
-        lit = np.argwhere(image > 0.01 * image.max())[:, ::-1]
+        lit = np.argwhere(light > 0.01 * light.max())[:, ::-1]
         both = np.concatenate([found, lit])
         left, top = np.maximum(both.min(axis=0).astype(int) - _MARGIN_PX, 0)
         ends = np.ceil(both.max(axis=0)).astype(int) + _MARGIN_PX
@@ -633,7 +644,8 @@ def _frame_panel(result: Measurement, width: int) -> Panel:
     return Panel(
         f"What the camera sees of the {name} part",
         draw,
-        f"The camera's frame of the {name} part, cut to the lit pixels, with the centres found.",
+        f"The camera's {_seen_in(result)} frame of the {name} part, cut to the lit pixels,"
+        " with the centres found.",
         width,
         layout=None,
     )
