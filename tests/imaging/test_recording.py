@@ -20,6 +20,7 @@ from virtual_sensor.imaging.render import light_of_sources
 from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.optics.lens import Lens
+from virtual_sensor.studies.error_split import in_16_bits
 
 QUIET = vs.ImageSensor(dark_noise_e=0.0, dsnu_e=0.0, prnu=0.0, pixel_um=5.5, full_well_e=1e5)
 
@@ -410,6 +411,24 @@ def test_lines_of_several_lasers_have_a_truth_each(tmp_path):
     assert abs(rows[0] - rows[1]) > 2.0
     names = {each.name for each in shot.write(tmp_path / "out").iterdir()}
     assert {"truth_0_one.csv", "truth_1_two.csv"} < names
+
+
+def test_two_cameras_have_noise_pattern_and_speckle_of_their_own_by_one_seed(tmp_path):
+    """Rationale: noise that two cameras share would vanish from what is matched between them."""
+    path = tmp_path / "two.xml"
+    path.write_text(text_of("hot_cylinder", [("left", 0, 1), ("right", -60, 1)], [("one", 0, 0)]))
+    scene = vs.load_scene(path, width=64, height=64, spp=1, f_number=40, pixel=5.5)
+    flat = np.ones((64, 64), np.float32)
+    uneven = replace(QUIET, prnu=0.05)
+    for sensor in (vs.image_sensor("cmos_5um5"), uneven):
+        shots = [vs.record(scene, flat, 3, sensor=sensor, camera=name) for name in scene.cameras]
+        again = vs.record(scene.only("right"), flat, 3, sensor=sensor)
+        left, right = (shot.grey.ravel().astype(float) for shot in shots)
+        assert abs(np.corrcoef(left, right)[0, 1]) < 0.05
+        np.testing.assert_array_equal(again.grey, shots[1].grey)
+    assert surface_of(scene.only("left")) != surface_of(scene.only("right"))
+    dark = vs.record(scene, 0 * flat, 3, sensor=replace(QUIET, dsnu_e=9.0), camera="left")
+    assert np.abs(in_16_bits(dark).grey / 16.0 - dark.grey).max() < 0.6  # of the same pattern
 
 
 def test_the_width_of_a_blurred_line_is_that_of_its_sharp_profile_and_the_lenss_disc():

@@ -131,7 +131,7 @@ def _off_grey(on: RecordedFrame) -> NDArray:
             " vs.render_frame(scene, background=True), or give the recorded one too (off=)"
         )
     return grey_of_radiance(
-        background, on.electrons_per_radiance, on.sensor, _seed(on), on.exposure_s
+        background, on.electrons_per_radiance, on.specimen, _seed(on), on.exposure_s
     )
 
 

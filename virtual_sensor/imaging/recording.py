@@ -146,6 +146,11 @@ class RecordedFrame(Displayed):
         """Of the grey values."""
         return self.grey.dtype
 
+    @property
+    def specimen(self) -> ImageSensor:
+        """The sensor with the fixed pattern of the camera: each of several has its own."""
+        return replace(self.sensor, pattern_seed=self.drawn["pattern"])
+
     @cached_property
     def electrons(self) -> Image:
         """Mean electrons of each pixel, without noise and before clipping; as `grey` in shape."""
@@ -278,7 +283,8 @@ def record(
         The ideal one: from `render_frame` or `render_sequence`, or a radiance in W/(mm^2 sr) of
         shape (H, W) or (K, H, W).  All frames of a sequence are exposed alike.
     seed : int
-        Of this frame: the same gives the same bits, alone or among a thousand.
+        Of this frame: the same gives the same bits, alone or among a thousand.  Several cameras of
+        a scene have noise and fixed patterns of their own, whatever seed they share.
     sensor : ImageSensor, str or Path, optional
         Or its name, or its file; by default the camera's, else `ImageSensor()`.
     exposure_s : float or str, optional
@@ -307,7 +313,7 @@ def record(
     seed = whole_number("record: seed", seed, 0, LARGEST_SEED)
     ideal = _ideal(scene, frame)
     chosen = sensor_of(scene, sensor)
-    drawn = {"noise": part_seed(seed, "noise"), "pattern": chosen.pattern_seed}
+    drawn: dict[str, Any] = _seeds_of(scene, chosen, seed)
     light, shown = _radiance(ideal), None
     if speckle is not False:
         number = whole_number("record: surface_seed", surface_seed, 0, LARGEST_SEED)
@@ -326,7 +332,8 @@ def record(
         )
     if isinstance(ideal, ExposedFrame):
         notes = (*notes, *_skew(ideal))
-    grey = grey_of_radiance(light, factor, chosen, drawn["noise"], time_s)
+    own = replace(chosen, pattern_seed=drawn["pattern"])
+    grey = grey_of_radiance(light, factor, own, drawn["noise"], time_s)
     shot = RecordedFrame(
         grey,
         ideal,
@@ -367,6 +374,17 @@ def grey_of_radiance(
     """Grey values of a radiance that is exposed as a recorded frame was."""
     falling = radiance * (electrons_per_radiance / sensor.quantum_efficiency)
     return grey_values(falling, sensor, seed, exposure_s=exposure_s)
+
+
+def _seeds_of(scene: Scene, sensor: ImageSensor, seed: int) -> dict[str, int]:
+    """Seeds of a frame's noise and of its sensor's fixed pattern.
+
+    Several cameras of a scene have each their own, though one seed and one data sheet are given.
+    """
+    several = len(scene.mitsuba.sensors()) > 1
+    name = (scene.camera_name,) if several else ()
+    pattern = part_seed(sensor.pattern_seed, *name) if several else sensor.pattern_seed
+    return {"noise": part_seed(seed, "noise", *name), "pattern": pattern}
 
 
 def surface_of(scene: Scene, number: int = 0) -> int:

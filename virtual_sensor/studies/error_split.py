@@ -165,11 +165,11 @@ def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     from virtual_sensor.imaging.recording import grey_of_radiance
 
     on = shot.on if isinstance(shot, DifferenceFrame) else shot
-    fine = on.sensor.with_bits(_MOST_BITS)
+    finest = replace(on, sensor=on.sensor.with_bits(_MOST_BITS))
     grey = grey_of_radiance(
-        on.light, on.electrons_per_radiance, fine, on.drawn["noise"], on.exposure_s
+        on.light, on.electrons_per_radiance, finest.specimen, on.drawn["noise"], on.exposure_s
     )
-    finest = replace(on, grey=grey, sensor=fine)
+    finest = replace(finest, grey=grey)
     return finest if on is shot else difference(finest)
 
 
