@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from virtual_sensor.errors import InputError, nearest, short
+from virtual_sensor.seeds import LARGEST_SEED
 
 if TYPE_CHECKING:
     from virtual_sensor.engine import mi
@@ -152,7 +153,7 @@ def generator_of(name: str, seed: Any) -> np.random.Generator:
     """
     if seed is None or isinstance(seed, np.random.Generator):
         return np.random.default_rng(seed)
-    return np.random.default_rng(whole_number(name, seed, 0, 2**63 - 1))
+    return np.random.default_rng(whole_number(name, seed, 0, LARGEST_SEED))
 
 
 def unmasked(values: ArrayLike) -> NDArray:

@@ -17,9 +17,9 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.recording import aperture_of, blur_px_of, surface_of
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.render import light_of_sources
-from virtual_sensor.imaging.seeds import part_seed
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.optics.lens import Lens
+from virtual_sensor.seeds import part_seed
 from virtual_sensor.studies.error_split import in_16_bits
 
 QUIET = vs.ImageSensor(dark_noise_e=0.0, dsnu_e=0.0, prnu=0.0, pixel_um=5.5, full_well_e=1e5)

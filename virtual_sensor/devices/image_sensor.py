@@ -36,6 +36,7 @@ from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, cause_of, naming, nearest, short
 from virtual_sensor.files import named_file, readable
+from virtual_sensor.seeds import LARGEST_SEED
 
 _LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
 _MOST_PX = 1 << 20
@@ -153,7 +154,7 @@ class ImageSensor(Displayed):
             if getattr(self, name) is not None:
                 self._whole(name, 1, _MOST_PX)
         self._whole("bit_depth", 1, 16)
-        self._whole("pattern_seed", 0, 2**63 - 1)
+        self._whole("pattern_seed", 0, LARGEST_SEED)
         for name in ("name", "description"):
             if not isinstance(getattr(self, name), str):
                 raise InputError(f"sensor: {name} is {short(getattr(self, name))}; give a text")

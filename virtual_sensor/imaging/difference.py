@@ -20,7 +20,7 @@ from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.recording import RecordedFrame, grey_of_radiance
 from virtual_sensor.imaging.render import Frame
-from virtual_sensor.imaging.seeds import part_seed
+from virtual_sensor.seeds import part_seed
 
 _MOST_BITS = 16
 _SIGMAS = 6.0  # of the noise lie above 0, so that none of it is cut off there

@@ -17,10 +17,9 @@ from scipy.special import ndtr
 
 from virtual_sensor.arrays import whole_number
 from virtual_sensor.errors import InputError, short
+from virtual_sensor.seeds import LARGEST_SEED
 
 Floats = NDArray[np.float32]
-
-LARGEST_SEED = 2**63 - 1
 
 _MANY = np.float32(32.0)  # electrons, from which on 1 of 10,000 numbers is wrong, by 1
 _SOME = np.float32(4.0)  # from which on the expansion is right to _UNSURE, but for its tails

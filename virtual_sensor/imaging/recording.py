@@ -38,11 +38,11 @@ from virtual_sensor.imaging.exposures import ExposedFrame
 from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
 from virtual_sensor.imaging.render import Frame, arrangement, light_of_sources
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
 from virtual_sensor.imaging.sequence import PatternFrames
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.optics.lens import Lens, circle_of_confusion
 from virtual_sensor.optics.sight import scene_of
+from virtual_sensor.seeds import LARGEST_SEED, part_seed
 
 Ideal = Frame | PatternFrames | NDArray[np.floating]
 Image = NDArray[np.float32]

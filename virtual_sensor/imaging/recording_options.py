@@ -15,7 +15,7 @@ from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import exists
-from virtual_sensor.imaging.seeds import LARGEST_SEED, part_seed
+from virtual_sensor.seeds import LARGEST_SEED, part_seed
 
 if TYPE_CHECKING:
     from virtual_sensor.devices.image_sensor import ImageSensor

@@ -42,6 +42,7 @@ from virtual_sensor.calls import public
 from virtual_sensor.devices.coherence import Coherence, weights_of
 from virtual_sensor.errors import InputError, naming, short
 from virtual_sensor.optics.lens import Lens
+from virtual_sensor.seeds import LARGEST_SEED
 
 Array = NDArray[np.float64]
 Box = tuple[slice, slice]
@@ -228,7 +229,7 @@ def speckled(
         )
     blur = _blur_of(blur_px, image.shape)
     fine = _fineness(aperture)
-    key = int(generator_of("speckled: seed", seed).integers(2**63))
+    key = int(generator_of("speckled: seed", seed).integers(LARGEST_SEED + 1))
     seen = np.zeros(image.shape)
     brightest = image.max(initial=0.0)
     if not brightest:

@@ -24,6 +24,7 @@ PART_WORDS = {
     "noise": "shot noise, dark noise and current, fixed pattern, clipping",
     "rounding": "grey values of the sensor's bits, in place of 16",
 }
+_WHOLE = "whole error"
 _LEAST_SHOWN = 1e-3  # of the largest part, on a logarithmic axis
 _SMALL_UM = 1e-3
 _HALF = 0.38  # of a bar's place
@@ -36,10 +37,6 @@ def known_splits(splits: Splits) -> dict[str, SplitSummary]:
 
 def split_table(splits: Splits) -> TextTable:
     """Each part's rms and mean on the points and in the image, cold and hot."""
-    rows = []
-    for part in dict.fromkeys(name for each in splits.values() for name in each.parts):
-        rows.append({"part": part, **_figures(splits, part)})
-    rows.append({"part": "whole error", **_figures(splits, None)})
     columns = [Column("part", " ")]
     for state in splits:
         columns += [
@@ -48,37 +45,46 @@ def split_table(splits: Splits) -> TextTable:
             Column(f"{state}_rms_px", "rms, px", "{:.4f}", "none"),
         ]
     caption = "What the error of the measured section is made of"
+    rows = _rows(splits)
     return text_table(rows, columns, caption, [*(False for _ in rows[1:]), True])
 
 
 def part_table(splits: Splits) -> TextTable:
     """What each part is."""
-    parts = dict.fromkeys(name for each in splits.values() for name in each.parts)
-    return pair_table(("part", "what makes it"), {name: PART_WORDS[name] for name in parts})
+    words = {name: PART_WORDS[name] for name in _parts(splits)}
+    return pair_table(("part", "what makes it"), words)
 
 
 def split_on_console(splits: Splits) -> TextTable:
     """Each part's rms, in a table that a console has room for."""
-    parts = dict.fromkeys(name for each in splits.values() for name in each.parts)
-    rows = [{"part": part, **_figures(splits, part)} for part in parts]
-    rows.append({"part": "whole error", **_figures(splits, None)})
     columns = [Column("part", " ")]
     for state in splits:
         columns += [
             Column(f"{state}_rms_um", f"{state}: µm", _short, "none"),
             Column(f"{state}_rms_px", "px", "{:.4f}", "none"),
         ]
-    return text_table(rows, columns, "What that error is made of, rms")
+    return text_table(_rows(splits), columns, "What that error is made of, rms")
 
 
-def _figures(splits: Splits, part: str | None) -> dict[str, float]:
-    """A part's figures, or the whole error's, by the state and their names."""
-    found: dict[str, float] = {}
-    for state, split in splits.items():
-        each = split.whole if part is None else split.parts.get(part)
-        if each is not None:
-            found |= {f"{state}_{name}": value + 0.0 for name, value in vars(each).items()}
-    return found
+def _parts(splits: Splits) -> list[str]:
+    """Names of the parts of any of them."""
+    return list(dict.fromkeys(name for each in splits.values() for name in each.parts))
+
+
+def _errors(split: SplitSummary) -> dict[str, PartErrors]:
+    return {**split.parts, _WHOLE: split.whole}
+
+
+def _rows(splits: Splits) -> list[dict[str, Any]]:
+    """The figures of each part and of the whole error, by the state and their names."""
+    rows = []
+    for part in (*_parts(splits), _WHOLE):
+        row: dict[str, Any] = {"part": part}
+        for state, split in splits.items():
+            if each := _errors(split).get(part):
+                row |= {f"{state}_{name}": value + 0.0 for name, value in vars(each).items()}
+        rows.append(row)
+    return rows
 
 
 def split_words(splits: Splits) -> list[str]:
@@ -109,18 +115,16 @@ def _short(size_um: float) -> str:
 
 def split_panel(splits: Splits, width: int = 1) -> Panel:
     """Bars of the parts, cold and hot, on a logarithmic axis."""
-    parts = list(dict.fromkeys(name for each in splits.values() for name in each.parts))
-    names = [*parts, "whole error"]
+    names = [*_parts(splits), _WHOLE]
 
     def draw(axes: Axes) -> None:
         rows = np.arange(len(names))[::-1]
         thick = 2.0 * _HALF / max(len(splits), 1)
-        largest = max((_rms(each.whole) for each in splits.values()), default=0.0)
-        largest = max([largest, *(_rms(p) for s in splits.values() for p in s.parts.values())])
+        errors = {state: _errors(split) for state, split in splits.items()}
+        largest = max((_rms(e) for each in errors.values() for e in each.values()), default=0.0)
         left = max(largest * _LEAST_SHOWN, NIL_UM)
-        for number, (state, split) in enumerate(splits.items()):
-            sizes = [*(split.parts.get(name) for name in parts), split.whole]
-            rms_um = np.array([_rms(each) for each in sizes])
+        for number, (state, each) in enumerate(errors.items()):
+            rms_um = np.array([_rms(each.get(name)) for name in names])
             at = rows + _HALF - thick * (number + 0.5)
             shown = np.maximum(rms_um, left)
             axes.barh(at, shown - left, left=left, height=thick, color=colour(state), label=state)

@@ -55,7 +55,6 @@ from virtual_sensor.reporting.words import (
     rounded,
     time_in_words,
 )
-from virtual_sensor.studies import error_split
 from virtual_sensor.studies.error_split import SplitSummary, SplitTable
 from virtual_sensor.studies.measure import (
     DenseTable,
@@ -175,7 +174,7 @@ def save(result: Measurement, folder: Path, command: str, overwrite: bool = Fals
                 written.append(aside.submit(save_png, state.shot, path))
                 tables[f"truth_{name}.csv"] = state.shot.truth
             if state.split is not None:
-                tables[f"split_{name}.csv"] = error_split.split_table(state.split)
+                tables[f"split_{name}.csv"] = state.split.table
             if state.dots:
                 tables[f"dots_{name}.csv"] = dot_table(state)
             write_ply(place / f"points_{name}.ply", state.points_mm, state.brightness)

@@ -79,7 +79,12 @@ class ErrorSplit(Displayed):
         return listed(f"{self.known.sum()} points", *parts)
 
     def _columns(self) -> dict[str, NDArray[Any]]:
-        return split_table(self).columns()
+        return self.table.columns()
+
+    @property
+    def table(self) -> SplitTable:
+        """Each point's error and its parts."""
+        return SplitTable(self.pixel, self.y_mm, self.error_um, self.parts_um, self.parts_px)
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -279,8 +284,3 @@ class SplitTable(Table):
     whole_um: Array
     part_um: ByPart
     part_px: ByPart
-
-
-def split_table(split: ErrorSplit) -> SplitTable:
-    """The table of a split error."""
-    return SplitTable(split.pixel, split.y_mm, split.error_um, split.parts_um, split.parts_px)
