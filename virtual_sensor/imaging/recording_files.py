@@ -14,7 +14,6 @@ File             What it holds
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -25,6 +24,7 @@ from virtual_sensor.arrays import one_of, truth_of
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN, check_output, folder_written_whole, path_of
 from virtual_sensor.imaging.image_files import save_png, save_tiff
+from virtual_sensor.imaging.image_metadata import text_of
 from virtual_sensor.imaging.render import Frame, write_exr
 from virtual_sensor.imaging.sequence import PatternFrames
 from virtual_sensor.records import write_csv, write_json, write_layers
@@ -60,7 +60,7 @@ def write_recording(
 def _fill(shot: Any, place: Path, images: str) -> None:
     """Write all files into a folder."""
     ideal, grey, metadata = shot.ideal, shot.grey, shot.metadata
-    header = {"scene": metadata["scene"], "parameters": json.dumps(metadata["parameters"])}
+    header = {"scene": metadata["scene"], "parameters": text_of(metadata["parameters"])}
     many = grey.ndim == 3
     digits = max(2, len(f"{len(grey) - 1}"))
     names = [f"_{number:0{digits}d}" for number in range(len(grey))] if many else [""]
