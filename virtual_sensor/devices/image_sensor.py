@@ -232,11 +232,12 @@ class ImageSensor(Displayed):
         """Grey values in proportion to the light: those beyond the knee-point are stretched back.
 
         As a sensor of the same gain without a knee, and of a larger well, would give them; without
-        a knee they stay as they are.
+        a knee they stay as they are.  In single precision, of images as of single numbers: a pixel
+        at the saturation is at the saturation afterwards too.
         """
-        grey = np.asarray(grey)
+        grey = np.asarray(grey, np.float32)
         if self.knee is None:
-            return grey if grey.dtype.kind == "f" else grey.astype(np.float32)
+            return grey
         knee = np.float32(self.black_level + self.gain * self.knee_e)
         beyond = np.maximum(grey - knee, np.float32(0.0))
         return np.asarray(grey + beyond * np.float32(1.0 / self.beyond_knee - 1.0))
