@@ -244,6 +244,23 @@ def test_a_lens_is_drawn_by_scheimpflugs_rule():
     assert np.tan(np.radians(angle[0])) == pytest.approx(0.25 * np.tan(np.radians(angle[1])))
 
 
+def test_what_a_cameras_lens_has_in_focus_is_drawn():
+    """By a tilted sensor it is the laser's plane, which is seen edge-on; a pinhole has none."""
+    lens = {"f_number": 8, "sensor_tilt": "laser_plane"}
+    tilted, pinhole = (
+        vs.load_scene("cold_cylinder", width=64, height=64, **built) for built in (lens, {})
+    )
+    normal, offset = tilted.laser.plane
+    for drawn in (tilted, tilted.camera):
+        axes = drawn.plot(Figure().add_subplot())
+        (sharp,) = (each for each in axes.patches if each.get_label() == "in focus")
+        np.testing.assert_allclose(sharp.get_xy() @ normal[[0, 2]], offset, atol=1e-3)
+        assert np.ptp(sharp.get_xy(), axis=0).max() > 10.0
+    assert not any(
+        p.get_label() == "in focus" for p in pinhole.plot(Figure().add_subplot()).patches
+    )
+
+
 def test_a_ball_is_drawn_round(tmp_path):
     cold = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
     ball = (

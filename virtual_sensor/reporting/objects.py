@@ -504,10 +504,13 @@ def _devices(
         lights[name] = starts, starts + reach * directions
     targets = [ends.mean(axis=0) for _, ends in lights.values()]
     target = np.mean(targets, axis=0) if targets else towards
-    sights = {}
+    sights, sharp = {}, []
     for name, camera in cameras.items():
         width, height = camera.size
         corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+        lens = getattr(camera, "lens", None)
+        if lens and lens.pupil_radius_mm:
+            sharp.append(_in_focus(camera, lens, corners))
         reach = _reach(camera.pose, target)
         lines = camera.lines_of_sight(corners)
         sights[name] = camera.pose.origin_mm, camera.pose.origin_mm + reach * np.nan_to_num(lines)
@@ -537,10 +540,22 @@ def _devices(
     for name, (origin, far) in sights.items():
         _hull(axes, np.stack([origin, *far])[:, flat], facecolor=(colour("camera"), 0.3))
         _name(axes, name, origin[flat], colour("camera"), "o")
+    for points in sharp:
+        _hull(axes, points[:, flat], facecolor="none", edgecolor=BLUE, lw=2.0, label="in focus")
+        left = points[np.argmin(points[:, across])]
+        write_beside(axes, "in focus", tuple(left[flat]), (-6.0, 2.0), color=BLUE)
     axes.autoscale_view()
     from_side(axes, across, up)
     axes.margins(0.12)
     return across, up
+
+
+def _in_focus(camera: Pinhole, lens: Lens, pixels: Array) -> Array:
+    """What a lens sees sharply in pixels (N, 2): points (N, 3), world, mm."""
+    p, q = camera.of_pixels(pixels)
+    nearness = np.maximum(lens.in_focus(p, q), _LEAST_NEARNESS / lens.focus_distance_mm)
+    points: Array = camera.pose.to_world(np.stack([p, q, np.ones_like(p)], 1) / nearness[:, None])
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def _reach(pose: Pose, target: Array | None) -> float:
