@@ -203,7 +203,7 @@ def _built(
     if tilt != LASER_PLANE:
         angles = _tilt(tilt) if tilt else of_distortion
         camera = with_tilt(camera, angles) if any(angles) else camera
-        check_unfolded(camera)
+    check_unfolded(camera)
     return camera, tilt == LASER_PLANE
 
 

@@ -74,6 +74,8 @@ def test_a_data_sheet_that_can_not_be_is_refused_by_file_key_and_remedy(sheet):
         ),
         ("full_well_e = 9000", "full_well_e = '9000'", "full_well_e is '9000'; give a number"),
         ("pixel_um = 4.8", "pixel_um = -1", "pixel_um is -1; give the pitch"),
+        ("pixel_um = 4.8", "pixel_um = 0.0048", "in um, such as 3.45"),
+        ("pixel_um = 4.8", "prnu = 1.5", "prnu is 1.5; give it up to 1, a part"),
         ("[0.5, 6]", "[0.5]", r"knee is \[0.5\]; give \(share of the full well"),
         ("[0.5, 6]", "[0.5, 0.5]", "knee's range is 0.5; give it above 1"),
         ("650 = 0.5", "red = 0.5", "has the key 'red'; give wavelengths in nm"),

@@ -160,6 +160,10 @@ def test_what_no_camera_can_be_is_refused_with_the_remedy():
     """One line that names the element."""
     for given, words in (
         ({"distortion": "-300, 0, 0, 0"}, "the distortion folds the image"),
+        (
+            {"distortion": "-300, 0, 0, 0", "sensor_tilt": "laser_plane"},
+            "lens_camera: the distortion folds the image",  # not the tilt
+        ),
         ({"distortion": "1, 2, 3"}, "give 4, 5, 8, 12 or 14 numbers"),
         ({"distortion": "a"}, "give 4, 5, 8, 12 or 14 numbers"),
         ({"f_number": -8}, "f_number is -8.0"),

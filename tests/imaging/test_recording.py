@@ -253,8 +253,12 @@ def test_an_exposure_that_saturates_or_hides_the_whole_line_is_told(scene, frame
     assert vs.record(scene, frame).notes == ()
     (bright,) = vs.record(scene, frame, peak=20.0).notes
     assert "all lit columns are saturated" in bright
+    assert "a lower peak" in bright  # it was exposed automatically
     (faint,) = vs.record(scene, frame, peak=5e-4).notes
-    assert "expose for a longer time" in faint
+    assert "a higher peak" in faint
+    for time, advice in (("1s", "a shorter time"), ("1ns", "a longer time")):
+        *_, note = vs.record(with_lens(scene), frame, sensor=QUIET, exposure_s=time).notes
+        assert f"expose for {advice}, or leave it to auto" in note
     (none,) = vs.record(scene, np.zeros((160, 160))).notes
     assert "dark" in none
 
@@ -265,6 +269,23 @@ def test_options_record_if_they_or_the_camera_ask_for_it(scene, frame):
     assert RecordingOptions(exposure="auto").of(scene) == vs.ImageSensor()
     assert RecordingOptions().of(with_lens(scene, sensor=QUIET)) == QUIET
     assert RecordingOptions("profile_sensor").of(scene).name == "profile_sensor"
+
+
+def test_what_is_said_of_recording_and_changes_nothing_is_told(scene, frame):
+    """Rationale: who sets a linewidth and sees the same speckle believes that it is small."""
+    assert RecordingOptions().unheeded(scene) == []
+    assert "--seed" in RecordingOptions(seed=1).unheeded(scene)[0]
+    assert RecordingOptions("cmos_5um5", seed=1).unheeded(scene) == []
+    assert "exposure" in RecordingOptions().unheeded(with_lens(scene, exposure_s=1.0))[0]
+    for given, known in (({"linewidth_nm": 2.0}, 1), ({"roughness_um": 9.0}, 1), ({"modes": 2}, 0)):
+        lit = with_lens(scene, f_number=32.0)
+        laser = replace(scene.laser, coherence=Coherence(**given))
+        lit = replace(lit, sources={scene.source_name: laser})
+        (note,) = RecordingOptions("cmos_5um5").unheeded(lit)
+        assert "--speckle" in note
+        assert RecordingOptions(speckle=True).unheeded(lit) == []
+        notes = vs.record(lit, frame, sensor=QUIET, speckle=True).notes
+        assert sum("alone changes no speckle" in note for note in notes) == known
 
 
 def test_bad_input_is_told(scene, frame):

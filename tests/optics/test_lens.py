@@ -143,7 +143,7 @@ def test_what_is_no_lens_is_refused():
     ):
         with pytest.raises(InputError, match="Lens: "):
             Lens(*numbers)
-    for f_number in (0.0, -8.0, np.inf):
+    for f_number in (0.0, 0.3, -8.0, np.inf):
         with pytest.raises(InputError, match="f_number"):
             Lens.of_f_number(75.0, 300.0, f_number)
     for count in (0, MOST_POINTS + 1, 2.5):

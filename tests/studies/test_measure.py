@@ -327,6 +327,10 @@ def test_notes_say_when_the_figures_are_worth_little():
 
     column = np.arange(100)
     assert notes(column >= 0) == {}
+    far = compare_line(LineCentres.of_rows(rows + 0.5), truth, cut=True)
+    for speckled in (False, True):
+        (wrong,) = centre_notes(LineCentres.of_rows(rows), far, far, (0.0, 0.0), speckled)
+        assert ("nothing of speckle" in wrong) == speckled
     [(few, caveat)] = notes(column >= 5, status=Status.SATURATED).items()
     assert not caveat
     assert few == "5 of 100 columns that see the whole line have no centre: saturated 5"

@@ -20,7 +20,7 @@ import numpy as np
 import yaml  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from virtual_sensor.errors import InputError, few
+from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.files import readable
 from virtual_sensor.optics.distortion import COEFFICIENTS
 from virtual_sensor.optics.ray_families import Pinhole
@@ -200,7 +200,7 @@ class CalibrationFile:
         if found is None:
             if default is None:
                 raise InputError(
-                    f"{self.path}: lacks '{name}'; add it (see devices/calibration_files.py)"
+                    f"{self.path}: lacks '{name}'{nearest(name, self.elements) or '; add it'}"
                 )
             return default
         try:

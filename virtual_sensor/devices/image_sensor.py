@@ -40,6 +40,7 @@ from virtual_sensor.seeds import LARGEST_SEED
 
 _LARGEST, _LARGEST_WELL = 1e12, 1e30  # grey values are finite in float32
 _MOST_PX = 1 << 20
+_PIXELS_UM = 0.1, 1e3
 _USUAL_NM = 532.0  # the laser of the shipped scenes
 _COLDEST_C, _HOTTEST_C = -273.15, 200.0
 _MOST_FILE_BYTES = 1 << 20
@@ -141,15 +142,16 @@ class ImageSensor(Displayed):
             least, kind = (SMALLEST, "positive") if name in positive else (0.0, "not negative")
             most = _LARGEST_WELL if name == "full_well_e" else _LARGEST
             self._number(name, least, most, f"a number that is {kind}")
-        if self.quantum_efficiency > 1.0:
-            raise InputError(
-                f"sensor: quantum_efficiency is {self.quantum_efficiency}; give it up to 1"
-            )
+        for name in ("quantum_efficiency", "prnu"):
+            if (value := getattr(self, name)) > 1.0:
+                raise InputError(
+                    f"sensor: {name} is {value}; give it up to 1, a part and no per cent"
+                )
         for name in ("temperature_c", "dark_current_at_c"):
             self._number(name, _COLDEST_C, _HOTTEST_C, "a temperature in degC, up to 200")
         self._number("doubling_c", 1.0, 100.0, "the rise in degC, 1 to 100; about 8")
         if self.pixel_um is not None:
-            self._number("pixel_um", SMALLEST, LARGEST, "the pitch of the pixels in um")
+            self._number("pixel_um", *_PIXELS_UM, "the pitch of the pixels in um, such as 3.45")
         for name in ("width_px", "height_px"):
             if getattr(self, name) is not None:
                 self._whole(name, 1, _MOST_PX)

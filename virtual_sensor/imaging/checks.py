@@ -164,7 +164,7 @@ def _focus_note(scene: Scene, line: LitLine) -> list[str]:
         f"{scene.camera_element}: the {_light(scene.source)} is nowhere in focus: its blur is"
         f" {sharpest:.3g} to {most:.3g} px wide; it lies {depth_mm.min():.4g} to"
         f" {depth_mm.max():.4g} mm before the lens, which is focused at"
-        f" {camera.lens.focus_distance_mm:.4g} mm (focus_distance; a larger f_number blurs less)"
+        f" {camera.lens.focus_distance_mm:.6g} mm (focus_distance; a larger f_number blurs less)"
     ]
 
 

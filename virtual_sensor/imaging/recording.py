@@ -51,6 +51,7 @@ PEAK = 0.8
 """Of the saturation is where automatic exposure puts the brightest pixel."""
 
 _MOST_PEAK = 1e6  # times the saturation: far over-exposed
+_COHERENCE_NAMES = {"roughness": "-D rq=10, um", "linewidth": "-D linewidth=2, nm"}
 _MANY = 0.5  # of the line's columns
 _SAME_PIXEL = 0.01
 _SAME_TIME = 0.01  # of an exposure
@@ -323,7 +324,9 @@ def record(
     taken_s = ideal.exposure_s if isinstance(ideal, ExposedFrame) else None
     if exposure_s is None and taken_s is not None:
         exposure_s = AUTO if lens_of(scene) is None else taken_s
-    factor, time_s, notes = exposure_of(scene, chosen, light, exposure_s, peak)
+    said = scene.camera.exposure_s if exposure_s is None else exposure_s
+    automatic = exposure_time_s("record: exposure_s", said) is None
+    factor, time_s, notes = exposure_of(scene, chosen, light, said, peak)
     if taken_s and time_s and not math.isclose(time_s, taken_s, rel_tol=_SAME_TIME):
         notes = (
             *notes,
@@ -348,7 +351,24 @@ def record(
         notes,
         shown,
     )
-    return replace(shot, notes=(*notes, *_doubts(shot)))
+    coherent = _half_coherent(scene) if speckle is True else []
+    return replace(shot, notes=(*notes, *coherent, *_doubts(shot, automatic)))
+
+
+def _half_coherent(scene: Scene) -> list[str]:
+    """A note of lasers whose linewidth changes no speckle, since no depth goes with it."""
+    notes = []
+    for name, laser in scene.sources.items():
+        if not isinstance(laser, LaserLine):
+            continue
+        broad, rough = laser.coherence.linewidth_nm, laser.coherence.roughness_um
+        if bool(broad) != bool(rough):
+            has, lacks = ("linewidth", "roughness") if broad else ("roughness", "linewidth")
+            notes.append(
+                f"the {has} of the laser '{name}' alone changes no speckle: it does so together"
+                f" with its {lacks} ({_COHERENCE_NAMES[lacks]}), which is 0"
+            )
+    return notes
 
 
 def _skew(frame: ExposedFrame) -> list[str]:
@@ -608,7 +628,7 @@ def exposure_of(
     return per_second * kept, kept, notes
 
 
-def _doubts(shot: RecordedFrame) -> list[str]:
+def _doubts(shot: RecordedFrame, automatic: bool) -> list[str]:
     """Notes of a recorded frame whose line is clipped, or drowns, or that is of other pixels."""
     notes = _of_other_pixels(shot)
     lit = getattr(shot.ideal, "lit", None)
@@ -619,15 +639,23 @@ def _doubts(shot: RecordedFrame) -> list[str]:
     share = float(clipped.sum() / columns.sum())
     if share > _MANY:
         which = "all" if share == 1.0 else f"{share:.0%} of the"
-        notes.append(
-            f"{which} lit columns are saturated: their line has no centre; expose for a shorter"
-            " time, or leave it to auto"
+        shorter = (
+            "give automatic exposure a lower peak, or the sensor a smaller prnu"
+            if automatic
+            else "expose for a shorter time, or leave it to auto"
         )
+        notes.append(f"{which} lit columns are saturated: their line has no centre; {shorter}")
     brightest = float(shot.grey[lit].max()) - shot.sensor.black_level
     if brightest < 6.0 * shot.sensor.grey_noise:
+        longer = (
+            f"give automatic exposure a higher peak, or a sensor that holds more than"
+            f" {shot.sensor.saturation_e:.3g} electrons (full_well_e)"
+            if automatic
+            else "expose for a longer time, or leave it to auto"
+        )
         notes.append(
             f"the line is at most {brightest:.3g} grey values above black, and the noise"
-            f" {shot.sensor.grey_noise:.3g}: expose for a longer time, or leave it to auto"
+            f" {shot.sensor.grey_noise:.3g}: {longer}"
         )
     return notes
 

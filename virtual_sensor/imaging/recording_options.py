@@ -104,6 +104,28 @@ class RecordingOptions(Displayed):
         own = scene.camera.sensor
         return sensor_of(scene, self.sensor_model) if self.asked or own is not None else None
 
+    def unheeded(self, scene: Scene) -> list[str]:
+        """Notes of what is said of recording, by options or the scene, and changes nothing."""
+        from virtual_sensor.devices.coherence import Coherence
+        from virtual_sensor.devices.laser import LaserLine
+
+        notes = []
+        if self.of(scene) is None:
+            if self.seed:
+                notes.append("--seed has no effect: frames are ideal; record them (--sensor-model)")
+            if scene.camera.exposure_s is not None:
+                notes.append(
+                    f"{scene.camera_element}: exposure has no effect: frames are ideal; give a"
+                    " sensor_model"
+                )
+        lasers = (each for each in scene.sources.values() if isinstance(each, LaserLine))
+        if not self.speckle and any(each.coherence != Coherence() for each in lasers):
+            notes.append(
+                f"{scene.path}: what the scene says of the laser's coherence has no effect: its"
+                " light is not speckled (--speckle)"
+            )
+        return notes
+
     def frame_seed(self, *parts: int | str) -> int:
         """Seed of a frame by its number, name or both, such as ("hot", 12); without, the own."""
         return part_seed(self.seed, *parts) if parts else self.seed

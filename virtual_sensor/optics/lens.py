@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 MOST_POINTS = 4096
 """Of a pupil."""
 
+F_NUMBERS = 0.5, 1e4
+"""Of lenses; none in air is faster, since the sine of its cone's half angle is 1/(2 N)."""
+
 _LEAST_MM, _MOST_MM = 1e-6, 1e6
 _STEEPEST_DEG = 80.0
 _LEAST_OF_TWO = 6  # points that make two rings: in one of three all directions count alike
@@ -96,7 +99,7 @@ class Lens(Displayed):
         sensor_tilt_deg: tuple[float, float] = (0.0, 0.0),
     ) -> Lens:
         """The lens whose pupil is its focal length by an f-number wide."""
-        f_number = number_within("Lens: f_number", f_number, 0.1, 1e4, "it from 0.1, such as 8")
+        f_number = number_within("Lens: f_number", f_number, *F_NUMBERS, "it from 0.5, such as 8")
         pinhole = Lens(image_distance_mm, focus_distance_mm, 0.0, sensor_tilt_deg)
         return replace(pinhole, pupil_radius_mm=pinhole.focal_length_mm / (2.0 * f_number))
 

@@ -595,7 +595,7 @@ def burst(
     lines, rays, ideal, of_shots = [], [], [], list[str]()
     y = probe_rays(scene, y_mm)
     notes = [*scene.loading_notes, *unlit_rays(laser, y), *coarse_grid(scene)]
-    notes += _coarse_instants(times, stored)
+    notes += [*_coarse_instants(times, stored), *recording.unheeded(scene)]
     at_border: list[str] = []
     shown = np.linspace(0, frames - 1, _VIEWS).round()
     total, some = np.zeros(scene.camera.size[::-1]), dict[float, Image]()

@@ -291,13 +291,12 @@ def measure(
     notes, caveats = [*scene.loading_notes, *check_scene(scene)], []
     probe_y = probe_rays(scene, y_mm)
     coarse = coarse_grid(scene)
-    notes += [*unlit_rays(laser, probe_y), *coarse]
+    options = recording or RecordingOptions()
+    notes += [*unlit_rays(laser, probe_y), *coarse, *options.unheeded(scene)]
     caveats += [note for note, poor in coarse.items() if poor]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
     section = true_section(scene)
     share = 0.15 if scene.field else 1.0  # of the time that the cold part takes
-
-    options = recording or RecordingOptions()
 
     def state(name: str, scene: Scene, low: float, high: float) -> State:
         return _measure_state(
@@ -319,7 +318,9 @@ def measure(
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
             words += [*frame_notes(each.frame.report), *(each.shot.notes if each.shot else ())]
-            judged = centre_notes(each.line, each.compared, each.by_frame, each.gap_y_mm)
+            beside_truth = each.line, each.compared, each.by_frame, each.gap_y_mm
+            speckled = each.shot is not None and each.shot.speckled is not None
+            judged = centre_notes(*beside_truth, speckled)
             notes += [f"{name}: {word}" for word in [*words, *judged]]
             caveats += [f"{name}: {word}" for word, poor in judged.items() if poor]
     seconds = time.perf_counter() - started

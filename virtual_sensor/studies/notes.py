@@ -208,6 +208,7 @@ def centre_notes(
     compared: LineErrors | DotErrors,
     by_frame: LineErrors,
     gap_y_mm: tuple[float, float],
+    speckled: bool = False,
 ) -> dict[str, bool]:
     """Notes of centres that are in no figure, or wrong; and whether figures without are worth much.
 
@@ -220,6 +221,8 @@ def centre_notes(
         Beside the frame's own truth.
     gap_y_mm : pair of float
         Ends of the longest stretch of the line on which no point is measured.
+    speckled : bool
+        Whether its light is: the centres' sigmas know the noise, and not the grains.
 
     Returns
     -------
@@ -266,5 +269,7 @@ def centre_notes(
             f"{wrong} of {by_frame.count} ok centres {are} off the frame's"
             f" truth by more than {far}{WRONG_SIGMAS:g} of their sigmas, at most by"
             f" {by_frame.largest_px:.2g} px"
+            + ", since their sigmas know nothing of speckle"
+            * speckled
         ] = wrong > _MANY * by_frame.count
     return notes

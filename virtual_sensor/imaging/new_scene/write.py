@@ -39,6 +39,7 @@ from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey
 from virtual_sensor.imaging.scene import Scene, load_scene, scene_parameters
 from virtual_sensor.imaging.scene_file import filled, find_scene, read_scene_file, shipped_scenes
 from virtual_sensor.medium.find_field import find_field, is_installed
+from virtual_sensor.optics.lens import F_NUMBERS
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
 
 _SAMPLES = 201  # rays of a line
@@ -223,7 +224,7 @@ def _check(said: NewScene) -> None:
     )
     limits = dict.fromkeys(size.split(), (0.0, 1e6)) | {
         **{
-            "f_number": (0.1, 1e4),
+            "f_number": F_NUMBERS,
             "wavelength_nm": (200.0, 2000.0),
             "roughness": (0.0, 1.0),
             "fan": (-1e-9, 170.0),
