@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 from collections.abc import Iterable, Iterator, Mapping
 from enum import IntEnum
 from itertools import repeat
@@ -253,3 +254,23 @@ def with_spreads(
 def listed(*parts: str) -> str:
     """Parts of a line, those that say something."""
     return ", ".join(filter(None, parts))
+
+
+def attribute_words(kind: type) -> dict[str, str]:
+    """Words of the fields, from the numpydoc section "Attributes" of the class and its bases."""
+    found: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        lines = inspect.cleandoc(each.__doc__ or "").splitlines()
+        if "Attributes" not in lines or not dataclasses.is_dataclass(each):
+            continue
+        names: list[str] = []
+        for line in lines[lines.index("Attributes") + 2 :]:
+            if line.startswith(" "):
+                for name in names:
+                    found[name] = f"{found[name]} {line.strip()}".strip()
+            elif ":" in line:
+                names = [name.strip() for name in line.split(":")[0].split(",")]
+                found |= dict.fromkeys(names, "")
+            elif line:
+                break  # another section
+    return found

@@ -8,7 +8,6 @@ dictionary is made.
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import json
 import re
 import types
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from virtual_sensor.display import Displayed
+from virtual_sensor.display import Displayed, attribute_words
 from virtual_sensor.files import written_whole
 
 UNITS = {
@@ -183,7 +182,7 @@ def documented(kind: type) -> list[Described]:
     ValueError
         If a field is not documented, or what is documented is no field.
     """
-    words = _attributes(kind)
+    words = attribute_words(kind)
     names = [each.name for each in _fields(kind)]
     if set(words) != set(names):
         raise ValueError(
@@ -212,26 +211,6 @@ def _records_in(hint: Any) -> list[type]:
     if isinstance(hint, type) and not isinstance(hint, types.GenericAlias):
         return [hint] if issubclass(hint, Record) else []
     return [kind for argument in typing.get_args(hint) for kind in _records_in(argument)]
-
-
-def _attributes(kind: type) -> dict[str, str]:
-    """Words of the fields, from the numpydoc section "Attributes" of the class and its bases."""
-    found: dict[str, str] = {}
-    for each in reversed(kind.__mro__):
-        lines = inspect.cleandoc(each.__doc__ or "").splitlines()
-        if "Attributes" not in lines or not dataclasses.is_dataclass(each):
-            continue
-        names: list[str] = []
-        for line in lines[lines.index("Attributes") + 2 :]:
-            if line.startswith(" "):
-                for name in names:
-                    found[name] = f"{found[name]} {line.strip()}".strip()
-            elif ":" in line:
-                names = [name.strip() for name in line.split(":")[0].split(",")]
-                found |= dict.fromkeys(names, "")
-            elif line:
-                break  # another section
-    return found
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -12,7 +12,7 @@ from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.grey_values import (
     exposed,
     grey_values,
-    irradiance,
+    image_irradiance,
     photons,
 )
 from virtual_sensor.metrology.centres import Status
@@ -198,9 +198,9 @@ def test_photons_of_a_known_irradiance():
 
 def test_irradiance_of_a_lens():
     """A sensor at f/1 sees pi/4 of the radiance; twice the f-number, a quarter of it."""
-    assert irradiance(1.0, 1.0) == pytest.approx(np.pi / 4.0)
-    assert irradiance(1.0, 2.0) == pytest.approx(np.pi / 16.0)
-    assert irradiance(1.0, 1.0, magnification=1.0) == pytest.approx(np.pi / 16.0)
+    assert image_irradiance(1.0, 1.0) == pytest.approx(np.pi / 4.0)
+    assert image_irradiance(1.0, 2.0) == pytest.approx(np.pi / 16.0)
+    assert image_irradiance(1.0, 2.0, transmission=0.5) == pytest.approx(np.pi / 32.0)
 
 
 def test_exposure_puts_the_brightest_pixel_where_it_is_asked():

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from virtual_sensor import interrupts
 from virtual_sensor.cli.console import console, errors
+from virtual_sensor.display import attribute_words
 from virtual_sensor.errors import InputError, printable
 from virtual_sensor.files import check_output
 
@@ -101,10 +102,10 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Let a command take dataclasses, by keyword: each of their fields is an option.
 
     Its name is the field's without a unit at the end, its default the field's, and its help the
-    field's words under "Attributes" of the dataclass. Metadata of a field: `counts` says how many
-    numbers are written with commas in between, or, if (), words; `repeated` takes one each
-    time that it is given; `flag` is the option's name where it is not the field's; `internal` makes
-    none.
+    field's words under "Attributes" of the dataclass or its bases. Metadata of a field: `counts`
+    says how many numbers are written with commas in between, or, if (), words; `repeated` takes one
+    each time that it is given; `flag` is the option's name where it is not the field's; `internal`
+    makes none.
     """
     signature = inspect.signature(command, eval_str=True)
     parameters: list[inspect.Parameter] = []
@@ -137,7 +138,6 @@ def _flag(each: Field[Any]) -> str:
 
 def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
     """The option of a dataclass's field."""
-    words = dict(re.findall(r"^(\w+) : .*\n((?: +.*\n?)+)", inspect.getdoc(kind) or "", re.M))
     hint: Any = get_type_hints(kind)[each.name]
     default: Any = each.default
     if "counts" in each.metadata:
@@ -146,7 +146,7 @@ def _option(each: Field[Any], kind: Any) -> inspect.Parameter:
         hint, default = list[float] | None, None
     flag = [f"--{_flag(each)}"] if hint is bool else []  # no --no-NAME
     flag = [each.metadata["flag"]] if "flag" in each.metadata else flag
-    option = typer.Option(default, *flag, help=" ".join(words[each.name].split()))
+    option = typer.Option(default, *flag, help=attribute_words(kind)[each.name])
     return inspect.Parameter(
         _flag(each), inspect.Parameter.KEYWORD_ONLY, default=option, annotation=hint
     )

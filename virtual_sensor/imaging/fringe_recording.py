@@ -26,18 +26,10 @@ _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, of frame
 
 @dataclass(frozen=True)
 class FringeRecording(RecordingOptions):
-    """How frames of fringes are recorded; without any of it they are ideal.
+    """How frames of fringes are recorded, all exposed alike; without any of it they are ideal.
 
     Attributes
     ----------
-    sensor_model : str, optional
-        Record frames by this image sensor: the name of one that comes with the program
-        (cmos_5um5, cmos_3um45, profile_sensor), or a .toml file of your own. By default by that of
-        the scene's camera, if it has one; else frames are ideal.
-    exposure : str, optional
-        Exposure time of each frame, such as 2ms or 500us, for which the scene's camera needs an
-        f-number; or auto, which puts the brightest pixel of all at 80 % of the saturation. By
-        default the camera's own, else auto.
     seed : int
         Of the noise.
     speckle : bool

@@ -39,16 +39,15 @@ _DARKEST = 0.01  # photons, of a frame's brightest pixel
 _MOST_E = 1e18  # that are drawn
 
 
-def irradiance(
-    radiance: ArrayLike, f_number: float, magnification: float = 0.0, transmission: float = 1.0
+def image_irradiance(
+    radiance: ArrayLike, working_f_number: float, transmission: float = 1.0
 ) -> Array:
     """Irradiance of the sensor in W/mm^2 from a scene's radiance in W/(mm^2 sr), on the axis.
 
-    E = pi L tau / (4 (N (1 + m))^2): Born and Wolf 1999, 4.8.3, for a lens with a pupil
+    E = pi L tau / (4 N_w^2), N_w = N (1 + m): Born and Wolf 1999, 4.8.3, for a lens with a pupil
     magnification of 1.
     """
-    working = f_number * (1.0 + magnification)
-    return np.asarray(radiance, float) * np.pi * transmission / (4.0 * working**2)
+    return np.asarray(radiance, float) * np.pi * transmission / (4.0 * working_f_number**2)
 
 
 def photons(

@@ -35,7 +35,7 @@ from virtual_sensor.display import Displayed, listed, span
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.imaging.column_truth import ColumnTruth, column_truth
 from virtual_sensor.imaging.exposures import ExposedFrame
-from virtual_sensor.imaging.grey_values import grey_values, irradiance, photons
+from virtual_sensor.imaging.grey_values import grey_values, image_irradiance, photons
 from virtual_sensor.imaging.render import Frame, arrangement, light_of_sources
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import PatternFrames
@@ -592,7 +592,7 @@ def exposure_of(
     lens = lens_of(scene)
     per_second = None
     if lens is not None:
-        falls = irradiance(1.0, lens.f_number, lens.magnification, scene.camera.transmission)
+        falls = image_irradiance(1.0, lens.working_f_number, scene.camera.transmission)
         each = photons(falls, 1.0, pixel_um_of(scene, sensor), scene.air.wavelength_nm)
         per_second = float(each) * sensor.quantum_efficiency
     if time_s is not None:

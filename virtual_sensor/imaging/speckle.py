@@ -75,15 +75,8 @@ class Aperture(Coherence):
         Pitch of the pixels.
     magnification : float
         Image over object; the working f-number is N (1 + m).
-    polarisations : int
-        Patterns that add: 1, or 2 where the surface depolarises.
-    linewidth_nm : float
-        Full width of the laser's spectrum at half its height; 0: one wavelength.
-    roughness_um : float
-        Standard deviation of the depths from which light comes back: Rq of a rough surface, the
-        depth of penetration of paint, paper or ceramics.
-    modes : float
-        Of the laser, incoherent to each other, whose patterns differ; 1 of a single-mode one.
+    polarisations, linewidth_nm, roughness_um, modes
+        As those of a laser line's `Coherence`.
     """
 
     f_number: float
