@@ -146,6 +146,11 @@ def _laser_of(props: mi.Properties) -> LaserLine:
     profile = profile_of(str(props.get("profile", "")), folders)
     measured_mm = profile.radius_mm if isinstance(profile, MeasuredProfile) else None
     radius = _length(props, "radius", measured_mm)
+    if measured_mm and radius > length:
+        raise InputError(
+            f"the line is {length:g} mm long, and its profile's radius is {radius:.4g} mm; give the"
+            " places of its table in mm, or 'radius' too"
+        )
     return LaserLine(
         sheet,
         length_mm=length,

@@ -169,12 +169,19 @@ def test_tables_are_read_from_files(tmp_path):
     )
     assert isinstance(scene.laser.profile, MeasuredProfile)
     assert isinstance(scene.laser.uniformity, MeasuredUniformity)
+    assert scene.laser.radius_mm == pytest.approx(1.0, abs=1e-3)  # the table's, unless it is given
+    assert scene.parameters["line_radius"] == f"{beam.radius_mm:.10g}"
+    assert scene.with_parameters(line_radius=0.3).laser.radius_mm == pytest.approx(0.3)
+    with pytest.raises(InputError, match="in mm"):
+        scene.with_parameters(line_length=0.5)
 
 
 def test_what_cannot_be_is_refused(tmp_path):
     (tmp_path / "cut.csv").write_text("\n".join(f"{x},{1 + x}" for x in range(9)))
     (tmp_path / "words.csv").write_text("no numbers at all\n")
     (tmp_path / "dark.csv").write_text("\n".join(f"{x},0" for x in range(9)))
+    (tmp_path / "commas.csv").write_text("0,0,1,0\n0,1,1,5\n")
+    (tmp_path / "lone.csv").write_text("0\n1\n")
     (tmp_path / "back.csv").write_text("\n".join(f"{-x},1" for x in range(9)))
     for text, said in {
         "tails 2 3": "0 to 1",
@@ -185,6 +192,8 @@ def test_what_cannot_be_is_refused(tmp_path):
         "words.csv": "no numbers",
         "dark.csv": "all are 0",
         "back.csv": "don't ascend",
+        "commas.csv": "semicolons",
+        "lone.csv": "two numbers in each",
     }.items():
         with pytest.raises(InputError, match=said):
             profile_of(text, (tmp_path,))

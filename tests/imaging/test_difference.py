@@ -74,6 +74,16 @@ def test_a_given_off_frame_is_subtracted_if_it_was_exposed_alike():
         vs.difference(frame)
 
 
+def test_a_folder_holds_both_frames_beside_their_difference(tmp_path):
+    scene, frame = lit()
+    shot = vs.difference(vs.record(scene, frame, 1, sensor="cmos_5um5"))
+    folder = shot.write(tmp_path / "pair", "tif")
+    for name, held in (("_on", shot.on), ("_off", shot.on), ("", shot)):
+        image = vs.read_image(folder / f"frame{name}.tif")
+        np.testing.assert_array_equal(image.pixels, getattr(shot, f"{name[1:]}_grey", shot.grey))
+        assert image.detector_options == pytest.approx(held.detector_options)
+
+
 def test_saturated_pixels_stay_saturated():
     scene, frame = lit()
     shot = vs.difference(vs.record(scene, frame, sensor="cmos_5um5", peak=3.0))

@@ -44,7 +44,8 @@ def test_a_part_at_rest_gives_the_frame_of_the_scene():
     for parameters in ({}, {"name": "stepped_shaft", "emissivity": 0.8}):
         scene = scene_of(**parameters)
         still = vs.render_frame(scene, background=True)
-        frame = vs.render_exposure(scene, 2e-3, background=True)
+        frame = vs.render_exposure(scene, "2ms", background=True)
+        assert frame.exposure_s == 2e-3
         assert_array_equal(frame.radiance, still.radiance)
         assert_array_equal(frame.background, still.background)
         assert_array_equal(frame.coordinates(), still.coordinates())
@@ -122,8 +123,9 @@ def test_of_many_places_none_is_left_out():
 def test_what_cannot_be_exposed_is_refused():
     scene = scene_of()
     for arguments, said in (
-        (((0.0),), "a time above 0 s"),
-        ((np.nan,), "a time above 0 s"),
+        ((0.0,), "an exposure time with its unit"),
+        ((np.nan,), "an exposure time with its unit"),
+        (("auto",), "how long the part moves is not known; give exposure_s"),
         ((1e-3, (1, 2)), "three finite numbers"),
         ((1e-3, (np.inf, 0, 0)), "three finite numbers"),
         ((1.0, (0, 0, 1e6)), "would smear by"),

@@ -301,6 +301,8 @@ def test_bad_input_is_told(scene, frame):
         "negative, or not finite": lambda: vs.record(scene, np.full((160, 160), np.nan)),
         "holds what is negative": lambda: vs.record(scene, frame.radiance - 1.0),
         "recorded already": lambda: vs.record(scene, vs.record(scene, frame)),
+        "ideal frame": lambda: vs.grey_values(vs.record(scene, frame), peak_e=1000),
+        "grey values already": lambda: vs.speckled(vs.record(scene, frame), Aperture(8.0)),
         "bits end at 255": lambda: vs.record(
             scene, frame, sensor=vs.ImageSensor(bit_depth=8, black_level=300)
         ),
@@ -313,6 +315,14 @@ def test_bad_input_is_told(scene, frame):
     }.items():
         with pytest.raises(InputError, match=words):
             ask()
+
+
+def test_a_frame_of_another_pose_is_refused_and_one_of_other_air_is_not(scene, frame):
+    vs.record(scene.cold(), frame)  # bent by up to 3 px
+    turned = vs.Pose.turn(2.0, [1, 0, 0], about_mm=[0, 0, -13.5])
+    for motion in (turned, vs.Pose.shift([0.1, 0, 0]), vs.Pose.shift([0, 4, 0])):
+        with pytest.raises(InputError, match="the scene that rendered it"):
+            vs.record(scene.with_sensor_moved(motion), frame)
 
 
 def test_times_are_read_with_their_units():

@@ -434,6 +434,11 @@ def _read_table(name: str, text: str, folders: Sequence[Path]) -> Any:
             raise InputError(f"has no numbers; give rows of a place and an intensity for '{name}'")
         rows = [line for line in lines[start:] if line.strip()]
         columns = np.asarray(numbers(rows, start, 2), float)
+        if columns.shape[1] != 2:
+            raise InputError(
+                f"its rows have the length {columns.shape[1]}; give two numbers in each, a place"
+                " and an intensity, and where commas are decimal marks semicolons between them"
+            )
 
     def made(kind: Any) -> Any:
         with naming(path):
@@ -450,7 +455,9 @@ def _checked_table(name: str, place: ArrayLike, intensity: ArrayLike) -> tuple[A
             f" least {_FEWEST_ROWS} rows of both"
         )
     if not (np.isfinite(x).all() and np.all(np.diff(x) > 0.0)) or np.abs(x).max() > _LARGEST_MM:
-        raise InputError(f"the places of the {name} don't ascend; give finite ones in order, mm")
+        raise InputError(
+            f"the places of the {name} don't ascend; give finite ones in order, in the first column"
+        )
     if not (np.isfinite(y).all() and y.min() >= 0.0 and y.max() > 0.0):
         raise InputError(
             f"the intensities of the {name} are not all finite and from 0 on, or all are 0; take"

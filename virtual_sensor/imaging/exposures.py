@@ -20,9 +20,10 @@ from virtual_sensor_plugins.drift import Drift
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.renderer import Prepared
 
-from virtual_sensor.arrays import SMALLEST, number_within, vector_of, whole_number
+from virtual_sensor.arrays import number_within, vector_of, whole_number
 from virtual_sensor.arrays import truth_of as boolean
 from virtual_sensor.calls import public
+from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError
@@ -95,7 +96,7 @@ class ExposedFrame(Frame):
 @public
 def render_exposure(
     scene: Scene | str | Path,
-    exposure_s: float | None = None,
+    exposure_s: float | str | None = None,
     velocity_mm_s: ArrayLike = (0.0, 0.0, 0.0),
     *,
     row_time_s: float | None = None,
@@ -121,8 +122,9 @@ def render_exposure(
     scene, spp, seed, camera, source
         As those of `render`; the instants share the samples of a pixel, and each has four at least,
         or as many as the scene has if these are fewer.
-    exposure_s : float, optional
-        How long each row is exposed; by default as the scene's camera says.
+    exposure_s : float or str, optional
+        How long each row is exposed, in s, or a text such as "2ms"; by default as the scene's
+        camera says.
     velocity_mm_s : array_like of shape (3,)
         Of the part, world.
     row_time_s : float, optional
@@ -200,9 +202,9 @@ class _Motion:
 
 def _motion(exposure_s: Any, velocity_mm_s: Any, row_time_s: Any) -> _Motion:
     name = "render_exposure"
-    exposure = number_within(
-        f"{name}: exposure_s", exposure_s, SMALLEST, _LONGEST_S, "a time above 0 s, in s"
-    )
+    exposure = exposure_time_s(f"{name}: exposure_s", exposure_s)
+    if exposure is None:
+        raise InputError(f"{name}: how long the part moves is not known; give exposure_s, as 2ms")
     velocity = vector_of(f"{name}: velocity_mm_s", velocity_mm_s)
     if np.linalg.norm(velocity) > _FASTEST_MM_S:
         raise InputError(f"{name}: velocity_mm_s is {velocity_mm_s}; give mm per s")

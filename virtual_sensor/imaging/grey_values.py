@@ -135,8 +135,11 @@ def grey_values(
     sensor = ImageSensor() if sensor is None else sensor
     if not isinstance(sensor, ImageSensor):
         raise InputError(
-            f"grey_values: sensor is {short(sensor)}; give an ImageSensor, or leave it out"
+            f"grey_values: sensor is {short(sensor)}; give an ImageSensor, such as"
+            ' vs.image_sensor("cmos_5um5"), or leave it out'
         )
+    if hasattr(photons, "detector_options"):
+        raise InputError("grey_values: photons are grey values already; give the ideal frame")
     dark_e = 0.0
     if exposure_s is not None:
         advice = "the exposure in s, from 0 on"

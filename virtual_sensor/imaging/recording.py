@@ -53,6 +53,9 @@ PEAK = 0.8
 _MOST_PEAK = 1e6  # times the saturation: far over-exposed
 _COHERENCE_NAMES = {"roughness": "-D rq=10, um", "linewidth": "-D linewidth=2, nm"}
 _MANY = 0.5  # of the line's columns
+_SOME_POINTS = 256  # of a frame
+_SAME_DEPTH = 1e-4  # of it
+_BENT = 0.05  # of the image: farther than hot air moves what is seen
 _SAME_PIXEL = 0.01
 _SAME_TIME = 0.01  # of an exposure
 
@@ -536,7 +539,33 @@ def _ideal(scene: Scene, frame: Any) -> Ideal:
             "record: frame holds what is negative, or not finite; give a radiance from 0 on, such"
             " as np.nan_to_num(frame)"
         )
+    if isinstance(ideal, Frame):
+        _check_camera(scene, ideal)
     return ideal
+
+
+def _check_camera(scene: Scene, frame: Frame) -> None:
+    """Refuse a frame whose points are elsewhere in the image of the scene's camera.
+
+    Depths are the same to rounding, whatever the air.  Air moves points in the image by little.
+    """
+    truth = frame.truth
+    lit = np.flatnonzero(np.isfinite(truth.depth_mm))
+    some = lit[:: max(lit.size // _SOME_POINTS, 1)]
+    if not some.size:
+        return
+    points_mm = truth.point_mm[some].astype(float)
+    depth_mm = scene.camera.pose.to_local(points_mm)[:, 2]
+    deeper = np.median(np.abs(depth_mm / truth.depth_mm[some] - 1.0))
+    row, column = np.divmod(truth.index[some].astype(int), scene.camera.size[0])
+    off_px = scene.camera.project(points_mm) - np.column_stack([column, row])
+    farthest_px = _BENT * max(scene.camera.size)
+    off = np.nanmedian(np.linalg.norm(off_px, axis=1))
+    if not (deeper < _SAME_DEPTH and off < farthest_px):
+        raise InputError(
+            f"record: frame was seen by another camera than {scene.camera_element} of {scene.path},"
+            " or from another pose; give the scene that rendered it"
+        )
 
 
 def _radiance(ideal: Ideal) -> NDArray[np.floating]:

@@ -4,7 +4,8 @@
 File             What it holds
 ===============  ==================================================================================
 ``frame.png``    Grey values, with their gain, noise, saturation and black level: `image_metadata`;
-                 or ``frame.tif``.  Of a sequence ``frame_00.png``, ``frame_01.png``, ...
+                 or ``frame.tif``.  Of a sequence ``frame_00.png``, ``frame_01.png``, ...; of a
+                 difference also the two, ``frame_on.png`` and ``frame_off.png``
 ``ideal.exr``    Radiance and ground truth of the pixels: `render.EXR_LAYERS`.  Of a sequence
                  ``ideal_00.exr``, ...; those behind the first hold the radiance alone
 ``truth.csv``    The line in each column: `ColumnTruth`; of several lasers ``truth_0_NAME.csv``, ...
@@ -75,6 +76,10 @@ def _fill(shot: Any, place: Path, images: str) -> None:
         else:
             radiance = np.asarray(frame)
             write_layers(exr, {"Y": radiance[number] if many else radiance}, header)
+    for name in ("on", "off"):
+        if (one := getattr(shot, f"{name}_grey", None)) is not None:
+            known = shot.on.metadata
+            write(one, place / f"frame_{name}.{images}", sensor=shot.on_sensor, metadata=known)
     lines = list(ideal.radius_mm) if isinstance(ideal, Frame) else []
     for number, line in enumerate(lines):
         own = f"_{number}_{re.sub(r'[^A-Za-z0-9-]', '_', line)}" if len(lines) > 1 else ""

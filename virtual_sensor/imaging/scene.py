@@ -53,6 +53,7 @@ from virtual_sensor.arrays import LARGEST, number_within, to_vectors
 from virtual_sensor.calls import public
 from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.laser import LaserLine
+from virtual_sensor.devices.laser_profile import MeasuredProfile, profile_of
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed, listed
@@ -827,7 +828,20 @@ def _read(
         _check_temperature(path, values["temperature"])
     with naming(path):
         values = with_field_of_view(values, given)
-    return files, values, list(folders)
+    return files, _with_own_radius(values, given, list(folders)), list(folders)
+
+
+def _with_own_radius(
+    values: dict[str, str], given: dict[str, str], folders: list[Path]
+) -> dict[str, str]:
+    """The parameters' values, where a laser's measured profile has its own radius unless given."""
+    if "line_radius" not in values or "line_radius" in given or not values.get("line_profile"):
+        return values
+    with suppress(InputError):  # which loading the scene tells
+        profile = profile_of(values["line_profile"], folders)
+        if isinstance(profile, MeasuredProfile):
+            return {**values, "line_radius": f"{profile.radius_mm:.10g}"}
+    return values
 
 
 def _values(files: list[SceneFile], given: dict[str, str]) -> dict[str, str]:

@@ -214,6 +214,8 @@ def speckled(
     """
     if not isinstance(aperture, Aperture):
         raise InputError(f"speckled: aperture is {short(aperture)}; give an Aperture")
+    if hasattr(image, "detector_options"):
+        raise InputError("speckled: image is of grey values already; give the ideal frame")
     image = image_of("speckled: image", image, 0.0)
     source = image if sharp is None else image_of("speckled: sharp", sharp, 0.0)
     if source.shape != image.shape:
