@@ -43,6 +43,10 @@ _NEAR_MM, _FAR_MM = 1e-2, 1e4  # Mitsuba's
 class LensCameraSensor(mi.Sensor):
     """A camera with a lens and a sensor; without these it is Mitsuba's `perspective`, to the bit.
 
+    Left out are the fall of light towards the corners (vignetting, cos^4), diffraction where there
+    is no speckle, aberrations other than distortion, colour, and lens breathing: with a given image
+    distance or field of view, focusing changes the focal length and not the field of view.
+
     ========================  =========  =======================================================
     Property                  Default    Meaning
     ========================  =========  =======================================================

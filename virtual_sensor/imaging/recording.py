@@ -311,6 +311,11 @@ def record(
         If the frame is of another size than the camera's image, or holds what is negative or no
         number; a time is given without a lens, or speckle asked for without one; or one of the
         others can't be used.
+
+    Notes
+    -----
+    Left out are the fall of light towards the corners (vignetting, cos^4), diffraction where there
+    is no speckle, aberrations other than distortion, colour, and lens breathing.
     """
     loaded: Scene = scene_of("record", scene)
     scene = loaded.only(camera)
