@@ -315,7 +315,8 @@ def record(
     Notes
     -----
     Left out are the fall of light towards the corners (vignetting, cos^4), diffraction where there
-    is no speckle, aberrations other than distortion, colour, and lens breathing.
+    is no speckle, aberrations other than distortion, colour, and lens breathing where the image
+    distance is given.
     """
     loaded: Scene = scene_of("record", scene)
     scene = loaded.only(camera)
