@@ -178,13 +178,17 @@ def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
     return finest if on is shot else difference(finest)
 
 
-def rows_through_pupil(seen: PupilPixels, row: Array) -> Array:
-    """Rows (W,) of a line in each column, those next to others (W,), averaged over a pupil."""
+def rows_through_pupil(seen: PupilPixels, row: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Rows (W,) of a line in each column, those next to others (W,), and whether they are whole.
+
+    They are means over the points of the pupil that see the line there; whole where all do.
+    """
     lines = (TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), len(row)) for pixel in seen.pixels)
     rows = np.array([nearest_rows(line, row) for line in lines])
     known = np.isfinite(rows)
     count = known.sum(axis=0)
-    return np.where(known, rows, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan)
+    mean = np.where(known, rows, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan)
+    return mean, known.all(axis=0)
 
 
 @dataclass(frozen=True)

@@ -378,13 +378,10 @@ def _measure_state(
 
 def _through_lens(line: TrueLine, pupil: PupilPixels) -> TrueLine:
     """A line that chief rays see, where all points of a pupil together show it."""
-    width = line.row.shape[1]
-    lines = [TrueLine.of_search(each, np.isfinite(each[:, 0]), width) for each in pupil.pixels]
-    rows = np.mean([[nearest_rows(each, row) for row in line.row] for each in lines], axis=0)
+    rows, whole = map(np.array, zip(*(rows_through_pupil(pupil, r) for r in line.row), strict=True))
     known = np.isfinite(line.row)
-    lost = known & ~np.isfinite(rows)  # for some point of the pupil
-    status = np.where(lost, TruthStatus.NO_LINE, line.status).astype(np.uint8)
-    return replace(line, row=np.where(known, rows, np.nan), status=status)
+    status = np.where(known & ~whole, TruthStatus.NO_LINE, line.status).astype(np.uint8)
+    return replace(line, row=np.where(known & whole, rows, np.nan), status=status)
 
 
 def _split(
@@ -411,7 +408,8 @@ def _split(
             for rays in (straight, state.dense)
         )
         if pupil:
-            through_lens = np.stack([column, rows_through_pupil(pupil, after[:, 1])], axis=1)
+            rows, _ = rows_through_pupil(pupil, after[:, 1])
+            through_lens = np.stack([column, rows], axis=1)
 
     def without_off(frame: Frame, light: Any) -> Any:
         """What a difference leaves of light: that of the laser."""
