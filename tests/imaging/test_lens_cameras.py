@@ -60,6 +60,20 @@ def test_the_lasers_plane_is_in_focus_where_the_tilt_says_so():
         np.testing.assert_allclose(lens.in_focus(p, q), 1.0 / away, rtol=1e-6)
 
 
+def test_a_plane_that_leans_both_ways_is_focused_where_it_lies():
+    """All of its points, the nearest and the farthest; the axis meets it at 280 mm."""
+    camera = cold(f_number=8).camera
+    normal = camera.pose.rotation @ [0.5, -0.7, 1.0]
+    at = camera.pose.to_world([0.0, 0.0, 280.0])
+    focused = camera.focused_on(normal, float(normal @ at))
+    assert focused.lens.focus_distance_mm == pytest.approx(280.0)
+    u, v = np.random.default_rng(0).uniform(-20.0, 20.0, (2, 20, 1))
+    one, other = np.cross(normal, [1.0, 0.0, 0.0]), np.cross(normal, [0.0, 1.0, 0.0])
+    p, q, away = camera.coordinates(at + u * one + v * other).T
+    assert np.ptp(away) > 20.0
+    np.testing.assert_allclose(focused.lens.in_focus(p, q), 1.0 / away, rtol=1e-9)
+
+
 def test_tilt_and_distortion_are_opencvs():
     """Points are seen where OpenCV's own projection puts them, to 1e-6 px."""
     points = np.random.default_rng(0).uniform(-8.0, 8.0, (200, 3)) * [1.0, 1.0, 0.3]

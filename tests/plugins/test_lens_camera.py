@@ -9,7 +9,7 @@ from virtual_sensor.engine import mi
 SCENE = """<scene version="3.0.0">
     <integrator type="refractive"/>
     <sensor type="{kind}">
-        <float name="fov" value="7"/> <string name="fov_axis" value="{axis}"/>
+        {field_of_view}
         <float name="principal_point_offset_x" value="0.1"/>
         <float name="principal_point_offset_y" value="-0.05"/> {more}
         <transform name="to_world">
@@ -32,6 +32,7 @@ SCENE = """<scene version="3.0.0">
     </shape>
 </scene>"""
 
+FOV = '<float name="fov" value="7"/> <string name="fov_axis" value="{}"/>'
 NEAR = '<float name="near_clip" value="270"/>'
 BENT = f'{NEAR} <string name="distortion" value="-10, 0, 0.4, 0"/>'
 LENS = f"""{NEAR} <float name="pixel" value="50"/> <float name="f_number" value="2"/>
@@ -42,9 +43,11 @@ LENS = f"""{NEAR} <float name="pixel" value="50"/> <float name="f_number" value=
 def load(tmp_path):
     """A scene with the sensor of some kind."""
 
-    def loaded(kind="lens_camera", axis="x", more="", emitter='<emitter type="constant"/>'):
-        path = tmp_path / "scene.xml"
-        path.write_text(SCENE.format(kind=kind, axis=axis, more=more, emitter=emitter))
+    def loaded(
+        kind="lens_camera", axis="x", more="", emitter='<emitter type="constant"/>', fov=FOV
+    ):
+        path, seen = tmp_path / "scene.xml", fov.format(axis)
+        path.write_text(SCENE.format(kind=kind, field_of_view=seen, more=more, emitter=emitter))
         return vs.load_scene(path)
 
     return loaded
@@ -80,3 +83,29 @@ def test_other_integrators_see_through_the_lens_too(load):
     assert found[LENS, "ours"][1] > 5.0 * found["", "ours"][1]
     for more, px in ((BENT, 0.01), (LENS, 0.15)):  # of 5 px of blur, which are noisy
         np.testing.assert_allclose(found[more, "theirs"], found[more, "ours"], atol=px)
+
+
+def test_an_image_distance_is_a_field_of_view_and_the_lens_may_take_light(load):
+    """With the same shift of the film; 96 pixels of 50 um see 7 degrees."""
+    image_mm = 48 * 0.05 / np.tan(np.radians(3.5))
+    given = (
+        f'<float name="image_distance" value="{image_mm:.12f}"/><float name="pixel" value="50"/>'
+    )
+    camera = load(fov=given, more='<float name="transmission" value="0.9"/>').camera
+    np.testing.assert_allclose(camera.matrix, load("perspective").camera.matrix, rtol=1e-6)
+    assert camera.transmission == 0.9
+
+
+def test_samples_of_the_pupil_meet_in_the_plane_in_focus(load):
+    """Of a pixel, in the point that its chief ray has in focus, where the sensor is tilted too."""
+    scene = load(more=f'{LENS} <string name="tilt" value="20, 30"/>')
+    (sensor,), camera = scene.mitsuba.sensors(), scene.camera
+    pixel = np.repeat([[5.0, 9.0], [90.0, 9.0], [20.0, 60.0]], 3, axis=0)
+    place = mi.Point2f(((pixel + 0.5) / camera.size).T)  # Mitsuba's, of the whole film
+    aperture = mi.Point2f(np.tile([[0.5, 0.5], [0.1, 0.8], [0.9, 0.3]], (3, 1)).T)
+    ray, _ = sensor.sample_ray(0.0, 0.5, place, aperture)
+    origin, ahead = (np.array(each, float).T for each in (ray.o, ray.d))
+    depth = 1.0 / camera.lens.in_focus(*camera.of_pixels(pixel))
+    start, slope = camera.pose.to_local(origin)[:, 2], (ahead @ camera.pose.rotation)[:, 2]
+    met = origin + ahead * ((depth - start) / slope)[:, None]
+    np.testing.assert_allclose(camera.project(met), pixel, atol=0.01)
