@@ -95,7 +95,9 @@ def test_saturated_pixels_stay_saturated():
 
 def test_options_of_a_command_make_it_and_motion():
     """A frame of a moving part is exposed as long as it moves; without a time it is refused."""
-    scene = vs.load_scene("hot_cylinder", field="", f_number=8, emissivity=0.8, **SMALL)
+    scene = vs.load_scene(
+        "hot_cylinder", field="", f_number=8, sub_pupils=1, emissivity=0.8, **SMALL
+    )
     options = RecordingOptions(
         exposure="200us", velocity="0,0,300", difference=True, sensor_model="cmos_5um5"
     )

@@ -169,6 +169,14 @@ def test_the_fixed_pattern_is_the_cameras_own(kind):
         assert abs(kurtosis) < 0.3  # 4 sigmas; a uniform one has -1.2
 
 
+def test_noise_and_fixed_pattern_of_the_same_seed_are_independent():
+    """Their variances add up, as that of EMVA 1288 in space and time; numbers shared would not."""
+    sensor = ImageSensor(quantum_efficiency=1.0, dark_noise_e=30.0, dsnu_e=40.0, prnu=0.03)
+    grey = grey_values(np.full((300, 300), 1000.0), sensor, sensor.pattern_seed).astype(float)
+    expected_e = 30.0**2 + 40.0**2 + (0.03 * 1000.0) ** 2 + 1000.0
+    assert grey.var() / sensor.gain**2 == pytest.approx(expected_e, rel=0.03)
+
+
 def test_a_bright_pixel_is_clipped_and_the_detectors_are_told_where():
     """By the well or by the converter, whichever comes first."""
     light = np.full((20, 20), 1e9)

@@ -14,6 +14,7 @@ from several import text_of
 import virtual_sensor as vs
 from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.fringe_recording import FringeRecording
 from virtual_sensor.imaging.recording import aperture_of, blur_px_of, surface_of
 from virtual_sensor.imaging.recording_options import RecordingOptions
 from virtual_sensor.imaging.render import light_of_sources
@@ -224,6 +225,22 @@ def test_fringes_decode_with_what_their_recording_says():
     assert expected.ok.any()
     with pytest.raises(InputError, match=r"ideal\.projector_pixel"):
         _ = shot.truth
+
+
+def test_fringes_are_exposed_by_electrons_in_steps_of_any_bits(scene):
+    """From black to white, and below black; by a converter that is full before the well too."""
+    usual, coarse = vs.ImageSensor(), FringeRecording(electrons=8000.0, bits=8).of(scene)
+    assert coarse.white == 255
+    assert coarse.saturation_e == pytest.approx(usual.saturation_e)
+    assert coarse.black_level / coarse.gain == pytest.approx(usual.black_level / usual.gain)
+    clipped = vs.ImageSensor(gain=1.0, bit_depth=8)  # by the converter, far below the well
+    camera = replace(scene.camera, sensor=clipped)
+    seen = replace(scene, cameras={scene.camera_name: camera})
+    options, even = FringeRecording(electrons=150.0), np.full((1, 160, 160), 2e-5)
+    assert options.electrons_of(seen, 2e-5) == pytest.approx(150.0)
+    cold, hot, again = (options.shot(seen, even, name).grey for name in ("cold", "hot", "hot"))
+    np.testing.assert_array_equal(hot, again)
+    assert np.any(cold != hot)  # each sequence has noise of its own
 
 
 def test_the_truth_of_a_column_is_that_of_a_search_and_of_its_light(scene, frame):

@@ -44,7 +44,7 @@ def test_a_line_out_of_focus_is_wider_by_the_thin_lenss_circle_of_confusion():
     sharp = vs.render_frame(scene, spp=256)
     centre, variance = moments(sharp.radiance)
     seen = sharp.point_mm[round(centre[32]), 32]
-    for focus_mm in (285.0, 292.0, 300.0, 305.0, 315.0):
+    for focus_mm in (285.0, 300.0, 315.0):
         blurs = lens(8.0, focus_mm)
         blurred, wider = moments(vs.render(through(scene, blurs)))
         more = (wider - variance)[20:44].mean()
@@ -58,18 +58,19 @@ def test_a_line_out_of_focus_is_wider_by_the_thin_lenss_circle_of_confusion():
 
 
 def test_as_much_light_arrives_and_a_frame_is_the_same_to_the_bit():
-    scene = through(part("hot_cylinder"), lens(4.0, 305.0))
+    bare = part("hot_cylinder")
+    scene = through(bare, lens(4.0, 305.0), points=6)
     first = vs.render_frame(scene)
     assert first.report.samples > 0
     assert first.report.marched_samples == 0
     MAPS.clear()
     np.testing.assert_array_equal(render_uncached(scene), first.radiance)
     np.testing.assert_array_equal(vs.render(scene), first.radiance)
-    bare = vs.render(part("hot_cylinder"))
-    assert first.radiance[:, 20:44].sum() == pytest.approx(bare[:, 20:44].sum(), rel=2e-3)
-    middle = vs.render(through(part("hot_cylinder"), lens(4.0, 305.0), points=1))
-    np.testing.assert_array_equal(middle, bare)  # one point is the middle of the pupil
-    np.testing.assert_array_equal(first.lit, vs.render_frame(part("hot_cylinder")).lit)
+    sharp = vs.render_frame(bare)
+    assert first.radiance[:, 20:44].sum() == pytest.approx(sharp.radiance[:, 20:44].sum(), rel=2e-3)
+    middle = vs.render(through(bare, lens(4.0, 305.0), points=1))
+    np.testing.assert_array_equal(middle, sharp.radiance)  # one point is the middle of the pupil
+    np.testing.assert_array_equal(first.lit, sharp.lit)
 
 
 def test_marched_and_tabulated_frames_agree():
@@ -83,7 +84,7 @@ def test_on_mitsubas_film_are_the_same_pixels():
     """With glow, whose light is seen in all pixels, and without."""
     glowing = {"emissivity": 0.8, "temperature": 1250.0}
     for parameters in ({}, glowing):
-        scene = through(part("hot_cylinder", **parameters), lens(4.0, 305.0), points=5)
+        scene = through(part("hot_cylinder", **parameters), lens(4.0, 305.0), points=3)
         prepared = Prepared.of(arrangement(scene))
         images = [prepared.exposed(4, 0, on_film=on)[0].images()[0] for on in (False, True)]
         np.testing.assert_allclose(*images, rtol=1e-5, atol=1e-9)
@@ -92,17 +93,17 @@ def test_on_mitsubas_film_are_the_same_pixels():
 
 def test_a_glowing_edge_is_blurred_by_the_disc():
     """The derivative of an edge has the disc's variance, D^2/16; lamps' light is seen so too."""
-    cold = {"transport": "straight", "fov": FOV * 32, "width": 96, "height": 33}
+    cold = {"transport": "straight", "fov": FOV * 32, "width": 96, "height": 9}
     scene = part("hot_cylinder", emissivity=0.8, temperature=1250.0, line_length=1.0, **cold)
     blurs = lens(2.0, 270.0)
     along = np.arange(39) + 0.5
 
     def edge(scene):
-        spread = np.diff(vs.render(scene, spp=64)[16, :40].astype(float))
+        spread = np.diff(vs.render(scene, spp=16)[4, :40].astype(float))
         centre = (spread * along).sum() / spread.sum()
         return centre, (spread * (along - centre) ** 2).sum() / spread.sum(), spread.sum()
 
-    sharp, blurred = edge(scene), edge(through(scene, blurs, points=64))
+    sharp, blurred = edge(scene), edge(through(scene, blurs, points=16))
     # The middle row looks at x = -z tan 30 degrees, and its silhouette lies where sight is tangent.
     z = -13.5 + 13.5**2 / (300.0 * np.cos(np.radians(30.0)) + 13.5)
     silhouette = np.array([[-z * np.tan(np.radians(-30.0)), 13.5, z]])
@@ -128,7 +129,7 @@ def test_fringes_lose_the_contrast_that_a_disc_takes():
     u = vs.render_sequence(scene, steps[:1]).projector_pixel[14:18, 14:18, 0]
     by_v, by_u = (np.mean(each) for each in np.gradient(u))
     x = np.pi * np.hypot(by_u * at[0], by_v * at[1]) / period
-    left = amplitude(through(scene, blurs, points=64)) / amplitude(scene)
+    left = amplitude(through(scene, blurs, points=16)) / amplitude(scene)
     assert left == pytest.approx(2.0 * j1(x) / x, abs=0.01)
     assert 0.1 < left < 0.9
 
@@ -171,8 +172,8 @@ def test_a_pupil_of_too_few_points_for_its_blur_is_told():
     assert (
         np.sum((lit[1:-1] > lit[:-2]) & (lit[1:-1] > lit[2:]) & (lit[1:-1] > 0.1 * lit.max())) == 2
     )
-    many = vs.render_frame(through(scene, blurs, points=64)).report
-    assert many.pupil_points == 64
+    many = vs.render_frame(through(scene, blurs, points=36)).report
+    assert many.pupil_points == 36
     assert frame_notes(many) == []
     assert np.isnan(vs.render_frame(scene).report.pupil_gap_px)
 
@@ -200,7 +201,7 @@ def test_through_a_tilted_lens_that_distorts_the_line_is_where_the_search_has_it
     camera = replace(scene.camera, lens=lens(8.0, 301.0), pixel_um=5.5, distortion=np.array(bends))
     camera = with_tilt(camera, (8.2, 3.0))
     seen = replace(scene, cameras={"camera": camera})
-    row, spread = vs.pupil_search(seen, np.linspace(-0.6, 0.6, 9)).rows_at(np.arange(64))
+    row, spread = vs.pupil_search(seen, np.linspace(-0.6, 0.6, 5)).rows_at(np.arange(64))
     known = np.isfinite(row)
     assert known.sum() > 20
     centre, _ = moments(vs.render(seen))
