@@ -115,7 +115,7 @@ def test_of_many_places_none_is_left_out():
     frame = vs.render_exposure(scene, 1e-3, velocity, instants=16)
     assert frame.traces > 3
     assert np.all(np.diff(frame.truth.index.astype(int)) > 0)
-    times = 1e-3 * ((np.arange(24) + 0.5) / 24 - 0.5)
+    times = 1e-3 * ((np.arange(12) + 0.5) / 12 - 0.5)
     expected = np.mean([vs.render(after(scene, velocity, at)) for at in times], axis=0)
     assert_allclose(frame.radiance, expected, atol=0.01 * expected.max())
 

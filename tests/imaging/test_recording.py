@@ -413,6 +413,7 @@ def test_a_folder_holds_the_frame_its_ideal_one_the_truth_and_what_made_them(
         image = vs.read_image(folder / f"frame.{images}")
         np.testing.assert_array_equal(image.pixels, shot.grey)
         assert image.detector_options == pytest.approx(shot.detector_options)
+        assert image.metadata["drawn"] == shot.drawn
         assert vs.line_centres(image) == vs.line_centres(shot)
     np.testing.assert_array_equal(vs.read_image(folder / "ideal.exr").pixels, frame.radiance)
     rows = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
@@ -468,13 +469,18 @@ def test_lines_of_several_lasers_have_a_truth_each(tmp_path):
     path = tmp_path / "two.xml"
     path.write_text(text_of("hot_cylinder", [("eye", 0, 1)], [("one", 0, 0), ("two", 5, 6)]))
     scene = vs.load_scene(path, width=128, height=128, spp=1)
-    shot = vs.record(scene, vs.render_frame(scene))
+    frame = vs.render_frame(scene)
+    shot = vs.record(scene, frame)
     with pytest.raises(InputError, match="one, two"):
         _ = shot.truth
     rows = [shot.line_truth(name).row_px.mean() for name in ("one", "two")]
     assert abs(rows[0] - rows[1]) > 2.0
     names = {each.name for each in shot.write(tmp_path / "out").iterdir()}
     assert {"truth_0_one.csv", "truth_1_two.csv"} < names
+    # Their speckle is that of the more coherent one.
+    modes = zip(scene.sources.items(), (2.0, 5.0), strict=True)
+    lit = {n: replace(each, coherence=Coherence(modes=many)) for (n, each), many in modes}
+    assert aperture_of(replace(with_lens(scene), sources=lit), frame, QUIET, True).patterns == 2.0
 
 
 def test_two_cameras_have_noise_pattern_and_speckle_of_their_own_by_one_seed(tmp_path):
