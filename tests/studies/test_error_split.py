@@ -21,6 +21,7 @@ from virtual_sensor.studies.error_split import (
     split_summary,
 )
 from virtual_sensor.studies.measure import measure, searched_line
+from virtual_sensor.studies.notes import unsplit
 
 FILM = {"width": 256, "height": 256, "spp": 4, "line_radius": 0.4}
 TEMPORAL = ImageSensor(prnu=0.0, dsnu_e=0.0, dark_noise_e=20.0)
@@ -131,6 +132,15 @@ def test_a_column_that_sees_the_line_twice_is_split_by_the_nearer_row():
     line = TrueLine.of_rows([[10.0, 10.0, np.nan], [20.0, np.nan, np.nan]])
     np.testing.assert_array_equal(nearest_rows(line, np.array([19.0, 30.0, 5.0])), [20, 10, np.nan])
     np.testing.assert_array_equal(nearest_rows(line, np.full(3, np.nan)), [10, 10, np.nan])
+
+
+def test_that_no_point_is_split_is_told(hot):
+    """Rationale: a sweep has nothing to say of noise then, and would not say why."""
+    assert unsplit(hot.split) == []
+    parts = dict.fromkeys(hot.split.parts_um, np.full(hot.split.error_um.size, np.nan))
+    assert "too narrow" in unsplit(replace(hot.split, parts_um=parts))[0]
+    lost = replace(hot.split, parts_um=parts, error_um=np.full(hot.split.error_um.size, np.nan))
+    assert unsplit(lost) == []  # there is no centre, which is said elsewhere
 
 
 def test_dots_are_split_too(hot):

@@ -350,6 +350,15 @@ def test_notes_say_when_the_figures_are_worth_little():
     assert centre_notes(None, dots, None, (0.0, 0.0)) == {"1 of 3 dots were found": True}
 
 
+def test_what_is_true_of_cold_and_hot_is_noted_once(monkeypatch):
+    """Rationale: of two long notes that say the same nobody sees where they differ."""
+    words = iter([["of both", "of the cold"], ["of both"]])
+    monkeypatch.setattr("virtual_sensor.studies.measure.frame_notes", lambda report: next(words))
+    notes = measure(load_scene("hot_cylinder", width=64, height=64, spp=1, line_radius=1)).notes
+    assert {"of both", "cold: of the cold"} <= set(notes)
+    assert not {"cold: of both", "hot: of both"} & set(notes)
+
+
 def test_the_summary_says_what_was_really_used():
     """Rationale: of 7 samples asked for 9 were taken, and the summary still said 7."""
     film = {"width": 128, "height": 128, "line_radius": 1, "spp": 9, "step": 4}

@@ -680,7 +680,7 @@ def _doubts(shot: RecordedFrame, automatic: bool) -> list[str]:
             else "expose for a shorter time, or leave it to auto"
         )
         notes.append(f"{which} lit columns are saturated: their line has no centre; {shorter}")
-    brightest = float(shot.grey[lit].max()) - shot.sensor.black_level
+    brightest = max(float(shot.grey[lit].max()) - shot.sensor.black_level, 0.0)
     if brightest < 6.0 * shot.sensor.grey_noise:
         longer = (
             f"give automatic exposure a higher peak, or a sensor that holds more than"

@@ -90,10 +90,7 @@ def _rows(splits: Splits) -> list[dict[str, Any]]:
 def split_words(splits: Splits) -> list[str]:
     """Sentences on which part is the largest, cold and hot."""
     said = []
-    for state, split in splits.items():
-        if not split.largest:
-            said.append(f"In {state} air there is no point all parts of whose error are known.")
-            continue
+    for state, split in known_splits(splits).items():
         sizes = {name: part.rms_um for name, part in split.parts.items()}
         ordered = sorted(sizes, key=lambda name: -sizes[name])
         parts = listed([f"{name} {_short(sizes[name])}" for name in ordered])

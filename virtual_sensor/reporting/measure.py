@@ -230,11 +230,10 @@ def _table_page(result: Measurement, figures: Summary, command: str) -> str:
 
 def on_console(figures: Summary) -> list[TextTable | str]:
     """What the command prints: how wrong the section is, why, and whether the check holds."""
-    splits = _splits(figures)
+    splits = known_splits(_splits(figures))
     said: list[TextTable | str] = [section_table(figures), *why(figures)]
     if splits:
-        known = known_splits(splits)
-        said += [*([split_on_console(known)] if known else []), *split_words(splits)]
+        said += [split_on_console(splits), *split_words(splits)]
     return [*said, check_table(figures)]
 
 
@@ -323,20 +322,22 @@ def page(
         ),
         Section("What the camera sees", beside(panels, "frame", "air")),
     ]
-    if splits := _splits(figures):
-        known = known_splits(splits)
-        shown: tuple[Any, ...] = (
-            beside(panels, "split"),
-            split_table(known),
-            part_table(known),
-            "Stage by stage, from straight light to grey values, the line's place moves. What a"
-            " stage adds is the distance of the point measured there from the true section,"
-            " minus the one before it: the parts of each point add up to its error, those of"
-            " all points are split_*.csv. Squares of parts that have nothing to do with each"
-            " other add up to that of the whole.",
+    if splits := known_splits(_splits(figures)):
+        sections.insert(
+            1,
+            Section(
+                "What the error is made of",
+                *split_words(splits),
+                beside(panels, "split"),
+                split_table(splits),
+                part_table(splits),
+                "Stage by stage, from straight light to grey values, the line's place moves. What a"
+                " stage adds is the distance of the point measured there from the true section,"
+                " minus the one before it: the parts of each point add up to its error, those of"
+                " all points are split_*.csv. Squares of parts that have nothing to do with each"
+                " other add up to that of the whole.",
+            ),
         )
-        what = Section("What the error is made of", *split_words(splits), *(shown if known else ()))
-        sections.insert(1, what)
     if result.hot:
         sections.append(
             Section(

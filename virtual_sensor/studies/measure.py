@@ -65,6 +65,7 @@ from virtual_sensor.studies.notes import (
     coarse_grid,
     frame_notes,
     unlit_rays,
+    unsplit,
     upright_line,
 )
 from virtual_sensor.studies.probes import dense_rays, probe_rays
@@ -314,6 +315,7 @@ def measure(
     hot = state("hot", scene, share, 1.0) if scene.field else None
     beside = beside_solid(scene, cold.dense.laser_point_mm)
     notes, caveats = [*notes, *beside], [*caveats, *beside]
+    of_states: dict[str, list[str]] = {}
     for name, each in (("cold", cold), ("hot", hot)):
         if each:
             words = [] if each.dots else upright_line(each.dense, each.scene.camera_element)
@@ -321,8 +323,13 @@ def measure(
             beside_truth = each.line, each.compared, each.by_frame, each.gap_y_mm
             speckled = each.shot is not None and each.shot.speckled is not None
             judged = centre_notes(*beside_truth, speckled)
-            notes += [f"{name}: {word}" for word in [*words, *judged]]
+            words += unsplit(each.split) if each.split else []
+            for word in [*words, *judged]:
+                of_states.setdefault(word, []).append(name)
             caveats += [f"{name}: {word}" for word, poor in judged.items() if poor]
+    for word, names in of_states.items():
+        own = [f"{name}: {word}" for name in names]
+        notes += own if len(own) == 1 or set(own) & set(caveats) else [word]
     seconds = time.perf_counter() - started
     return Measurement(cold, hot, probe_y, dense_y, tuple(notes), tuple(caveats), seconds)
 

@@ -24,6 +24,7 @@ from virtual_sensor.metrology.truth import (
 )
 from virtual_sensor.optics.ray_search import FoundPixels, ray_search
 from virtual_sensor.records import counts_in_words, counts_of
+from virtual_sensor.studies.error_split import ErrorSplit
 from virtual_sensor.studies.field_grid import COARSE_PX, furthest, pixel_loss
 from virtual_sensor.studies.probes import probe_rays
 
@@ -201,6 +202,17 @@ def frame_notes(report: RenderReport) -> list[str]:
             " several; give more (sub_pupils)"
         )
     return notes
+
+
+def unsplit(split: ErrorSplit) -> list[str]:
+    """Note of a recorded line of none of whose points it is known what the error is made of."""
+    if split.known.any() or not np.isfinite(split.error_um).any():
+        return []
+    return [
+        "what the error is made of is not known of any point: where the recorded frame has a"
+        " centre, the ideal frame or the search has none, as of a line that is too narrow"
+        " (line_radius, width, height)"
+    ]
 
 
 def centre_notes(
