@@ -41,7 +41,7 @@ def split_table(splits: Splits) -> TextTable:
     for state in splits:
         columns += [
             Column(f"{state}_rms_um", f"{state}: rms, µm", _short, "none"),
-            Column(f"{state}_mean_um", "mean, µm", "{:+.2f}", "none"),
+            Column(f"{state}_mean_um", "mean, µm", _signed, "none"),
             Column(f"{state}_rms_px", "rms, px", "{:.4f}", "none"),
         ]
     caption = "What the error of the measured section is made of"
@@ -101,6 +101,12 @@ def split_words(splits: Splits) -> list[str]:
             + others * bool(split.others)
         )
     return said
+
+
+def _signed(mean_um: float) -> str:
+    """A mean with its sign, which rounding to 0 takes away."""
+    text = f"{mean_um:+.2f}"
+    return text if float(text) else text[1:]
 
 
 def _short(size_um: float) -> str:
