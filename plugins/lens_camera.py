@@ -18,12 +18,12 @@ from virtual_sensor_plugins.properties import (
 )
 from virtual_sensor_plugins.views import OURS_FROM_MITSUBAS, View, camera_of
 
-from virtual_sensor.devices.camera import MM_PER_UM, SUB_PUPILS, LensCamera, tilt_of, with_tilt
+from virtual_sensor.devices.camera import MM_PER_UM, LensCamera, tilt_of, with_tilt
 from virtual_sensor.devices.exposure_time import exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, image_sensor, image_sensors
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
-from virtual_sensor.optics.lens import Lens
+from virtual_sensor.optics.lens import USUAL_SUB_PUPILS, Lens
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.undistortion import check_unfolded
 from virtual_sensor.poses import Pose
@@ -180,7 +180,7 @@ def _built(
             f" {pixel_um:g} um makes it {focal_px * pixel_um * MM_PER_UM:.6g} mm; give one of them"
         )
     points = optional(props, "sub_pupils", "a whole number")
-    points = SUB_PUPILS if points is None else int(points) if points % 1.0 == 0.0 else points
+    points = USUAL_SUB_PUPILS if points is None else int(points) if points % 1.0 == 0.0 else points
     lets = optional_positive(props, "transmission", "a part, above 0 and up to 1") or 1.0
     tilt = str(props.get("tilt", "")).strip()
     f_number = optional(props, "f_number", "an f-number, such as 8; 0 or empty for a pinhole")

@@ -23,6 +23,7 @@ from virtual_sensor_plugins.views import StraightSight, View
 from virtual_sensor_plugins.whole_film import WholeFilm
 
 from virtual_sensor.arrays import in_own_memory
+from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
@@ -103,10 +104,12 @@ class Arrangement:
     @cached_property
     def pupil(self) -> tuple[PupilPoint, ...]:
         """The points of the camera's lens that a frame is rendered through; none of a pinhole."""
-        lens, count = getattr(self.camera, "lens", None), getattr(self.camera, "sub_pupils", 1)
-        if self.camera is None or lens is None or not lens.pupil_radius_mm or count == 1:
+        camera = self.camera
+        if not isinstance(camera, LensCamera) or not camera.blurs:
             return ()
-        return tuple(PupilPoint.of(self.camera, lens, at) for at in lens.pupil(count))
+        assert camera.lens is not None
+        places = camera.lens.pupil(camera.sub_pupils)
+        return tuple(PupilPoint.of(camera, camera.lens, at) for at in places)
 
     @cached_property
     def surface(self) -> SceneSurface:

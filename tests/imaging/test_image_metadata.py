@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 import virtual_sensor as vs
-from virtual_sensor.imaging.image_metadata import KEY, sidecar_of, write_sidecar
+from virtual_sensor.imaging.image_metadata import KEY
 from virtual_sensor.records import write_layers
 from virtual_sensor.studies.detect import Settings, detect
 
@@ -58,6 +58,10 @@ def test_without_a_sensor_the_bits_are_said(tmp_path):
     assert vs.read_image(vs.save_tiff(LIGHT, tmp_path / "a.tif", 10)).largest == 1023.0
 
 
+def write_beside(path, metadata):
+    path.with_name(f"{path.name}.json").write_text(json.dumps(metadata))
+
+
 def test_a_header_and_a_file_beside_say_it_too(tmp_path):
     """Of OpenEXR and of any camera's files; what is said beside goes first."""
     _, grey = grey_of(12)
@@ -65,11 +69,11 @@ def test_a_header_and_a_file_beside_say_it_too(tmp_path):
     write_layers(exr, {"Y": grey.astype(float)}, {KEY: json.dumps(KNOWN)})
     assert vs.read_image(exr).detector_options == pytest.approx(KNOWN)
     cv2.imwrite(str(bmp), (grey >> 4).astype(np.uint8))
-    assert write_sidecar(bmp, {"noise": 0.8, "gain": 0.02}) == tmp_path / "a.bmp.json"
+    write_beside(bmp, {"noise": 0.8, "gain": 0.02})
     assert vs.read_image(bmp).detector_options == {"noise": 0.8, "gain": 0.02}
-    write_sidecar(exr, {"noise": 0.5})
+    write_beside(exr, {"noise": 0.5})
     assert vs.read_image(exr).detector_options == pytest.approx(KNOWN | {"noise": 0.5})
-    sidecar_of(bmp).write_text("noise = 0.8")
+    (tmp_path / "a.bmp.json").write_text("noise = 0.8")
     with pytest.raises(vs.InputError, match=r"a\.bmp\.json: is no JSON object, such as"):
         vs.read_image(bmp)
 
@@ -88,7 +92,7 @@ def test_what_can_not_be_is_noted_and_not_used(tmp_path):
     changed = vs.read_image(tmp_path / "b.tif")
     assert not changed.detector_options
     assert "was it changed since? They are not used" in " ".join(changed.notes)
-    write_sidecar(path, {"noise": -1.0, "gain": "much", "black": None})
+    write_beside(path, {"noise": -1.0, "gain": "much", "black": None})
     odd = vs.read_image(path)
     assert odd.detector_options.keys() == {"saturation"}
     assert "its noise is -1.0, which can't be: not used" in " ".join(odd.notes)
@@ -106,7 +110,7 @@ def test_detection_heeds_what_the_file_says(tmp_path):
     told = vs.line_centres(grey, "max_likelihood", sensor=SENSOR)
     assert vs.line_centres(image, "max_likelihood") == told
     assert {*np.unique(told.status)} == {vs.Status.OK, vs.Status.SATURATED}
-    write_sidecar(path, {"seed": 1})
+    write_beside(path, {"seed": 1})
     [found] = detect([path], Settings("max_likelihood"))
     assert found.line == told
     assert any("noise 3.781 and gain 0.29, which are used" in remark for remark in found.remarks)

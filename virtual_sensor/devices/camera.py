@@ -17,13 +17,10 @@ from virtual_sensor.arrays import LARGEST, SMALLEST, number_within, vector_of, w
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.lens import MOST_POINTS, Lens
+from virtual_sensor.optics.lens import MOST_POINTS, USUAL_SUB_PUPILS, Lens
 from virtual_sensor.optics.ray_families import Pinhole
 
 Array = NDArray[np.float64]
-
-SUB_PUPILS = 16
-"""Points of the pupil that a frame is rendered through, unless others are asked for."""
 
 MM_PER_UM = 1e-3
 
@@ -57,7 +54,7 @@ class LensCamera(Pinhole):
     """
 
     lens: Lens | None = None
-    sub_pupils: int = SUB_PUPILS
+    sub_pupils: int = USUAL_SUB_PUPILS
     pixel_um: float | None = None
     sensor: ImageSensor | None = None
     exposure_s: float | None = None
@@ -82,6 +79,16 @@ class LensCamera(Pinhole):
     def chief(self) -> Pinhole:
         """Its chief rays alone."""
         return Pinhole(*(getattr(self, name) for name in _CHIEF))
+
+    @property
+    def lens_with_pupil(self) -> Lens | None:
+        """Its lens if that has an aperture; None of a pinhole."""
+        return self.lens if self.lens and self.lens.pupil_radius_mm else None
+
+    @property
+    def blurs(self) -> bool:
+        """Whether frames are rendered through more of a pupil than its middle."""
+        return self.lens_with_pupil is not None and self.sub_pupils > 1
 
     @property
     def image_distance_mm(self) -> float | None:

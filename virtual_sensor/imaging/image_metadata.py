@@ -23,7 +23,7 @@ from typing import Any
 from virtual_sensor.arrays import number_within, whole_number
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.files import exists, readable
-from virtual_sensor.records import plain, write_json
+from virtual_sensor.records import plain
 
 KEY = "virtual_sensor"
 BITS = "bits"
@@ -67,13 +67,6 @@ def described(text: Any) -> dict[str, Any] | None:
 def sidecar_of(path: Path) -> Path:
     """File beside an image that describes it."""
     return path.with_name(f"{path.name}.json")
-
-
-def write_sidecar(path: Path, metadata: Mapping[str, Any]) -> Path:
-    """Write what is to be known of an image, whatever its kind, beside it."""
-    text_of(metadata)
-    write_json(sidecar_of(path), dict(metadata))
-    return sidecar_of(path)
 
 
 def read_sidecar(path: Path) -> dict[str, Any] | None:

@@ -40,7 +40,7 @@ from virtual_sensor.imaging.render import Frame, arrangement, light_of_sources
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import PatternFrames
 from virtual_sensor.imaging.speckle import Aperture, speckled
-from virtual_sensor.optics.lens import Lens, circle_of_confusion
+from virtual_sensor.optics.lens import circle_of_confusion
 from virtual_sensor.optics.sight import scene_of
 from virtual_sensor.seeds import LARGEST_SEED, part_seed
 
@@ -332,7 +332,7 @@ def record(
         light = shown = _speckled(scene, ideal, aperture, drawn["surface"])
     taken_s = ideal.exposure_s if isinstance(ideal, ExposedFrame) else None
     if exposure_s is None and taken_s is not None:
-        exposure_s = AUTO if lens_of(scene) is None else taken_s
+        exposure_s = AUTO if scene.camera.lens_with_pupil is None else taken_s
     said = scene.camera.exposure_s if exposure_s is None else exposure_s
     automatic = exposure_time_s("record: exposure_s", said) is None
     factor, time_s, notes = exposure_of(scene, chosen, light, said, peak)
@@ -470,12 +470,6 @@ def _with_f_number(scene: Scene) -> str:
     return 'give <float name="f_number" value="8"/> in a <sensor type="lens_camera">'
 
 
-def lens_of(scene: Scene) -> Lens | None:
-    """The lens of the scene's camera; None of a pinhole."""
-    lens: Lens | None = scene.camera.lens
-    return lens if lens is not None and lens.pupil_radius_mm > 0.0 else None
-
-
 def aperture_of(
     scene: Scene, ideal: Ideal, sensor: ImageSensor, speckle: bool | Aperture
 ) -> Aperture:
@@ -492,7 +486,7 @@ def aperture_of(
     if isinstance(speckle, Aperture):
         return speckle
     truth_of("record: speckle", speckle)
-    lens = lens_of(scene)
+    lens = scene.camera.lens_with_pupil
     if lens is None:
         raise InputError(
             f"{scene.path}: {scene.camera_element}: a pinhole has no aperture, and speckle needs"
@@ -607,8 +601,8 @@ def blur_px_of(scene: Scene, ideal: Ideal) -> NDArray[np.float64]:
     """Radius (H, W) of the circle of confusion with which a frame was rendered; 0 in the dark."""
     width, height = scene.camera.size
     blur = np.zeros(height * width)
-    lens = lens_of(scene)
-    if lens is not None and scene.camera.sub_pupils > 1 and isinstance(ideal, Frame):
+    lens = scene.camera.lens_with_pupil
+    if lens and scene.camera.blurs and isinstance(ideal, Frame):
         wide = circle_of_confusion(lens, scene.camera, ideal.truth.point_mm).mean(axis=1)
         blur[ideal.truth.index] = np.nan_to_num(wide) / 2.0
     return blur.reshape(height, width)
@@ -624,7 +618,7 @@ def exposure_of(
     """Electrons for 1 W/(mm^2 sr), the exposure time if there is one, and notes."""
     given = scene.camera.exposure_s if exposure_s is None else exposure_s
     time_s = exposure_time_s("record: exposure_s", given)
-    lens = lens_of(scene)
+    lens = scene.camera.lens_with_pupil
     per_second = None
     if lens is not None:
         falls = image_irradiance(1.0, lens.working_f_number, scene.camera.transmission)

@@ -951,13 +951,13 @@ def _check_clearance(where: str, loaded: Any, place_mm: Array) -> None:
 
 def _check_pupil(where: str, loaded: Any, camera: LensCamera) -> None:
     """Refuse a lens whose pupil a shape reaches into."""
-    if camera.lens is None or not camera.lens.pupil_radius_mm:
+    if (lens := camera.lens_with_pupil) is None:
         return
     angle = np.linspace(0.0, 2.0 * np.pi, _ROUND_PUPIL, endpoint=False)
     beside = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_ROUND_PUPIL)])
     unit = beside @ camera.pose.rotation.T
     start = np.broadcast_to(camera.pose.origin_mm, unit.shape)
-    radius_mm = camera.lens.pupil_radius_mm
+    radius_mm = lens.pupil_radius_mm
     met = SceneSurface(loaded).distance(to_vectors(start), to_vectors(unit), radius_mm, True)
     if np.isfinite(np.array(met)).any():
         raise InputError(

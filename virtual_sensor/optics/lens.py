@@ -38,6 +38,9 @@ Array = NDArray[np.float64]
 MOST_POINTS = 4096
 """Of a pupil."""
 
+USUAL_SUB_PUPILS = 16
+"""Points of the pupil that a frame is rendered through, unless others are asked for."""
+
 F_NUMBERS = 0.5, 1e4
 """Of lenses; none in air is faster, since the sine of its cone's half angle is 1/(2 N)."""
 

@@ -19,7 +19,13 @@ from virtual_sensor.arrays import numbers_of, one_of, points_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.display import Displayed, listed, tally
 from virtual_sensor.errors import InputError, naming, short
-from virtual_sensor.optics.lens import MOST_POINTS, Lens, PupilPoint, circle_of_confusion
+from virtual_sensor.optics.lens import (
+    MOST_POINTS,
+    USUAL_SUB_PUPILS,
+    Lens,
+    PupilPoint,
+    circle_of_confusion,
+)
 from virtual_sensor.optics.ray_families import Pinhole
 from virtual_sensor.optics.ray_search import March, SearchStatus, ray_search
 from virtual_sensor.optics.rays import Field
@@ -187,7 +193,7 @@ def pupil_search(
             " focus_distance, or give a Lens (lens=)"
         )
     if points is None:
-        points = getattr(chief, "sub_pupils", 16)
+        points = getattr(chief, "sub_pupils", USUAL_SUB_PUPILS)
     at = lens.pupil(whole_number("pupil_search: points", points, 1, MOST_POINTS))
     found = []
     for number, place in enumerate(at):

@@ -296,7 +296,7 @@ def _with_samples(
 
     Through a lens, the fewest sub-pupils.
     """
-    sub_pupils, spp = _MANY_SUB_PUPILS if has_lens(scene) else (0, _MANY_SAMPLES)
+    sub_pupils, spp = _MANY_SUB_PUPILS if scene.camera.blurs else (0, _MANY_SAMPLES)
     spp *= sub_pupils or 1
     best = TrueLine.of_rows(line_of(through(scene, sub_pupils), column, spp).row)
     if not best.columns().size:
@@ -317,15 +317,9 @@ def _with_samples(
 
 def _tried(scene: Scene) -> list[tuple[int, int]]:
     """Sub-pupils, 0 of a pinhole, and samples per pixel, the fewest first."""
-    if has_lens(scene):
+    if scene.camera.blurs:
         return [(number, number * each) for number, each in SUB_PUPILS]
     return [(0, spp) for spp in SAMPLES]
-
-
-def has_lens(scene: Scene) -> bool:
-    """Whether the scene's camera sees through a pupil that blurs."""
-    camera = scene.camera
-    return bool(camera.lens and camera.lens.pupil_radius_mm and camera.sub_pupils > 1)
 
 
 def through(scene: Scene, sub_pupils: int) -> Scene:
