@@ -179,7 +179,10 @@ def check_output(path: Path, overwrite: bool, folder: bool = False) -> None:
         settle(final.parent, final.name)
         if path.exists():
             if not overwrite:
-                raise InputError(f"{path}: exists; name another with -o, or say --overwrite")
+                raise InputError(
+                    f"{path}: exists; name another with -o, or say --overwrite (in Python"
+                    " overwrite=True)"
+                )
             if not (path.is_dir() if folder else path.is_file()):
                 raise InputError(f"{path}: is not a {'folder' if folder else 'file'}; name another")
             if folder and any(path.iterdir()) and not (path / RESULTS_SIGN).exists():

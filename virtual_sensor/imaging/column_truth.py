@@ -36,7 +36,7 @@ class ColumnTruth(Table):
         Standard deviation of the lens's blur along the column, out of focus; 0 of a pinhole.
     electrons : ndarray of shape (N,)
         Mean electrons of the line's light in the column, where lamps and glow are known without
-        theirs.
+        theirs; light of other lasers that falls there is in it.
     visibility : ndarray of shape (N,)
         Which part of a Gaussian profile the camera sees there: less than 1 at edges.
     """

@@ -308,9 +308,9 @@ def record(
     Raises
     ------
     InputError
-        If the frame is of another size than the camera's image, or holds what is negative or no
-        number; a time is given without a lens, or speckle asked for without one; or one of the
-        others can't be used.
+        If the frame is of another size than the camera's image, was seen from another pose, or
+        holds what is negative or no number; a time is given without a lens, or speckle asked for
+        without one; or one of the others can't be used.
 
     Notes
     -----
