@@ -195,10 +195,10 @@ if TYPE_CHECKING:
     from virtual_sensor.imaging.exposures import ExposedFrame as ExposedFrame
     from virtual_sensor.imaging.exposures import render_exposure as render_exposure
     from virtual_sensor.imaging.grey_values import grey_values as grey_values
+    from virtual_sensor.imaging.image_blur import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.image_files import read_image as read_image
     from virtual_sensor.imaging.image_files import save_png as save_png
     from virtual_sensor.imaging.image_files import save_tiff as save_tiff
-    from virtual_sensor.imaging.lens import gaussian_blur as gaussian_blur
     from virtual_sensor.imaging.new_scene.write import new_scene as new_scene
     from virtual_sensor.imaging.part_survey import survey as survey
     from virtual_sensor.imaging.recording import RecordedFrame as RecordedFrame
@@ -350,7 +350,7 @@ _HOME = {
     "fit_cylinder": "metrology.cylinder_fit",
     "fit_shape": "metrology.shape_fits",
     "fringe_observation": "metrology.fringes.observations",
-    "gaussian_blur": "imaging.lens",
+    "gaussian_blur": "imaging.image_blur",
     "grey_values": "imaging.grey_values",
     "identifiability": "metrology.identifiability",
     "image_sensor": "devices.image_sensor",

@@ -8,7 +8,7 @@ from scipy.special import j1, jv, kolmogorov
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging import speckle
-from virtual_sensor.imaging.lens import defocus_blur
+from virtual_sensor.imaging.image_blur import defocus_blur
 from virtual_sensor.imaging.speckle import (
     Aperture,
     broad_line_noise_px,

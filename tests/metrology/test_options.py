@@ -7,7 +7,7 @@ from artificial import dot_image, line_image
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.grey_values import exposed, grey_values
-from virtual_sensor.imaging.lens import defocus_blur, gaussian_blur
+from virtual_sensor.imaging.image_blur import defocus_blur, gaussian_blur
 from virtual_sensor.imaging.speckle import Aperture, speckled
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import NAMES

@@ -11,7 +11,7 @@ import virtual_sensor as vs
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.grey_values import exposed, grey_values
-from virtual_sensor.imaging.lens import gaussian_blur
+from virtual_sensor.imaging.image_blur import gaussian_blur
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.studies.lines_by_source import expected_light
 

@@ -8,7 +8,7 @@ from scipy.ndimage import map_coordinates
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.grey_values import exposed, grey_values
-from virtual_sensor.imaging.lens import defocus_blur, distorted, gaussian_blur
+from virtual_sensor.imaging.image_blur import defocus_blur, distorted, gaussian_blur
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.optics.ray_families import Pinhole
 

@@ -1,7 +1,7 @@
-"""What a real lens does to the ideal pinhole's frame: blur, and distortion.  Off unless asked for.
+"""What a lens makes of images: blur that is the same all over, and distortion.
 
-The blur is the same all over the image.  Not modelled: vignetting, chromatic aberration, blur that
-grows with the distance from the plane in focus.
+For images without a scene; a `lens_camera` blurs by depth and distorts while it renders.  Not
+modelled: vignetting, chromatic aberration.
 """
 
 from __future__ import annotations
