@@ -131,6 +131,7 @@ def correct(
             tell("points through the air", 0.0)
             found += [_through(each, own[each.name], settings) for each in group]
     notes = few_alike(notes)
+    notes += _through_lenses(found)
     caveats += [*_lost(found), *_ends_early(found), *_doubts(found)]
     if estimates:
         air = replace(air, origin="estimate")
@@ -534,6 +535,17 @@ def _lost(found: Iterable[Corrected]) -> list[str]:
                 raise InputError(f"{each.name}: none of {number} centres has a point. {why}")
             notes.append(f"{each.name}: {number} centres have no point. {why}")
     return notes
+
+
+def _through_lenses(found: Iterable[Corrected]) -> Iterator[str]:
+    """A note where hot air moves what a lens sees beside the ray through its middle."""
+    for scene in {id(each.scene.camera): each.scene for each in found}.values():
+        if scene.camera.blurs and scene.medium is not None:
+            yield (
+                f"{scene.camera_element} sees through a lens, and points are corrected along the"
+                " rays through its middle: what the air does across the pupil is left in; `measure"
+                " --sensor-model` says how much (the part lens of its error)"
+            )
 
 
 def _ends_early(found: Iterable[Corrected]) -> Iterator[str]:
