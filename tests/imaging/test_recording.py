@@ -303,6 +303,9 @@ def test_what_is_said_of_recording_and_changes_nothing_is_told(scene, frame):
         assert RecordingOptions(speckle=True).unheeded(lit) == []
         notes = vs.record(lit, frame, sensor=QUIET, speckle=True).notes
         assert sum("alone changes no speckle" in note for note in notes) == known
+        assert not any("fully coherent" in note for note in notes)
+    notes = vs.record(with_lens(scene, f_number=32.0), frame, sensor=QUIET, speckle=True).notes
+    assert any("fully coherent" in note for note in notes)
 
 
 def test_bad_input_is_told(scene, frame):

@@ -294,6 +294,14 @@ def test_points_off_the_part_and_notes_that_repeat_are_told(folder):
     assert few_alike(["a 1", "b", "a 2.5e-3", "b"]) == ["a 1 (and 1 more like this)", "b"]
 
 
+def test_a_lens_in_hot_air_is_told(folder):
+    (measured,) = read_measured([str(folder(30, "turned"))], Scenes())
+    for f_number, told in (("", False), ("8", True)):
+        scene = load_scene("hot_cylinder", beta=30, f_number=f_number)
+        notes = correct([replace(measured, scene=scene)]).notes
+        assert any("across the pupil" in note for note in notes) == told
+
+
 def test_options_say_names_and_priors():
     assert names_of(" scale, width,scale,") == ("scale", "width")
     assert priors_of(["scale=1:0.05,width=1:.2", "offset=-1:2"]) == {

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from virtual_sensor.arrays import SMALLEST, number_within, truth_of, unmasked, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.devices.camera import LensCamera
+from virtual_sensor.devices.coherence import Coherence
 from virtual_sensor.devices.exposure_time import AUTO, LONGEST_S, SHORTEST_S, exposure_time_s
 from virtual_sensor.devices.image_sensor import ImageSensor, LinearGrey, image_sensor
 from virtual_sensor.devices.laser import LaserLine
@@ -360,16 +361,22 @@ def record(
         notes,
         shown,
     )
-    coherent = _half_coherent(scene) if speckle is True else []
+    coherent = _of_coherence(scene) if speckle is True else []
     return replace(shot, notes=(*notes, *coherent, *_doubts(shot, automatic)))
 
 
-def _half_coherent(scene: Scene) -> list[str]:
-    """A note of lasers whose linewidth changes no speckle, since no depth goes with it."""
+def _of_coherence(scene: Scene) -> list[str]:
+    """Notes of lasers that speckle fully, or whose linewidth changes nothing without a depth."""
     notes = []
     for name, laser in scene.sources.items():
         if not isinstance(laser, LaserLine):
             continue
+        if laser.coherence == Coherence():
+            notes.append(
+                f"the laser '{name}' is fully coherent, with the strongest speckle there is; a"
+                " diode's on a rough surface is milder (-D linewidth=1 -D rq=10), and so is light"
+                " that the surface depolarises (-D polarisations=2)"
+            )
         broad, rough = laser.coherence.linewidth_nm, laser.coherence.roughness_um
         if bool(broad) != bool(rough):
             has, lacks = ("linewidth", "roughness") if broad else ("roughness", "linewidth")
