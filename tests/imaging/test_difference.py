@@ -111,7 +111,9 @@ def test_options_of_a_command_make_it_and_motion():
     other = vs.record(scene, frame, exposure_s=1e-3)
     assert any("the part moves for 0.0002 s" in note for note in other.notes)
     assert not any("skewed" in note for note in shot.notes)
-    rolling = vs.render_exposure(scene, 2e-4, (0, 0, 300), row_time_s=15e-6)
+    sensor = replace(vs.image_sensor("cmos_5um5"), row_time_us=15.0)
+    rolling = replace(options, difference=False, sensor_model=sensor).rendered(scene)
+    assert rolling.row_time_s == pytest.approx(15e-6)
     assert any("skewed" in note for note in vs.record(scene, rolling).notes)
     pinhole = vs.load_scene("cold_cylinder", **SMALL)
     assert vs.record(pinhole, vs.render_exposure(pinhole, 1e-4)).exposure_s is None

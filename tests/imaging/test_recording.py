@@ -509,6 +509,8 @@ def test_the_width_of_a_blurred_line_is_that_of_its_sharp_profile_and_the_lenss_
     scene = vs.load_scene(
         "cold_cylinder", width=128, height=128, f_number=4, focus_distance=292, line_radius=0.6
     )
+    tall = scene.camera.matrix * [[1.0], [1.5], [1.0]] - [[0.0] * 3, [0.0, 0.0, 32.0], [0.0] * 3]
+    scene = scene.with_camera(replace(scene.camera, matrix=tall))  # a blur is wider along v
     frame = vs.render_frame(scene, spp=16)
     truth = vs.record(scene, frame).truth
     middle = np.abs(truth.column - 63.5) < 6.0  # where the line lies along the rows

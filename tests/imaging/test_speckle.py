@@ -1,5 +1,7 @@
 """Speckle against Goodman's statistics, the incoherent image, and the height noise it makes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from artificial import dot_image, line_image
@@ -423,6 +425,7 @@ def test_a_surface_that_moves_during_the_exposure_has_the_contrast_of_its_instan
     # Large grains: the pixels' own integration is in both.
     assert mean.std() / mean.mean() == pytest.approx(moved.contrast, rel=4.0 * error + 0.05)
     assert aperture.moved(0.0).patterns == pytest.approx(1.0)
+    assert replace(aperture, modes=3.0).moved(path).patterns == pytest.approx(3.0 * moved.patterns)
     far = aperture.moved(400.0).patterns  # ends do not matter: the path over the grain's length
     assert far == pytest.approx(
         400.0 / (32.0 / (3.0 * np.pi**2) * aperture.resolution_px), rel=0.03
