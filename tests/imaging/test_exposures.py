@@ -118,6 +118,14 @@ def test_of_many_places_none_is_left_out():
     times = 1e-3 * ((np.arange(12) + 0.5) / 12 - 0.5)
     expected = np.mean([vs.render(after(scene, velocity, at)) for at in times], axis=0)
     assert_allclose(frame.radiance, expected, atol=0.01 * expected.max())
+    # In cold air the sensor at rest sees the truth of a pixel in that pixel, whatever its place.
+    rolling = vs.render_exposure(scene, 1e-6, velocity, row_time_s=1e-5)
+    assert rolling.traces > 3
+    pixel = np.stack([rolling.truth.index % 96, rolling.truth.index // 96], axis=1)
+    seen = scene.camera.project(rolling.truth.point_mm)
+    lit = np.isfinite(seen).all(axis=1)
+    assert lit.sum() > 4000
+    assert_allclose(seen[lit], pixel[lit], atol=0.002)
 
 
 def test_what_cannot_be_exposed_is_refused():
