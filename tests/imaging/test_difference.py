@@ -113,7 +113,13 @@ def test_options_of_a_command_make_it_and_motion():
     assert not any("skewed" in note for note in shot.notes)
     sensor = replace(vs.image_sensor("cmos_5um5"), row_time_us=15.0)
     rolling = replace(options, difference=False, sensor_model=sensor).rendered(scene)
+    assert isinstance(rolling, vs.ExposedFrame)
     assert rolling.row_time_s == pytest.approx(15e-6)
+    warm = replace(sensor, dark_current_e_s=1e6)  # which is in both frames, and cancels
+    dark = vs.difference(vs.record(scene, frame, sensor=warm))
+    unlit = frame.radiance <= frame.background
+    noise = dark.detector_options["noise"] / np.sqrt(unlit.sum())
+    assert dark.grey[unlit].mean() == pytest.approx(dark.pedestal, abs=5.0 * noise + 0.5)
     assert any("skewed" in note for note in vs.record(scene, rolling).notes)
     pinhole = vs.load_scene("cold_cylinder", **SMALL)
     assert vs.record(pinhole, vs.render_exposure(pinhole, 1e-4)).exposure_s is None
