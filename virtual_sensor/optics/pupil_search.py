@@ -3,6 +3,10 @@
 Seen from each point of the pupil a laser's ray has a pixel of its own, which `ray_search` finds
 along a bent line of sight.  Where all is in focus and the air is cold they are one.  Their mean is
 the centre of gravity of the blurred image, and what they scatter by is its width.
+
+They don't count alike: a surface that is seen aslant looks larger from one side of the pupil than
+from the other.  A diffuse point P with the normal n gives the image that is seen from A light in
+proportion to n . (P - A) / z^3, z its depth: radiance times the area that it has there.
 """
 
 from __future__ import annotations
@@ -37,7 +41,7 @@ from virtual_sensor.optics.sight import (
     with_projector,
 )
 from virtual_sensor.optics.sources import Source
-from virtual_sensor.optics.surfaces import Surface
+from virtual_sensor.optics.surfaces import Cylinder, SceneSurface, Surface
 from virtual_sensor.statuses import StatusEnum
 
 Array = NDArray[np.float64]
@@ -66,11 +70,18 @@ class PupilPixels(Displayed):
     laser_point_mm : ndarray of shape (N, 3)
         The incidence points, world; NaN where a ray meets nothing, or has no light.
     pixel : ndarray of shape (N, 2)
-        Mean (u, v) of those below: the centre of gravity of the blurred image of each point.
+        Mean (u, v) of those below, by their light: the centre of gravity of the blurred image of
+        each point.
     spread : ndarray of shape (N, 2)
         Their standard deviation along u and along v: a disc of diameter D has D/4.
     pixels : ndarray of shape (K, N, 2)
         (u, v) as seen from each point; NaN where it isn't.
+    light : ndarray of shape (K, N)
+        What each point of the pupil gets of a diffuse surface's light, over what the middle gets;
+        NaN where it sees none.
+    column_light : ndarray of shape (K, N)
+        Likewise of a line's light in the column of each pixel, in a unit that all rays have in
+        common: the more of it, the slower columns change along the line.
     status : ndarray of shape (N,)
         `PupilStatus`.
     """
@@ -83,6 +94,8 @@ class PupilPixels(Displayed):
     pixel: Array
     spread: Array
     pixels: Array
+    light: Array
+    column_light: Array
     status: NDArray[np.uint8]
 
     def _line(self) -> str:
@@ -110,22 +123,31 @@ class PupilPixels(Displayed):
         Returns
         -------
         row, spread : ndarray of shape (M,)
-            Mean and standard deviation, px, over the points of the pupil; NaN beside the line as
-            any of them sees it.
+            Mean and standard deviation, px, over the points of the pupil, by the light of each in
+            the column; NaN beside the line as any of them sees it.
         """
         from scipy.interpolate import CubicSpline
 
         at = numbers_of("rows_at: column", column)
-        rows = np.full((len(self.pixels), *at.shape), np.nan)
-        for number, pixel in enumerate(self.pixels):
-            u, v = pixel[np.isfinite(pixel).all(axis=1)].T
+        found = np.full((2, len(self.pixels), *at.shape), np.nan)
+        for number, (pixel, light) in enumerate(zip(self.pixels, self.column_light, strict=True)):
+            known = np.isfinite(light)
+            u = pixel[known, 0]
             order = np.argsort(u)
-            u, v = u[order], v[order]
+            u, both = u[order], np.stack([pixel[known, 1], light[known]])[:, order]
             if len(u) < 2 or not np.all(np.diff(u) > 0.0):
                 continue
             within = (at >= u[0]) & (at <= u[-1])
-            rows[number] = np.where(within, CubicSpline(u, v)(at), np.nan)
-        return rows.mean(axis=0), rows.std(axis=0)
+            found[:, number] = np.where(within, CubicSpline(u, both, axis=1)(at), np.nan)
+        return weighted(*found)
+
+
+def weighted(values: Array, weights: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation over the first axis; NaN where a value or weight is."""
+    total = weights.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        mean = (weights * values).sum(axis=0) / total
+        return mean, np.sqrt((weights * (values - mean) ** 2).sum(axis=0) / total)
 
 
 @dataclass(frozen=True)
@@ -206,11 +228,46 @@ def pupil_search(
     used = np.stack([each.status == SearchStatus.FOUND for each in found])
     pixels = np.where(used[..., None], pixels, np.nan)
     count = used.sum(axis=0)
-    some = np.where(count > 0, count, np.nan)[:, None]
-    mean = np.nansum(pixels, axis=0) / some
-    spread = np.sqrt(np.nansum((pixels - mean) ** 2, axis=0) / some)
+    points_mm = found[0].laser_point_mm
+    light, depth = _light(seen, lens, at, points_mm)
+    light, in_column = (np.where(used, each, np.nan) for each in (light, light * depth))
+    given = [] if laser_y_mm is None else laser_y_mm
+    y = np.atleast_1d(numbers_of("pupil_search: laser_y_mm", given))
+    if len(y) > 1 and np.all(np.diff(y) != 0.0):
+        straight = np.stack([PupilPoint.of(chief, lens, place).project(points_mm) for place in at])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            in_column = in_column / np.abs(np.gradient(straight[..., 0], y, axis=1))
+    shares = np.where(used, light, 0.0)[..., None]
+    with np.errstate(invalid="ignore"):
+        mean, spread = weighted(np.nan_to_num(pixels), shares)
     status = np.select([count == len(at), count > 0], [PupilStatus.FOUND, PupilStatus.PART], 2)
-    return PupilPixels(at, found[0].laser_point_mm, mean, spread, pixels, status.astype(np.uint8))
+    seen_by = status.astype(np.uint8)
+    return PupilPixels(at, points_mm, mean, spread, pixels, light, in_column, seen_by)
+
+
+def _light(seen: SearchScene, lens: Lens, at_mm: Array, points_mm: Array) -> tuple[Array, Array]:
+    """What points (K, 2) of a pupil get of the light of points (N, 3) of a surface: shape (K, N).
+
+    By straight lines of sight, over that of the middle; and that of the middle (N,) in any unit.
+    Of no surface all get the same.  In frames pixels count each point of the pupil alike, so that
+    on a tilted sensor, where the image is larger as seen from one side, there is more of its light.
+    """
+    surface, pose = seen.surface, seen.camera.pose
+    sight = points_mm - pose.origin_mm
+    tilted = 1.0 / (1.0 + at_mm @ lens.lean)[:, None]
+    if not isinstance(surface, Cylinder | SceneSurface) or not len(sight):
+        return tilted * np.ones(len(sight)), np.ones(len(sight))
+    known = np.isfinite(sight).all(axis=1)
+    normal = np.zeros(sight.shape)
+    heading = sight[known] / np.linalg.norm(sight[known], axis=1, keepdims=True)
+    normal[known] = surface.normals(points_mm[known], heading)
+    length = np.linalg.norm(normal, axis=1)
+    known &= length > 0.0
+    normal /= np.where(known, length, 1.0)[:, None]
+    facing = np.where(known, np.sum(normal * np.nan_to_num(sight), axis=1), np.inf)
+    aside = at_mm @ (normal @ pose.rotation[:, :2]).T
+    light = tilted * np.maximum(1.0 - aside / facing, 0.0)
+    return light, np.where(known, np.abs(facing) / (sight @ pose.rotation[:, 2]) ** 3, 1.0)
 
 
 @public

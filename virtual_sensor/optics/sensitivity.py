@@ -197,12 +197,7 @@ def laser_y_at(scene: SearchScene, columns: ArrayLike, march: March = REFERENCE)
 def _normals(scene: SearchScene, rays: CarriedRays) -> Array:
     """Normals (N, 3) of the surface where rays have met it, of any length and sign."""
     surface = scene.surface
-    if isinstance(surface, Cylinder):
-        x, y, z = (rays.point - [0.0, surface.axis_y_mm, surface.axis_z_mm]).T
-        on_end = np.abs(x) > surface.half_length_mm - 1e-6
-        on_end &= np.hypot(y, z) < surface.radius_mm - 1e-6
-        return np.column_stack([np.where(on_end, x, 0.0), ~on_end * y, ~on_end * z])
-    if not isinstance(surface, SceneSurface):
+    if not isinstance(surface, Cylinder | SceneSurface):
         raise InputError("line_sensitivity: the surface is neither a cylinder nor Mitsuba's shapes")
     heading = rays.tangent / np.linalg.norm(rays.tangent, axis=1, keepdims=True)
     return surface.normals(rays.point, heading, LAST_PIECE_MM)

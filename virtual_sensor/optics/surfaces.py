@@ -129,6 +129,13 @@ class Cylinder(Displayed):
         met = (dr.square(b) > a * c) & (enters < leaves) & (enters >= 0.0) & (enters <= limit)
         return dr.select(met, enters, dr.inf)
 
+    def normals(self, points: Array, directions: Array, before_mm: float = _NEAR_MM) -> Array:
+        """Normals (N, 3) at points on it, of any length, whatever the directions."""
+        x, y, z = (points - [0.0, self.axis_y_mm, self.axis_z_mm]).T
+        on_end = np.abs(x) > self.half_length_mm - 1e-6
+        on_end &= np.hypot(y, z) < self.radius_mm - 1e-6
+        return np.column_stack([np.where(on_end, x, 0.0), ~on_end * y, ~on_end * z])
+
     def starts_inside(self, origin: Any, direction: Any) -> Any:
         """See `Surface`."""
         y, z = origin.y - self.axis_y_mm, origin.z - self.axis_z_mm

@@ -34,7 +34,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import TrueLine, rms
-from virtual_sensor.optics.pupil_search import PupilPixels
+from virtual_sensor.optics.pupil_search import PupilPixels, weighted
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.section import Section
 
@@ -181,14 +181,22 @@ def in_16_bits(shot: RecordedFrame) -> RecordedFrame:
 def rows_through_pupil(seen: PupilPixels, row: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Rows (W,) of a line in each column, those next to others (W,), and whether they are whole.
 
-    They are means over the points of the pupil that see the line there; whole where all do.
+    They are means over the points of the pupil that see the line there, by the light of each; whole
+    where all do.
     """
-    lines = (TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), len(row)) for pixel in seen.pixels)
-    rows = np.array([nearest_rows(line, row) for line in lines])
-    known = np.isfinite(rows)
-    count = known.sum(axis=0)
-    mean = np.where(known, rows, 0.0).sum(axis=0) / np.where(count > 0, count, np.nan)
-    return mean, known.all(axis=0)
+    from scipy.spatial import KDTree
+
+    rows, light = np.full((2, len(seen.pixels), len(row)), np.nan)
+    for number, (pixel, share) in enumerate(zip(seen.pixels, seen.column_light, strict=True)):
+        line = TrueLine.of_search(pixel, np.isfinite(pixel[:, 0]), len(row))
+        rows[number] = nearest_rows(line, row)
+        column, lit = np.flatnonzero(np.isfinite(rows[number])), np.isfinite(share)
+        if column.size and lit.any():  # the nearest ray's light is meant
+            at = np.stack([column, rows[number, column]], axis=1)
+            light[number, column] = share[lit][KDTree(pixel[lit]).query(at)[1]]
+    known = np.isfinite(light)
+    mean, _ = weighted(np.where(known, rows, 0.0), np.where(known, light, 0.0))
+    return mean, np.isfinite(rows).all(axis=0)
 
 
 @dataclass(frozen=True)
