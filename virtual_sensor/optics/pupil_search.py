@@ -231,7 +231,7 @@ def pupil_search(
     points_mm = found[0].laser_point_mm
     light, depth = _light(seen, lens, at, points_mm)
     light, in_column = (np.where(used, each, np.nan) for each in (light, light * depth))
-    given = [] if laser_y_mm is None else laser_y_mm
+    given: ArrayLike = [] if laser_y_mm is None else laser_y_mm
     y = np.atleast_1d(numbers_of("pupil_search: laser_y_mm", given))
     if len(y) > 1 and np.all(np.diff(y) != 0.0):
         straight = np.stack([PupilPoint.of(chief, lens, place).project(points_mm) for place in at])
