@@ -41,6 +41,7 @@ SUB_PUPILS = (4, 1), (9, 1), (16, 1), (16, 4), (36, 4), (64, 4)
 """Of the lens's pupil, and samples of a pixel through each."""
 QUICK_SUB_PUPILS = (4, 1), (16, 4)
 
+_FROM_ENDS_PX = 24  # the last columns hold the end of the line, blurred along it
 _BEST, _QUICK_BEST = (256, 4), (64, 4)
 # A frame that loses this share of the columns has failed; the line's ends are out of focus.
 _LOST, _LOST_IN_NOISE = 0.1, 0.5
@@ -52,7 +53,7 @@ def tasks(quick: bool = False) -> Iterator[Task]:
     best = _QUICK_BEST if quick else _BEST
     load = partial(load_scene, SCENE, **film)
     scene = load(**_settings(*best), transport="marched")
-    score = partial(_score, scene, line_in_windows(scene, math.prod(best)))
+    score = partial(_score, scene, line_in_windows(scene, math.prod(best), _FROM_ENDS_PX))
     lens = f"f/{LENS['f_number']:g}, {film['width']} x {film['height']} px"
     words = f"marched rays, {best[0]} sub-pupils, {best[1]} samples of a pixel through each"
     for name, configurations in (

@@ -48,8 +48,8 @@ def _reference(film_px: int, spp: int, step_mm: float) -> tuple[Scene, TrueLine,
     return scene, line_in_windows(scene, spp), words
 
 
-def line_in_windows(scene: Scene, spp: int) -> TrueLine:
-    """The line of a frame in windows at its ends and between.
+def line_in_windows(scene: Scene, spp: int, from_ends_px: int = 0) -> TrueLine:
+    """The line of a frame in windows at its ends, or so far from them, and between.
 
     The whole line would take minutes, and shows no more than these windows do.
     """
@@ -59,7 +59,8 @@ def line_in_windows(scene: Scene, spp: int) -> TrueLine:
     first, last = int(np.floor(seen.min())), int(np.ceil(seen.max()))
     image = np.zeros((height, width), np.float32)
     inside = np.zeros(width, bool)
-    for left, right in _windows(first, last, inner=6 if width > QUICK_FILM_PX else 1):
+    ends = first + from_ends_px, last - from_ends_px
+    for left, right in _windows(*ends, inner=6 if width > QUICK_FILM_PX else 1):
         image[:, left:right] = render_columns(scene, np.arange(left, right), spp)[:, left:right]
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
         inside[sound] = True
