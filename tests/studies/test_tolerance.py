@@ -69,7 +69,7 @@ def test_of_a_lens_the_sub_pupils_are_chosen():
     """
     film = {"width": 256, "height": 256, "line_radius": 0.3}
     lens = load_scene("hot_cylinder", **film, f_number=8)
-    coarse, fine = (choose(lens, px) for px in (0.5, 0.02))
+    coarse, fine = (choose(lens, px) for px in (0.5, 0.01))
     assert 0 < coarse.sub_pupils < fine.sub_pupils
     assert f"by {fine.sub_pupils} sub-pupils" in " ".join(fine.why)
     assert f", {fine.sub_pupils} sub-pupils: about" in str(fine)
@@ -80,7 +80,7 @@ def test_of_a_lens_the_sub_pupils_are_chosen():
     marched = lens.with_parameters(transport="marched", sub_pupils=49)
     column = np.arange(90, 98)
     truth = TrueLine.of_rows(line_of(marched, column, 441).row)
-    assert largest_error(line_of(chosen, column, fine.spp), truth) < 0.02
+    assert largest_error(line_of(chosen, column, fine.spp), truth) < 0.01
 
 
 def test_a_weak_field_needs_no_bent_rays(weak, weak_px):
