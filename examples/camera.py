@@ -28,7 +28,7 @@ peaks = [0.01, 0.03, 0.1, 0.3, 0.9]
 shots = [vs.record(scene, frame, seed=n, sensor=sensor, peak=p) for n, p in enumerate(peaks)]
 true_px, predicted_px = [], []
 for peak, shot in zip(peaks, shots, strict=True):
-    line = vs.line_centres(shot, "max_likelihood")  # told of gain, noise and saturation
+    line = vs.line_centres(shot, "max_likelihood")  # knows gain, noise, saturation
     errors = vs.compare_line(line, shot)
     true_px.append(errors.rms_px)
     predicted_px.append(np.sqrt(np.mean(errors.sigma**2)))

@@ -133,7 +133,7 @@ class Pupil:
         return np.unique(np.concatenate([each.lit.index for each in self.points]))
 
     def report(self, chief: RenderReport) -> RenderReport:
-        """How frames are made, beside what is told of the chief rays: the worst of all."""
+        """How frames are made, beside the report on the chief rays: the worst of all."""
         reports = [each.lit.report for each in self.points]
         marched = [each for each in reports if each.transport != chief.transport]
         reason = chief.reason

@@ -403,11 +403,11 @@ def test_a_line_out_of_focus_keeps_the_mean_of_its_frame_and_has_the_grains_of_t
     of_sharp = centres(speckled(sharp, aperture, 3, radius)).std()
     assert centres(seen).std() == pytest.approx(of_sharp, rel=0.1)
     assert centres(speckled(frame, aperture, 3)).std() < 0.75 * of_sharp
-    elsewhere = np.roll(frame, 15, axis=0)  # no blur of the sharp one
+    shifted = np.roll(frame, 15, axis=0)  # no blur of the sharp one
     np.testing.assert_array_equal(
-        speckled(elsewhere, aperture, 3, radius, sharp)[40:50, 300:600] > 0.0, True
+        speckled(shifted, aperture, 3, radius, sharp)[40:50, 300:600] > 0.0, True
     )
-    assert speckled(elsewhere, aperture, 3, radius, sharp)[:25].max() < 0.1 * mean.max()
+    assert speckled(shifted, aperture, 3, radius, sharp)[:25].max() < 0.1 * mean.max()
 
 
 def test_a_surface_that_moves_during_the_exposure_has_the_contrast_of_its_instants_mean():

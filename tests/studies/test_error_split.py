@@ -140,7 +140,7 @@ def test_that_no_point_is_split_is_told(hot):
     parts = dict.fromkeys(hot.split.parts_um, np.full(hot.split.error_um.size, np.nan))
     assert "too narrow" in unsplit(replace(hot.split, parts_um=parts))[0]
     lost = replace(hot.split, parts_um=parts, error_um=np.full(hot.split.error_um.size, np.nan))
-    assert unsplit(lost) == []  # there is no centre, which is said elsewhere
+    assert unsplit(lost) == []  # there is no centre, which another note says
 
 
 def test_dots_are_split_too(hot):

@@ -133,7 +133,7 @@ class FringeRecording(RecordingOptions):
         return {"exposure_s": AUTO, "peak": self.electrons / sensor.saturation_e}
 
     def facts(self, shot: RecordedFrame | NDArray[Any]) -> dict[str, Any]:
-        """What is to be told of frames as `shot` gives them."""
+        """How frames were recorded, for the results: bits, seed, sensor, exposure, electrons."""
         import numpy as np
 
         told = {"bits": self.bits, "seed": self.seed}

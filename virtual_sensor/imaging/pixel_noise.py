@@ -4,7 +4,7 @@ A counter is enciphered (Philox, Salmon et al. 2011): no state is handed on, so 
 same to the bit in whatever order, in however many threads or processes, and in whatever size of
 image they are drawn.  Two uniform numbers make two normal ones (Box and Muller 1958), and a normal
 one makes a Poisson one, by the inverse of its distribution: more light on a pixel never makes fewer
-electrons there, and changes nothing elsewhere.
+electrons there, and changes no other pixel.
 """
 
 from __future__ import annotations

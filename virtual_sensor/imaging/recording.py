@@ -67,7 +67,7 @@ class RecordedFrame(Displayed):
 
     >>> frame = vs.render_frame(scene)
     >>> shot = vs.record(scene, frame, seed=1, sensor="cmos_5um5")
-    >>> line = vs.line_centres(shot)  # told of gain, noise, saturation and black level
+    >>> line = vs.line_centres(shot)  # knows gain, noise, saturation, black level
     >>> vs.compare_line(line, shot).rms_px
 
     Attributes
@@ -552,7 +552,7 @@ def _ideal(scene: Scene, frame: Any) -> Ideal:
 
 
 def _check_camera(scene: Scene, frame: Frame) -> None:
-    """Refuse a frame whose points are elsewhere in the image of the scene's camera.
+    """Refuse a frame whose points are at other places in the image of the scene's camera.
 
     Depths are the same to rounding, whatever the air.  Air moves points in the image by little.
     """

@@ -37,10 +37,10 @@ from virtual_sensor.metrology.line_profiles import (
     by_width,
     checked_image,
     find_peaks,
+    grey_value_facts,
     linear_of,
     noise_beside,
     saturation_level,
-    told_of,
     window,
 )
 from virtual_sensor.metrology.line_shapes import Shapes, shapes
@@ -120,7 +120,7 @@ def line_centres(
         Where the image is not a grey image of a known type, or an option is out of its range.
     """
     image = linear_of(image)
-    told = told_of("line_centres: sensor", image, sensor)
+    told = grey_value_facts("line_centres: sensor", image, sensor)
     clipped = saturation_level(image, told.get("saturation") if saturation is None else saturation)
     image = checked_image(image)
     one_of("line_centres: along", along, ALONG)

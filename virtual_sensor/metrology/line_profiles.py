@@ -119,7 +119,7 @@ def checked_image(image: ArrayLike) -> NDArray:
     return np.ascontiguousarray(image, image.dtype.newbyteorder("=") if kept else np.float64)
 
 
-def told_of(name: str, image: Any, sensor: Any) -> dict[str, float]:
+def grey_value_facts(name: str, image: Any, sensor: Any) -> dict[str, float]:
     """What is known of an image's grey values: by the sensor that is given, else by itself.
 
     Raises

@@ -224,7 +224,7 @@ class PupilPoint(Pinhole):
         return listed(f"x {x:.3g}, y {y:.3g} mm of the pupil", super()._line())
 
     def with_pose(self, pose: Pose) -> Self:
-        """The same point of the same lens elsewhere; the pose is that of the point."""
+        """The same point of the same lens in another place; the pose is that of the point."""
         return replace(self, pose=pose)
 
     def from_chief(self, p: Any, q: Any) -> tuple[Any, Any]:

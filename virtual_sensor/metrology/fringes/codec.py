@@ -21,7 +21,7 @@ from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, short
 from virtual_sensor.metrology.covariance import SIGMA_BY_MEDIAN
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
-from virtual_sensor.metrology.line_profiles import linear_of, saturation_level, told_of
+from virtual_sensor.metrology.line_profiles import grey_value_facts, linear_of, saturation_level
 
 Block = NDArray[Any]
 """Grey values (K, P) of P pixels in K images."""
@@ -204,7 +204,7 @@ class Codec(Displayed, ABC):
             option is out of its range.
         """
         images = linear_of(images)
-        told = told_of("sensor", images, sensor)
+        told = grey_value_facts("sensor", images, sensor)
         saturation = told.get("saturation") if saturation is None else saturation
         stack, clipped = _stack(images, saturation, self)
         light = _noise_of(noise, gain, black, stack, told)
