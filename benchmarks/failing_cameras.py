@@ -24,7 +24,7 @@ from virtual_sensor.imaging.render import Frame, render_frame
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.metrology.calibration import calibration_of
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import FOUND, LineCentres
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.studies.notes import frame_notes
@@ -139,7 +139,7 @@ def _judged(line: LineCentres, own_px: float = SIGMAS) -> Outcome:
     columns = _truth().columns(_ENDS_PX)
     error = np.abs(line.row - _truth().row[0])[columns]
     status, sigma = line.status[columns], line.sigma[columns]
-    found = judged(status, [Status.OK], error)
+    found = judged(status, FOUND, error)
     wrong = ~found.reported & (error > WRONG_PX) & ~(error <= own_px * sigma)
     return Outcome(found.reported, wrong, found.reports, found.largest_px)
 
@@ -177,12 +177,12 @@ def _out_of_focus(count: int, behind_mm: float) -> Outcome:
     """A note on points of the pupil that are too far apart reports all columns."""
     frame = _blurred(count, behind_mm)
     best, line = line_centres(_blurred(_MANY, behind_mm)), line_centres(frame)
-    good = np.flatnonzero(best.status == Status.OK)[3:-3]
+    good = np.flatnonzero(best.found)[3:-3]
     error = np.abs(line.row - best.row)[good]
     if any("sub_pupils" in note for note in frame_notes(frame.report)):
         every = np.ones(error.shape, bool)
         return Outcome(every, ~every, ["a note on sub_pupils"], 0.0)
-    return judged(line.status[good], [Status.OK], error, WRONG_PX)
+    return judged(line.status[good], FOUND, error, WRONG_PX)
 
 
 def _refused(make: Any) -> Outcome:

@@ -13,7 +13,7 @@ from worsening import WRONG_PX, Case, Outcome
 from virtual_sensor.imaging.render import lit_pixels, render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.medium.index_field import IndexField
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import Status, is_found
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine, compare_line
 from virtual_sensor.optics.illumination import LightStatus
@@ -133,7 +133,7 @@ def _best(**parameters: Any) -> TrueLine:
     """The line's centres by marched rays in float64, RK4 of 1 mm and 64 samples a pixel."""
     march = {"transport": "marched", "method": "rk4", "precision": "double", "step": 1.0}
     line = line_centres(render_uncached(_scene(spp=64, **march, **parameters)))
-    return TrueLine.of_rows(np.where(line.status == Status.OK, line.row, np.nan))
+    return TrueLine.of_rows(line.pixel[:, 1])
 
 
 def _beside(truth: TrueLine, **parameters: Any) -> Outcome:
@@ -144,9 +144,9 @@ def _beside(truth: TrueLine, **parameters: Any) -> Outcome:
 
 def _compared(image: NDArray[Any], truth: TrueLine, wrong_px: float, end_px: float = 0) -> Outcome:
     errors = compare_line(line_centres(image), truth, end_px=end_px)
-    reported = np.append(np.zeros(errors.count, bool), errors.lost != Status.OK)
-    wrong = np.append(np.abs(errors.error_px) > wrong_px, errors.lost == Status.OK)
-    names = [Status(number).name for number in np.unique(errors.lost) if number != Status.OK]
+    reported = np.append(np.zeros(errors.count, bool), ~is_found(errors.lost))
+    wrong = np.append(np.abs(errors.error_px) > wrong_px, is_found(errors.lost))
+    names = [Status(number).name for number in np.unique(errors.lost) if not is_found(number)]
     return Outcome(reported, wrong, names, errors.largest_px)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import norm
 from worsening import Case, Outcome, judged
 
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import FOUND
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
 
@@ -119,6 +119,6 @@ def _detected(trouble: str, amount: float, draw: Draw, method: str) -> Outcome:
     if trouble == "line at the border":
         row = row + amount * SIGMA_PX - 30.0
     error = np.abs(line.row - row)
-    found = judged(line.status, [Status.OK], error)
+    found = judged(line.status, FOUND, error)
     wrong = ~found.reported & (error > 0.05) & (error > 3.0 * line.sigma)
     return Outcome(found.reported, wrong, found.reports, found.largest_px)

@@ -197,7 +197,7 @@ def _reference(scene: Scene, middle: Array) -> TrueLine:
     """The line by marched rays in float64, in some columns."""
     column = groups(whole_columns(search_line(scene)), middle)
     best = scene.with_transport(Transport("marched", _REFERENCE, 1.0))
-    return TrueLine.of_rows(line_of(best, column, _REFERENCE_SPP).row)
+    return TrueLine.of_rows(line_of(best, column, _REFERENCE_SPP).pixel[:, 1])
 
 
 def _columns(truth: TrueLine) -> Index:

@@ -10,6 +10,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+from virtual_sensor.metrology.centres import FOUND_NAMES
+
 HERE = Path(__file__).parent
 PICTURES = HERE / "pictures"
 README = HERE.parent / "README.md"
@@ -72,7 +74,8 @@ def five_lines(summary: dict[str, Any]) -> None:
             f"{s['line_minus_search']['rms_px']:.4f} px" for s in states
         ],
         "Centres that are ok and wrong by the frame's truth": [
-            f"{s['line_minus_truth']['wrong']} of {s['line_status']['ok']}" for s in states
+            f"{s['line_minus_truth']['wrong']} of {sum(s['line_status'][n] for n in FOUND_NAMES)}"
+            for s in states
         ],
         f"Frame of {width} x {height} px, {summary['made_with']['samples_per_pixel']} samples per"
         " pixel": [f"{s['render_time_s']:.2f} s" for s in states],

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status, is_measured
 from virtual_sensor.metrology.detectors import COLUMNWISE, Foreign
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.line_profiles import checked_image, saturation_level
@@ -126,7 +126,7 @@ def _within(line: LineCentres, own: Mask, meets: Mask) -> LineCentres:
     column = np.rint(np.nan_to_num(line.column)).astype(int).clip(0, width - 1)
     row = np.rint(np.nan_to_num(line.row)).astype(int).clip(0, height - 1)
     expected: Mask = np.logical_or.reduce(own)
-    off = (status == Status.OK) & ~own[row, column] | ~expected[column]
+    off = is_measured(status) & ~own[row, column] | ~expected[column]
     status[off] = Status.NO_PEAK
     status[meets[column]] = Status.OVERLAPPING
     return line.judged(status)

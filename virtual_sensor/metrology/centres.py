@@ -73,12 +73,51 @@ class Status(StatusEnum):
         "The line of another source lies in the same pixels, or next to them: switch the sources "
         "on one after the other.",
     )
+    CLIPPED = (
+        12,
+        "Pixels of the line are clipped, and the centre was found by what is left of its profile: "
+        "mind its larger sigma, or expose less.",
+    )
+    CORRECTED = (
+        13,
+        "The reflectance of the surface changes within the line, and the centre is corrected for "
+        "it: mind its larger sigma.",
+    )
+    GHOST = (
+        14,
+        "This is light of the line by a reflection, or another light, and not the line: its row is "
+        "where that light is.",
+    )
+
+
+FOUND = (Status.OK, Status.CLIPPED, Status.CORRECTED)
+"""What a centre of the line may have; all others say why there is none."""
+
+FOUND_NAMES = tuple(status.name.lower() for status in FOUND)
+
+
+def is_found(status: ArrayLike) -> NDArray[np.bool_]:
+    """Where statuses are those of a centre of the line."""
+    return np.isin(status, FOUND)
+
+
+def is_measured(status: ArrayLike) -> NDArray[np.bool_]:
+    """Where statuses are those of a peak whose numbers are known: the line's, or a ghost's."""
+    return np.isin(status, (*FOUND, Status.GHOST))
+
+
+def found_in_words(status: ArrayLike) -> str:
+    """How many centres are ok, and how many not quite: "902 of 2048 ok, 70 clipped"."""
+    status = np.asarray(status)
+    numbers = {each.name.lower(): np.sum(status == each) for each in (*FOUND[1:], Status.GHOST)}
+    others = (f"{number} {name}" for name, number in numbers.items() if number)
+    return listed(tally(status, Status.OK), *others)
 
 
 @public
 @dataclass(frozen=True)
 class LineCentres(Displayed):
-    """Centres of a laser line; NaN where `status` is not OK.
+    """Centres of a laser line; NaN where `status` is none of `FOUND`, nor GHOST.
 
     The arrays have one shape: (W,) where each of W columns is searched for its highest peak, or
     each of W rows; (K, W) where up to K peaks are, the highest first; (N,) where N points of lines
@@ -102,6 +141,7 @@ class LineCentres(Displayed):
         0 along rows, the line's normal where it may have any direction.
     status : ndarray of uint8
         `Status` of each: ``Status.of(line.status)`` gives the members, which have a message.
+        Whether the line was found there, `found` says.
     """
 
     _field_units: ClassVar = dict.fromkeys(("column", "row", "sigma", "width"), "px")
@@ -127,14 +167,20 @@ class LineCentres(Displayed):
 
     def _line(self) -> str:
         along = self.normal_deg.size and np.all(self.normal_deg == 0.0)
-        where = span("columns", self.column) if along else span("rows", self.row)
-        return listed(tally(self.status, Status.OK), where)
+        u, v = np.moveaxis(self.pixel, -1, 0)
+        where = span("columns", u) if along else span("rows", v)
+        return listed(found_in_words(self.status), where)
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Where there is a centre of the line: its status is OK, CLIPPED or CORRECTED."""
+        return is_found(self.status)
 
     @property
     def pixel(self) -> Array:
-        """The centres as pixels (u, v), shape (..., 2); NaN where there is none."""
-        there = self.status == Status.OK
-        return np.where(there[..., None], np.stack([self.column, self.row], axis=-1), np.nan)
+        """The centres as pixels (u, v), shape (..., 2); NaN where the line was not found."""
+        there = self.found[..., None]
+        return np.where(there, np.stack([self.column, self.row], axis=-1), np.nan)
 
     @property
     def searched(self) -> tuple[str, int]:
@@ -157,7 +203,7 @@ class LineCentres(Displayed):
         return replace(self, column=self.row, row=self.column, normal_deg=turned)
 
     def judged(self, status: NDArray[np.integer]) -> LineCentres:
-        """The same centres with another `status`, their numbers NaN where it is not OK."""
-        good, names = status == Status.OK, ("row", "sigma", "width", "amplitude", "background")
-        measured = {name: np.where(good, getattr(self, name), np.nan) for name in names}
+        """The same centres with another `status`, their numbers NaN where nothing is measured."""
+        there, names = is_measured(status), ("row", "sigma", "width", "amplitude", "background")
+        measured = {name: np.where(there, getattr(self, name), np.nan) for name in names}
         return replace(self, status=status.astype(np.uint8), **measured)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError, nearest, short
 from virtual_sensor.metrology import closed_forms, line_fits
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status, is_measured
 from virtual_sensor.metrology.line_profiles import Noise, Peaks, Profile
 
 ENTRY_POINTS = "virtual_sensor.detectors"
@@ -109,7 +109,7 @@ def by_foreign(image: NDArray, detector: Foreign) -> LineCentres:
         (place >= -0.5) & (place <= size - 0.5)
         for place, size in zip((answer.column, answer.row), image.shape[::-1], strict=True)
     ]
-    off = (answer.status == Status.OK) & ~(inside[0] & inside[1])
+    off = is_measured(answer.status) & ~(inside[0] & inside[1])
     return answer.judged(np.where(off, Status.POOR_FIT, answer.status))
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import Status, is_found
 from virtual_sensor.metrology.line_profiles import Array, Index
 
 STEP = 0.02  # relative drop of amplitude that betrays a partly lit column
@@ -89,8 +89,8 @@ def _at(values: Array, peaks: Index) -> Array:
 def among_cuts(status: NDArray[np.integer], width: Array) -> NDArray[np.bool_]:
     """Centres (K, W) among cut ones, or between these and the line's end: they are cut as well.
 
-    What is SKEWED between two that are CUT is so by the same edge.  A few that are OK, or what is
-    left of a line and much narrower than the rest, only seem to be whole.
+    What is SKEWED between two that are CUT is so by the same edge.  A few that are found, or what
+    is left of a line and much narrower than the rest, only seem to be whole.
     """
     cut = status == Status.CUT
     for line, widths, here in zip(status, width, cut, strict=True):
@@ -98,7 +98,7 @@ def among_cuts(status: NDArray[np.integer], width: Array) -> NDArray[np.bool_]:
             continue
         for first, last in _runs(line == Status.SKEWED):
             here[first:last] = last - first <= _NEAR and here[[first - 1, last % line.size]].all()
-        ok = line == Status.OK
+        ok = is_found(line)
         thin = _THIN * np.median(widths[ok]) if ok.any() else 0.0
         for first, last in _runs(ok):
             narrow = np.median(widths[first:last]) < thin

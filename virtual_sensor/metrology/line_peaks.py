@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status, is_found, is_measured
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
     NAMES,
@@ -209,17 +209,17 @@ def _columnwise(
         )
         found[:, group.rank, group.column] = profile
 
-    there = np.isin(status, (Status.OK, Status.CUT))
+    there = is_found(status) | (status == Status.CUT)
     found[:, ~there] = np.nan
     row, error, width, amplitude, _ = found
     ends = line_ends((status != Status.NO_PEAK) & seen, row, error, width, amplitude)
     status[ends & there] = Status.LINE_END
     status[among_cuts(status, width)] = Status.CUT
-    found[:, status != Status.OK] = np.nan
+    found[:, ~is_measured(status)] = np.nan
     if count == 1:
         found, status = found[:, 0], status[0]
     row, error, width, amplitude, background = found
-    error[_known_by_chance(error, status == Status.OK)] = np.nan
+    error[_known_by_chance(error, is_found(status))] = np.nan
     column, along = np.broadcast_to(np.arange(seen.size), status.shape), np.full(status.shape, 90.0)
     return LineCentres(column, row, error, width, amplitude, background, along, status)
 

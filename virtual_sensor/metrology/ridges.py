@@ -27,7 +27,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status, is_found, is_measured
 from virtual_sensor.metrology.line_ends import among_cuts
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
@@ -120,7 +120,7 @@ def ridges(
     found[1] *= np.where(unbent, _UNBENT_NOISE, 1.0)
     clipped = ~(image < saturation) & finite
     status = _judged(pixel, found, scale, max_sigma, finite, clipped, ends)
-    good = np.flatnonzero(status == Status.OK)
+    good = np.flatnonzero(is_found(status))
     if good.size:
         good = good[along_lines(pixel[good], image.shape)]
         status[good] = across(grey, pixel[good], found[:, good], dark, max_sigma)
@@ -133,7 +133,7 @@ def ridges(
 def _points(pixel: Array, found: Array, status: Index) -> LineCentres:
     order = np.lexsort((pixel[:, 1], pixel[:, 0]))
     pixel, found, status = pixel[order], found[:, order], status[order]
-    good = status == Status.OK
+    good = is_measured(status)
     _, sigma, width, amplitude, background = np.where(good, found[:5], np.nan)
     u, v = np.where(good, pixel.T, np.rint(pixel.T))
     v = np.where(good, v, np.nan)

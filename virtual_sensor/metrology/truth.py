@@ -369,7 +369,7 @@ def compare_line(
         status = np.where(status == TruthStatus.CUT, TruthStatus.KNOWN, status)
     near = np.isfinite(truth.row) & ~(truth.end_px >= end_px)
 
-    good = (line.status == Status.OK).ravel()
+    good = line.found.ravel()
     u, v, sigma = (np.ravel(x)[good].astype(float) for x in (line.column, line.row, line.sigma))
     column = np.rint(u).astype(int)
     inside = (column >= 0) & (column < width)

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from numpy.typing import NDArray
 
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import FOUND_NAMES, Status
 from virtual_sensor.metrology.covariance import WITHIN_95
 from virtual_sensor.metrology.deviation import euclidean
 from virtual_sensor.metrology.truth import rms
@@ -179,8 +179,9 @@ def missing(figures: CorrectionSummary) -> list[Details]:
     total = lost = 0
     for name, each in figures.measurements.items():
         total += sum(each.centre_status.values())
-        centres, points = dict(each.centre_status), dict(each.status)
-        points["no_pixel"] -= sum(centres.values()) - centres["ok"]  # said of the centre already
+        centres = {s: n for s, n in each.centre_status.items() if s not in FOUND_NAMES}
+        points = dict(each.status)
+        points["no_pixel"] -= sum(centres.values())  # said of the centre already
         for kind, counts in ((Status, centres), (CrossingStatus, points)):
             for status, count in counts.items():
                 if status != "ok" and count > 0:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import printable
 from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import FOUND_NAMES, Status
 from virtual_sensor.metrology.detectors import STEGER
 from virtual_sensor.records import Record, plain, write_csv, write_ply
 from virtual_sensor.reporting.files import FileOf, write_results
@@ -193,7 +193,7 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     """
     rows, many = [], page and len(summary.images) > 1
     for number, (name, image) in enumerate(summary.images.items(), 1):
-        others = {s: n for s, n in image.statuses.items() if s != "ok"}
+        others = {s: n for s, n in image.statuses.items() if s not in FOUND_NAMES}
         more = {
             "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
             "size": unbroken(f"{image.columns} x {image.rows} px"),
@@ -255,7 +255,8 @@ def lead(summary: Summary) -> str:
     images = summary.images.values()
     reasons = sum((Counter(each.statuses) for each in images), Counter[str]())
     lines = reasons.total()
-    reasons.pop("ok", None)
+    for name in FOUND_NAMES:
+        reasons.pop(name, None)
     why = _most(reasons, 3)
     if not summary.centres:
         return f"No line centre was found{f': {why}' if why else ''}."

@@ -116,7 +116,7 @@ class SwayTable(Table):
         Of recorded frames: standard deviation of the centre minus that in the ideal one, by the
         sensor alone.
     status : ndarray of str of shape (W,)
-        "ok", or why most frames have no centre there.
+        "ok", or what most frames have there: another centre ("clipped", "corrected"), or none.
     """
 
     column: NDArray[np.int64]
@@ -200,7 +200,7 @@ class FrameTable(Table):
     point_mm : ndarray of shape (M, 3)
         The measured point, world.
     status : ndarray of str of shape (M,)
-        "ok", or why there is no centre.
+        "ok", "clipped" or "corrected", or why there is no centre.
     """
 
     time_s: Array
@@ -653,7 +653,7 @@ def _one_frame(
         ideal = line_centres(frame.radiance)
         line = ideal if shot is None else line_centres(shot)
     tell(1.0)
-    if not np.any(line.status == Status.OK):
+    if not line.found.any():
         why = f" (of the recorded one: {', '.join(shot.notes)})" if shot and shot.notes else ""
         raise NothingFoundError(
             f"{scene.path}: no line in the frame at {instant:g} s{why}; give a wider or longer line"

@@ -106,7 +106,8 @@ class CentreTable(Table):
     peak : ndarray of int or None
         0 is the highest; None where only one is sought.
     column_px, row_px : ndarray
-        (u, v), integers at pixel centres; nothing where there is no centre.
+        (u, v), integers at pixel centres; nothing where there is no centre; of
+        a "ghost", where that light is.
     sigma_px : ndarray
         Standard deviation of the centre that the detector predicts.
     width_px : ndarray
@@ -116,7 +117,7 @@ class CentreTable(Table):
     normal_deg : ndarray
         Direction in which the centre was sought, from +u towards +v.
     status : ndarray of str
-        Why there is a centre, "ok", or none.
+        Why there is a centre ("ok", "clipped", "corrected"), or none.
     point_mm : ndarray of shape (N, 3) or None
         Triangulated, world; None without a calibration.
     """
@@ -221,13 +222,14 @@ class Detected(Displayed):
     def summary(self) -> ImageSummary:
         """Counts, medians and the time."""
         counts = counts_of(self.line.status, Status, occurring=True)
+        found = self.line.found
         return ImageSummary(
             file=self.path,
             columns=self.image.shape[1],
             rows=self.image.shape[0],
-            centres=counts.get("ok", 0),
-            median_sigma_px=_median(self.line.sigma),
-            median_width_px=_median(self.line.width),
+            centres=int(found.sum()),
+            median_sigma_px=_median(self.line.sigma[found]),
+            median_width_px=_median(self.line.width[found]),
             time_s=self.time_s,
             statuses=counts,
         )
@@ -306,7 +308,7 @@ def _lies_across(image: NDArray, line: LineCentres, other: Settings) -> bool:
 
 def _share(line: LineCentres) -> float:
     """Of the columns, or rows, those that show a line."""
-    shows = (line.status == Status.OK) | (line.status == Status.SATURATED)
+    shows = line.found | (line.status == Status.SATURATED)
     return float(np.mean(shows)) if shows.size else 0.0
 
 

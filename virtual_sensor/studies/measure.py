@@ -409,7 +409,7 @@ def _split(
     if state.dots:
         before, after = straight.pixel, state.dense.pixel
     else:
-        column, row = state.line.column, state.line.row
+        column, row = state.line.column, state.line.pixel[:, 1]
         before, after = (
             np.stack([column, nearest_rows(searched_line(scene, rays), row)], axis=1)
             for rays in (straight, state.dense)

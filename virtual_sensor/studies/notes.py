@@ -247,7 +247,7 @@ def centre_notes(
         few = 0 < compared.count < (1.0 - _MANY) * dots
         return {f"{compared.count} of {dots} dots were found": few} if compared.count < dots else {}
     counts = counts_of(line.status, Status)
-    centres = counts["ok"]
+    centres = int(line.found.sum())
     if not centres:
         reasons = ", ".join(name for name, number in counts.items() if number)
         return {f"no line centres, the columns are {reasons}": False}
@@ -278,7 +278,7 @@ def centre_notes(
             "are" if wrong > 1 else "is",
         )
         notes[
-            f"{wrong} of {by_frame.count} ok centres {are} off the frame's"
+            f"{wrong} of {by_frame.count} centres {are} off the frame's"
             f" truth by more than {far}{WRONG_SIGMAS:g} of their sigmas, at most by"
             f" {by_frame.largest_px:.2g} px"
             + ", since their sigmas know nothing of speckle"

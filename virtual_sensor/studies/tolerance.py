@@ -298,7 +298,7 @@ def _with_samples(
     """
     sub_pupils, spp = _MANY_SUB_PUPILS if scene.camera.blurs else (0, _MANY_SAMPLES)
     spp *= sub_pupils or 1
-    best = TrueLine.of_rows(line_of(through(scene, sub_pupils), column, spp).row)
+    best = TrueLine.of_rows(line_of(through(scene, sub_pupils), column, spp).pixel[:, 1])
     if not best.columns().size:
         raise InputError(
             "no column has a line centre with which a tolerance could be judged; give a wider line"

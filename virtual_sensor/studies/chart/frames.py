@@ -15,7 +15,6 @@ from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.render import render_columns, render_uncached
 from virtual_sensor.imaging.scene import Scene, load_scene
 from virtual_sensor.imaging.scene_file import find_scene
-from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import error_um
 from virtual_sensor.metrology.truth import TrueLine, compare_line
@@ -65,7 +64,7 @@ def line_in_windows(scene: Scene, spp: int, from_ends_px: int = 0) -> TrueLine:
         sound = slice(left + _CUT_PX * (left >= first), right - _CUT_PX * (right <= last))
         inside[sound] = True
     line = line_centres(image)
-    return TrueLine.of_rows(np.where(inside & (line.status == Status.OK), line.row, np.nan))
+    return TrueLine.of_rows(np.where(inside, line.pixel[:, 1], np.nan))
 
 
 def _windows(first: int, last: int, inner: int) -> Iterator[tuple[int, int]]:

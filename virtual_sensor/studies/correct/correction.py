@@ -46,7 +46,7 @@ class CorrectedTable(Table):
     sigma_px : ndarray of shape (N,)
         Its standard deviation, across the line.
     centre_status : ndarray of str of shape (N,)
-        "ok", or why there is no centre.
+        "ok", "clipped" or "corrected", or why there is no centre.
     status : ndarray of str of shape (N,)
         "ok", or why there is no corrected point.
     point_mm : ndarray of shape (N, 3)

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
-from virtual_sensor.display import Displayed, listed, tally
+from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import RESULTS_SIGN, exists, readable
 from virtual_sensor.imaging.image_files import ENDINGS, read_image
@@ -42,7 +42,7 @@ from virtual_sensor.imaging.scene import (
     shipped_scenes,
 )
 from virtual_sensor.metrology.calibration import Calibration, read_calibration
-from virtual_sensor.metrology.centres import LineCentres, Status
+from virtual_sensor.metrology.centres import LineCentres, Status, found_in_words, is_found
 from virtual_sensor.metrology.fringes.calibration import FringeCalibration
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes
 from virtual_sensor.metrology.fringes.observations import fringe_observation
@@ -119,7 +119,7 @@ class Measured(Displayed):
     notes: tuple[str, ...] = ()
 
     def _line(self) -> str:
-        return listed(self.name, tally(self.centre_status, Status.OK), self.scene.path.name)
+        return listed(self.name, found_in_words(self.centre_status), self.scene.path.name)
 
 
 @dataclass
@@ -430,7 +430,7 @@ def _of_columns(path: Path, columns: Mapping[str, NDArray[Any]], scene: Scene) -
     _ = scene.laser  # or it says what to do
     pixel = np.stack([columns["u"], columns["v"]], axis=1)
     status = _statuses(path, columns.get("status"), pixel)
-    pixel[status != Status.OK] = np.nan
+    pixel[~is_found(status)] = np.nan
     width, height = scene.camera.size
     beside = np.abs(pixel - [(width - 1) / 2, (height - 1) / 2]) > [width / 2, height / 2]
     if (far := beside.any(axis=1)).any():
@@ -477,7 +477,7 @@ def _statuses(path: Path, names: NDArray[Any] | None, pixel: Array) -> NDArray[n
             f" {few(list(known), 20)}, or leave the column out"
         )
     said = np.array([known[f"{name}"] for name in names], np.uint8)
-    return np.where(said == Status.OK, status, said).astype(np.uint8)
+    return np.where(is_found(said) & ~there, status, said).astype(np.uint8)
 
 
 def read_centres(path: Path) -> dict[str, NDArray[Any]]:

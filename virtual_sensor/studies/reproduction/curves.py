@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from virtual_sensor.devices.sensor import SensorModel
 from virtual_sensor.display import Displayed
 from virtual_sensor.imaging.scene import Scene
+from virtual_sensor.metrology.centres import FOUND_NAMES
 from virtual_sensor.metrology.deviation import deviations, euclidean, round_pixel
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import REFERENCE, March, ray_search
@@ -263,7 +264,7 @@ def from_line(curve: Curve, folder: Path) -> Curve:
     pixels = []
     for state, pixel in (("cold", curve.pixel_cold), ("hot", curve.pixel_hot)):
         line = read_columns(folder / f"line_{state}.csv")
-        good = line["status"] == "ok"
+        good = np.isin(line["status"], FOUND_NAMES)
         column, row = line["column_px"][good].astype(float), line["row_px"][good].astype(float)
         inside = (pixel[:, 0] >= column[0]) & (pixel[:, 0] <= column[-1])
         v = np.where(inside, CubicSpline(column, row)(pixel[:, 0]), np.nan)

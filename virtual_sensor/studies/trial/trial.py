@@ -225,7 +225,8 @@ def _frames(
         report(f"rendering the {kind}", 0.5 * number * _FRAMES_SHARE)
         frame = render_frame(state)
         truth = TrueLine.of_frame(frame)
-        width = float(np.nanmedian(line_centres(frame.radiance).width))
+        line = line_centres(frame.radiance)
+        width = float(np.median(line.width[line.found]))
         for peak in peaks:
             condition = Condition.of_peak(kind, round(width, 2), peak, noise_e, task.sensor)
             yield condition, frame_line(condition, frame, truth, (seed, number, int(peak)))
