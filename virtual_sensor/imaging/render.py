@@ -26,6 +26,7 @@ from virtual_sensor.devices.patterns import Uniform
 from virtual_sensor.devices.projector import Projector
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError
+from virtual_sensor.imaging.layers import GhostColumns, GhostTruth, ghost_columns
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.optics.illumination import LightStatus
 from virtual_sensor.optics.map_cache import MAPS
@@ -99,22 +100,44 @@ class Frame(Displayed):
     report : RenderReport
         How the frame was made: the transport, the maps' nodes and error, samples marched.
     background : ndarray of shape (H, W) or None
-        The radiance that lamps and glow alone make, where it was asked for.
+        The radiance that lamps and glow alone make, where it was asked for, or there are layers.
+    direct : ndarray of shape (H, W) or None
+        The radiance that sources make directly; None unless the scene's `max_depth` is above 2.
+        `radiance` is the sum of all layers.
+    indirect : ndarray of shape (B, H, W) or None
+        Likewise the radiance that they make by one reflection between, by two, ...
+    ghosts : GhostTruth or None
+        Likewise which of the sources' rays make that.
     """
 
-    _field_units: ClassVar = {"radiance": "W/(mm² sr)", "background": "W/(mm² sr)"}
+    _field_units: ClassVar = dict.fromkeys(
+        ("radiance", "background", "direct", "indirect"), "W/(mm² sr)"
+    )
 
     radiance: Image
     truth: PixelTruth
     radius_mm: Mapping[str, float]
     report: RenderReport
     background: Image | None = None
+    direct: Image | None = None
+    indirect: Image | None = None
+    ghosts: GhostTruth | None = None
 
     def _line(self) -> str:
         height, width = self.radiance.shape
         lit = int(np.isfinite(self.truth.depth_mm).sum())
         brightest = self.radiance.max(initial=0.0)
-        return listed(f"{width} x {height} px", f"{lit} lit", f"up to {brightest:.4g} W/(mm² sr)")
+        bounces = (
+            ""
+            if self.indirect is None
+            else f"{len(self.indirect)} bounce{'s' * (len(self.indirect) > 1)}"
+        )
+        return listed(
+            f"{width} x {height} px",
+            f"{lit} lit",
+            f"up to {brightest:.4g} W/(mm² sr)",
+            bounces,
+        )
 
     def _columns(self) -> dict[str, Any]:
         row, column = np.divmod(self.truth.index.astype(np.int64), self.radiance.shape[1])
@@ -140,6 +163,32 @@ class Frame(Displayed):
     def source_coordinates(self) -> dict[str, Image]:
         """By source, (s, t) of its ray that lights the pixel, (H, W, 2); NaN where none does."""
         return {name: self._image(st) for name, st in self.truth.source_coordinates.items()}
+
+    def ghost_coordinates(self, bounce: int = 1, source: str | None = None) -> Image:
+        """(s, t) of the rays that light pixels by so many reflections between, (H, W, 2).
+
+        The mean of those that make a pixel's light; NaN where none does.  `ghosts` knows how far
+        they are apart, and how bright each source's are.
+
+        Raises
+        ------
+        InputError
+            If the frame has no such layer, or as `coordinates` does.
+        """
+        name = self.source_name(source)
+        if self.ghosts is None:
+            raise InputError(
+                "the frame has direct light alone; render a scene with max_depth=3, or more"
+            )
+        number = whole_number("bounce", bounce, 1, self.ghosts.bounces)
+        return self._image(self.ghosts.source_coordinates[name][number - 1], self.ghosts.index)
+
+    @cached_property
+    def ghost_columns(self) -> GhostColumns | None:
+        """How bright its ghosts are beside its line, by column; None without layers."""
+        if self.direct is None or self.indirect is None:
+            return None
+        return ghost_columns(self.direct, self.indirect)
 
     def coordinates(self, source: str | None = None) -> Image:
         """(s, t) of one source's rays, (H, W, 2); without a name, of the only source.
@@ -169,13 +218,17 @@ class Frame(Displayed):
         lit.ravel()[self.truth.index] = np.isfinite(self.truth.depth_mm)
         return lit
 
-    def _image(self, values: Image) -> Image:
-        """An image of numbers (N, ...) at the lit pixels, channel by channel as files want it."""
+    def _image(self, values: Image, index: NDArray[np.uint32] | None = None) -> Image:
+        """An image of numbers (N, ...) at pixels, channel by channel as files want it.
+
+        By default at the lit ones.
+        """
+        index = self.truth.index if index is None else index
         channels = values.reshape(len(values), -1).T
         height, width = self.radiance.shape
         image = np.full((len(channels), height * width), np.nan, np.float32)
         for channel, numbers in zip(image, channels, strict=True):
-            channel[self.truth.index] = numbers
+            channel[index] = numbers
         image = np.moveaxis(image.reshape(-1, height, width), 0, -1)
         return image if values.ndim > 1 else image[:, :, 0]
 
@@ -408,7 +461,24 @@ EXR_LAYERS = (
     Described(
         "background.Y",
         "W/(mm² sr)",
-        "Radiance that lamps and glow alone make, where it was asked for.",
+        "Radiance that lamps and glow alone make, where it was asked for, or light bounces.",
+    ),
+    Described(
+        "direct.Y",
+        "W/(mm² sr)",
+        "Radiance that sources make directly; this and the next where the scene's max_depth is"
+        " above 2.",
+    ),
+    Described(
+        "indirect1.Y, indirect2.Y, ...",
+        "W/(mm² sr)",
+        "Radiance that sources make by one reflection between, by two, ...",
+    ),
+    Described(
+        "SOURCE.indirect1.a, SOURCE.indirect1.b, ...",
+        "mm, or 1 of a pinhole",
+        "Mean coordinates of the rays of the source of this name that make that light; NaN where"
+        " none do.",
     ),
 )
 """Layers of a frame's EXR file, float32; the truth is that at the pixel's centre."""
@@ -428,4 +498,12 @@ def write_exr(path: Path, frame: Frame, header: dict[str, str]) -> None:
         channels |= {f"{name}.a": coordinates[:, :, 0], f"{name}.b": coordinates[:, :, 1]}
     if frame.background is not None:
         channels["background.Y"] = frame.background
+    if frame.direct is not None:
+        channels["direct.Y"] = frame.direct
+    for number, layer in enumerate(() if frame.indirect is None else frame.indirect, 1):
+        channels[f"indirect{number}.Y"] = layer
+        for name in frame.ghosts.status if frame.ghosts else ():
+            coordinates = frame.ghost_coordinates(number, name)
+            stem = f"{name}.indirect{number}"
+            channels |= {f"{stem}.a": coordinates[:, :, 0], f"{stem}.b": coordinates[:, :, 1]}
     write_layers(path, channels, header)

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import PowerNorm
+from matplotlib.colors import PowerNorm, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.patches import Patch, PathPatch
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
@@ -74,6 +74,9 @@ _MOST_TRIANGLES = 10_000
 _SILHOUETTE_PX = 300  # of a fine mesh, along its longer side
 _EDGE_ON = 0.95  # of a plane's normal that lies in the picture
 _MARGIN_PX = 20  # about what is lit
+_GHOST = 1e-3  # of a frame's brightest light: where less is reflected in between, is not shown
+_DIM = 0.25  # power of their brightness, so that weak ghosts show too
+_TINY = 1e-30
 _HALF_FIELD = 0.08  # slope of the rays that a lens is drawn with
 _LEAST_NEARNESS = 0.2  # of the depth in focus on the axis: what is in focus behind it is not drawn
 _TURN = np.linspace(0.0, 2.0 * np.pi, 60)
@@ -229,18 +232,36 @@ def _dot_errors(axes: Axes, errors: DotErrors) -> None:
 
 @draws("imaging.render.Frame")
 def _frame(axes: Axes, frame: Frame) -> None:
-    """The part of the frame that is lit."""
-    _image(axes, frame.radiance, _lit(frame))
+    """The part of the frame that is lit; light that was reflected in between in colour."""
+    window = _lit(frame)
+    _image(axes, frame.radiance, window)
+    if frame.indirect is None or frame.direct is None or window is None:
+        return
+    indirect = frame.indirect.sum(axis=0)[window]
+    share = indirect / np.maximum(indirect + frame.direct[window], _TINY)
+    brightness = indirect / max(float(frame.radiance.max()), _TINY)
+    opacity, _ = coarser(share * brightness**_DIM, _MOST_PX)
+    tint = np.zeros((*opacity.shape, 4))
+    tint[..., :3], tint[..., 3] = to_rgb(VERMILION), np.clip(opacity, 0.0, 1.0)
+    (picture,) = axes.images
+    axes.imshow(tint, extent=picture.get_extent(), aspect="auto", interpolation="nearest")
+    bounces = len(frame.indirect)
+    words = f"by {bounces} reflection{'s' * (bounces > 1)} or fewer in between"
+    axes.legend(handles=[Patch(color=VERMILION, label=words)])
 
 
 def _lit(frame: Any) -> tuple[slice, slice] | None:
-    """Rows and columns of a frame that hold what is lit; None where nothing is."""
-    at = np.divmod(frame.truth.index.astype(int), frame.radiance.shape[1])
+    """Rows and columns of a frame that hold what is lit, and ghosts; None where nothing is."""
+    index = frame.truth.index.astype(int)
+    if getattr(frame, "indirect", None) is not None:
+        bright = frame.indirect.sum(axis=0) >= _GHOST * frame.radiance.max(initial=0.0)
+        index = np.union1d(index, np.flatnonzero(bright & (frame.indirect.sum(axis=0) > 0.0)))
+    at = np.divmod(index, frame.radiance.shape[1])
     rows, columns = (
         slice(max(i.min(initial=2**31) - _MARGIN_PX, 0), i.max(initial=-1) + 1 + _MARGIN_PX)
         for i in at
     )
-    return (rows, columns) if frame.truth.index.size else None
+    return (rows, columns) if index.size else None
 
 
 @draws("imaging.recording.RecordedFrame")
