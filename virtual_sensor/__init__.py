@@ -53,7 +53,7 @@ Images as a camera gives them
                          together the speckle.
     save_png             Write a grey image as a PNG file, as a camera of so many bits gives it.
     save_tiff            Write a grey image as a TIFF file, as a camera of so many bits gives it.
-    read_image           Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
+    read_image           Read one grey image, or a colour of it: PNG, TIFF, JPEG, OpenEXR, others.
 
 From images to numbers
     line_centres         Find the centres of a laser line in an image.

@@ -44,8 +44,6 @@ def test_colours_are_asked_for_by_name(tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "green.png", "green").pixels, grey)
     np.testing.assert_array_equal(read_image(tmp_path / "grey.png").pixels, grey)
     np.testing.assert_array_equal(read_image(tmp_path / "alpha.png").pixels, grey)
-    with pytest.raises(InputError, match=r"green\.png: is a colour image; say which channel"):
-        read_image(tmp_path / "green.png")
     with pytest.raises(InputError, match="no channel 'violet'"):
         read_image(tmp_path / "green.png", "violet")
     write_exr(tmp_path / "c.exr", {n: grey.astype(np.float32) * (n == "R") for n in "RGB"})
@@ -53,8 +51,35 @@ def test_colours_are_asked_for_by_name(tmp_path):
         np.testing.assert_array_equal(read_image(tmp_path / "c.exr", name).pixels, grey)
     write_exr(tmp_path / "same.exr", {n: grey.astype(np.float32) for n in "RGB"})
     np.testing.assert_array_equal(read_image(tmp_path / "same.exr").pixels, grey)
-    with pytest.raises(InputError, match="say which channel"):
-        read_image(tmp_path / "c.exr")
+    write_exr(tmp_path / "d.exr", {n: grey.astype(np.float32) * (n == "a") for n in "ab"})
+    with pytest.raises(InputError, match="say which channel: a, b"):
+        read_image(tmp_path / "d.exr")
+
+
+def test_the_colour_of_an_image_is_that_of_the_laser_or_of_the_line(tmp_path):
+    """A clipped line is white, with a coloured rim; a background of another colour misleads nobody.
+
+    A line of no colour is read from the green, of which sensors have the most pixels.
+    """
+    line = np.minimum(3 * picture(255, np.uint8).astype(int), 255)
+    faint = line // 3
+    for number, name in enumerate(("red", "green", "blue")):
+        planes = [np.minimum(line, 250) * 9 // 10 if n == number else faint for n in range(3)]
+        others = [n for n in range(3) if n != number]
+        planes[others[0]] = np.minimum(planes[others[0]] + 120, 255)  # the part's own colour
+        path = tmp_path / f"{name}.png"
+        cv2.imwrite(str(path), np.stack(planes[::-1], axis=-1).astype(np.uint8))
+        read = read_image(path)
+        assert read.channel == name
+        assert f"its {name} channel is read, in which a line stands out most" in read.notes[-1]
+    white = np.stack([line, line - line // 50, line], axis=-1).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "white.png"), white)
+    assert read_image(tmp_path / "white.png").channel == "green"
+    for nm, name in ((405, "blue"), (450, "blue"), (520, "green"), (532, "green"), (660, "red")):
+        assert read_image(tmp_path / "white.png", wavelength_nm=nm).channel == name
+    assert read_image(tmp_path / "white.png", "red", wavelength_nm=405).channel == "red"
+    with pytest.raises(InputError, match=r"wavelength_nm is 0\.532; give it in nm"):
+        read_image(tmp_path / "white.png", wavelength_nm=0.532)
 
 
 @pytest.mark.parametrize("ending", ["png", "tif", "exr", "bmp"])

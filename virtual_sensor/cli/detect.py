@@ -14,6 +14,7 @@ EPILOG = (
     "    virtual-sensor detect shots/ --detector max_likelihood --noise 1.2 --gain 0.37 --bits 12"
     " -o found\n\n"
     "    virtual-sensor detect line.tif --along rows --peaks 2\n\n"
+    "    virtual-sensor detect phone.jpg --wavelength 650\n\n"
     "    virtual-sensor detect measured/hot.exr --calibration measured/calibration.yaml\n\n"
     "    virtual-sensor detect line.png --detector my_package.my_module:my_function"
 )
@@ -24,7 +25,7 @@ def detect(
         list[Path],
         typer.Argument(
             metavar="IMAGE...",
-            help="PNG, TIFF, BMP or JPEG of 8 to 16 bits, OpenEXR, or folders of them.",
+            help="PNG, TIFF, JPEG, BMP, WebP, PGM, OpenEXR and others, or folders of them.",
         ),
     ],
     detector: Annotated[
@@ -68,7 +69,14 @@ def detect(
     max_width: Annotated[float, typer.Option(help="Broadest line, px standard deviation.")] = 32.0,
     channel: Annotated[
         str | None,
-        typer.Option(help="Of a colour image: red, green, blue; of an EXR file its name there."),
+        typer.Option(
+            help="Of a colour image: red, green, blue; of an EXR file its name there. By default"
+            " the colour in which the line stands out most."
+        ),
+    ] = None,
+    wavelength: Annotated[
+        float | None,
+        typer.Option(metavar="NM", help="Of the laser: of a colour image its colour is read."),
     ] = None,
     calibration: Annotated[
         Path | None,
@@ -95,7 +103,7 @@ def detect(
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
     settings = Settings(
-        *(detector, along, peaks, channel, bits, saturation, noise, gain),
+        *(detector, along, peaks, channel, wavelength, bits, saturation, noise, gain),
         min_amplitude=min_amplitude,
         max_width_px=max_width,
     )

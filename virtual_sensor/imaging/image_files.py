@@ -1,15 +1,19 @@
-"""Images of cameras and of renderers as arrays: PNG, TIFF, JPEG, BMP and OpenEXR.
+"""Images of cameras and of renderers as arrays: PNG, TIFF, JPEG, BMP, OpenEXR, WebP and others.
 
 `save_png` and `save_tiff` write grey values as a camera gives them.  One image (H, W) of a file is
-read by `read_image`, its grey values as the camera gave them.  What the formats say:
+read by `read_image`, its grey values as the camera gave them.  `KINDS` says which files are known;
+a file's content says which it is.  What the formats say:
 
 ===================================  =============================================================
-grey, RGB, palettes                  used: one colour is chosen, where they differ by `channel`
+another kind than the name's         used and noted
+grey, RGB, palettes                  used: where colours differ one is chosen by `channel`, by the
+                                     laser's wavelength, or as the line shows it, and noted
 8 and 16 bits, 32- and 64-bit float  used; half, 32-bit and signed integers become floats
 BitsPerSample (10, 12, 14), sBIT     used: the grey values and the level of clipping are theirs
 "Camera bits" (PNG, by `save_png`)   used likewise
 "virtual_sensor" (PNG, TIFF, EXR)    used: noise, gain, saturation, black level, as by
                                      `image_metadata`; and what a JSON file beside says of them
+largest value (PGM, PPM, PAM)        used: the grey values and the level of clipping are theirs
 PNG of 1, 2, 4 bits                  noted: spread to 0 ... 255
 white is zero (TIFF)                 used and noted
 planes, tiles, compression (TIFF)    used; big-endian and BigTIFF too
@@ -22,7 +26,7 @@ alpha, samples without a meaning     noted and ignored
 gamma, colour profiles               noted and ignored
 MaxSampleValue                       noted and ignored: it may be the image's own
 pixels that are not square (EXR)     noted and ignored
-lossy compression (JPEG, in TIFF)    noted
+loss (JPEG, WebP, AVIF, in TIFF)     noted; so are colours of fewer pixels (JPEG)
 CMYK, YCbCr (TIFF), Bayer mosaics    refused, as are volumes, complex and 64-bit integers
 deep, subsampled channels (EXR)      refused
 more than 179 million pixels         refused; truncated and damaged files as well
@@ -58,10 +62,12 @@ from virtual_sensor.errors import InputError, few, naming, short
 from virtual_sensor.files import exists, path_of, readable, written_whole
 from virtual_sensor.imaging.image_formats import (
     CAMERA_BITS,
+    ENDINGS,
+    KINDS,
     StoredImage,
-    read_exr,
-    read_picture,
-    read_tiff,
+    Wanted,
+    kind_of,
+    read_stored,
 )
 from virtual_sensor.imaging.image_metadata import (
     BITS,
@@ -72,8 +78,7 @@ from virtual_sensor.imaging.image_metadata import (
     sidecar_of,
     text_of,
 )
-
-ENDINGS = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".exr")
+from virtual_sensor.imaging.line_colours import colour_at
 
 _MOST_NAMES = 5  # of files in a note
 _FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
@@ -110,6 +115,8 @@ class Image(Displayed):
         `line_centres` and codecs heed it.
     metadata : dict
         All that it says: see `image_metadata`.
+    channel : str or None
+        That was read, of several that differ.
     """
 
     pixels: NDArray
@@ -117,6 +124,7 @@ class Image(Displayed):
     notes: tuple[str, ...] = ()
     detector_options: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, Any] = field(default_factory=dict, repr=False)
+    channel: str | None = None
 
     def _line(self) -> str:
         height, width = self.pixels.shape
@@ -392,9 +400,9 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
                 entries = sorted(p for p in place.iterdir() if not p.name.startswith("."))
             except OSError as error:
                 raise InputError(f"{place}: can't be read ({error.strerror})") from None
-            inside = [p for p in entries if p.suffix.lower() in ENDINGS and p.is_file()]
+            inside = [p for p in entries if is_image(p)]
             if not inside:
-                raise InputError(f"{place}: holds no image; known are {', '.join(ENDINGS)}")
+                raise InputError(f"{place}: holds no image; known are {', '.join(KINDS)}")
             known = {*inside, *map(sidecar_of, inside)}
             if others := [p.name for p in entries if p not in known]:
                 names = few(others, _MOST_NAMES)
@@ -405,19 +413,39 @@ def find_images(places: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]]:
     return list(dict.fromkeys(found)), tuple(notes)
 
 
+def is_image(path: Path) -> bool:
+    """By its content; by its name too, so that damaged ones are named."""
+    if not exists(path) or not path.is_file():  # whoever opens a pipe waits for a writer
+        return False
+    try:
+        return path.suffix.lower() in ENDINGS or kind_of(path) is not None
+    except OSError:
+        return False
+
+
 @public
-def read_image(path: str | Path, channel: str | None = None, bits: int | None = None) -> Image:
-    """Read one grey image: PNG, TIFF, JPEG, BMP or OpenEXR.
+def read_image(
+    path: str | Path,
+    channel: str | None = None,
+    bits: int | None = None,
+    *,
+    wavelength_nm: float | None = None,
+) -> Image:
+    """Read one grey image, or a colour of it: PNG, TIFF, JPEG, OpenEXR, others.
 
     Parameters
     ----------
     path : str or Path
+        What kind of file it is, its content says, whatever its name.
     channel : str, optional
         Of a colour image: "red", "green" or "blue", or R, G, B; of an EXR file its name there, with
         "part." before it where several parts have one; of a TIFF of several samples its number.  By
-        default the only one, an EXR file's "Y", or any where all colours are the same.
+        default the only one, an EXR file's "Y", or any where all colours are the same; else the
+        colour in which a line stands out most, which is noted.
     bits : int, optional
         Of the camera, where the file has more and does not say so.
+    wavelength_nm : float, optional
+        Of the laser: its colour is read, unless `channel` names another.
 
     Raises
     ------
@@ -427,14 +455,18 @@ def read_image(path: str | Path, channel: str | None = None, bits: int | None = 
     path = path_of("read_image: path", path)
     if bits is not None:
         bits = whole_number("read_image: bits", bits, 1, 32)
-    suffix = path.suffix.lower()
-    if suffix not in ENDINGS:
-        raise InputError(f"{path}: is none of {', '.join(ENDINGS)}; convert it to TIFF or PNG")
-    readable(path)
-    if suffix == ".exr":
-        stored = read_exr(path, channel)
-    else:
-        stored = (read_tiff if suffix in (".tif", ".tiff") else read_picture)(path, channel)
+    if wavelength_nm is not None:
+        with naming("read_image"):
+            colour_at(wavelength_nm)
+    if not readable(path).stat().st_size:
+        raise InputError(f"{path}: is empty; copy it again")
+    kind = kind_of(path)
+    if kind is None:
+        raise InputError(
+            f"{path}: begins like none of {', '.join(KINDS)}; is it damaged? Else convert it to"
+            " TIFF or PNG"
+        )
+    stored = read_stored(path, kind, Wanted(channel, wavelength_nm))
     stored = _plain(path, stored)
     stored = replace(stored, metadata=stored.metadata | (read_sidecar(path) or {}))
     stored, largest = _levelled(stored, bits)
@@ -452,7 +484,7 @@ def read_image(path: str | Path, channel: str | None = None, bits: int | None = 
         )
     pixels = np.ascontiguousarray(turn(stored.values) if turn else stored.values)
     notes = tuple(f"{path}: {remark}." for remark in remarks)
-    return Image(pixels, largest, notes, known, stored.metadata)
+    return Image(pixels, largest, notes, known, stored.metadata, stored.channel)
 
 
 def _known(

@@ -6,8 +6,9 @@
 import logging
 import math
 import os
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from io import BytesIO, StringIO
@@ -20,20 +21,46 @@ import OpenEXR
 import PIL.Image
 import tifffile
 from numpy.typing import NDArray
+from PIL.JpegImagePlugin import get_sampling
 
 from virtual_sensor.display import Displayed, listed, span
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, a, naming
 from virtual_sensor.imaging.image_metadata import KEY, bits_of, described, metadata_of
+from virtual_sensor.imaging.line_colours import COLOURS, colour_at, colour_of_line
+from virtual_sensor.imaging.netpbm import read_header, read_netpbm
 from virtual_sensor.imaging.piz import holds_its_claim
 
-COLOURS = ("red", "green", "blue")
 CAMERA_BITS = "Camera bits"
 """Keyword of a PNG file's text: so many bits of its grey values are the camera's, the lowest."""
 
+KINDS = {
+    "PNG": (rb"\x89PNG\r\n\x1a\n", (".png", ".apng")),
+    "TIFF": (rb"II[*+]\0|MM\0[*+]", (".tif", ".tiff")),
+    "JPEG": (rb"\xff\xd8\xff", (".jpg", ".jpeg", ".jpe")),
+    "BMP": (rb"BM.{12}[\x0c\x28\x34\x38\x40\x6c\x7c]\0\0\0", (".bmp", ".dib")),
+    "OpenEXR": (rb"v/1\x01", (".exr",)),
+    "WebP": (rb"RIFF.{4}WEBP", (".webp",)),
+    "Netpbm": (rb"P(?:[1-6fF][\s#]|7\n)", (".pgm", ".ppm", ".pbm", ".pnm", ".pam", ".pfm")),
+    "JPEG 2000": (rb"\0\0\0\x0cjP  \r\n\x87\n|\xff\x4f\xff\x51", (".jp2", ".j2k")),
+    "AVIF": (rb".{4}ftypavi[fs]", (".avif",)),
+    "GIF": (rb"GIF8[79]a", (".gif",)),
+    "Radiance": (rb"#\?(?:RADIANCE|RGBE)\n", (".hdr",)),
+    "Sun raster": (rb"\x59\xa6\x6a\x95", (".ras", ".sr")),
+}
+"""By how a file begins its kind is known; and the endings of names that such files usually have."""
+
+ENDINGS = tuple(ending for _, endings in KINDS.values() for ending in endings)
+
+_BEGINNING = 32  # bytes that tell the kind
 _MOST_PIXELS = 2 * 89_478_485  # Pillow's own limit
 _PNG_END = b"IEND\xaeB`\x82"
 _GREY = "grey"
 _ALPHA = "alpha"
+_PILLOWS = {
+    "PNG": "PNG", "JPEG": "JPEG", "BMP": "BMP", "WebP": "WEBP", "JPEG 2000": "JPEG2000",
+    "AVIF": "AVIF", "GIF": "GIF", "Sun raster": "SUN",
+}  # fmt: skip
+_BY_PILLOW = ("JPEG", "GIF", "Sun raster")  # of which OpenCV gives damaged ones too, or none
 _ORIENTATION = 0x0112  # EXIF's tag
 _LOSSY = (6, 7, 33003, 33004, 33005, 34712, 34887, 34892, 50001, 50002)  # JPEG and its kin in TIFF
 
@@ -46,6 +73,7 @@ class StoredImage(Displayed):
 
     `scaled`: its grey values are of fewer bits, spread over those of the array's type.
     `metadata`: what the file says of them, see `image_metadata`.
+    `channel`: its name, where the file has several that differ.
     """
 
     values: NDArray
@@ -54,6 +82,7 @@ class StoredImage(Displayed):
     orientation: int = 1
     remarks: list[str] = field(default_factory=list)
     metadata: dict[str, Any] = field(default_factory=dict)
+    channel: str | None = None
 
     def _line(self) -> str:
         height, width = self.values.shape
@@ -61,32 +90,72 @@ class StoredImage(Displayed):
         return listed(f"{width} x {height} px", f"{self.values.dtype}", bits, span("", self.values))
 
 
-def _channel(
-    path: Path, channels: dict[str, NDArray], channel: str | None, remarks: list[str]
-) -> NDArray:
-    """The one that is asked for, or the only one, or any where all are the same."""
+@dataclass(frozen=True)
+class Wanted(Displayed):
+    """Which channel of several is to be read: by its name, or that of a laser's light, nm."""
+
+    channel: str | None = None
+    wavelength_nm: float | None = None
+
+
+def kind_of(path: Path) -> str | None:
+    """What kind of image a file is, by its content; None if it is none that is known here."""
+    with path.open("rb") as file:
+        begins = file.read(_BEGINNING)
+    return next((k for k, (sign, _) in KINDS.items() if re.match(sign, begins, re.DOTALL)), None)
+
+
+def read_stored(path: Path, kind: str, wanted: Wanted) -> StoredImage:
+    """One channel of a file of such a kind.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the remedy.
+    """
+    reader = {"TIFF": read_tiff, "OpenEXR": read_exr, "Netpbm": read_pnm, "Radiance": read_hdr}
+    stored = reader[kind](path, wanted) if kind in reader else read_picture(path, kind, wanted)
+    ending = path.suffix.lower()
+    if ending in ENDINGS and ending not in KINDS[kind][1]:
+        stored.remarks.insert(0, f"is {a(kind)}, whatever its name says")
+    return stored
+
+
+def _channel(path: Path, channels: dict[str, NDArray], wanted: Wanted, remarks: list[str]) -> str:
+    """Name of the one that is asked for, or the only one, or any where all are the same.
+
+    Of colours it is else the one in which a line stands out most.
+    """
     alpha = channels.pop(_ALPHA, None) if len(channels) > 1 else None
     if alpha is not None and (alpha != alpha.flat[0]).any():
         remarks.append("its alpha channel is left out: transparent pixels count as any")
-    names = ", ".join(channels)
+    names, channel = ", ".join(channels), wanted.channel
     if channel is None:
-        first, *others = channels.values()
+        name, first = next(iter(channels.items()))
         if "Y" in channels:
-            return channels["Y"]
-        if all(np.array_equal(first, other, equal_nan=True) for other in others):
-            return first
-        kind = "is a colour image; " if set(channels) == set(COLOURS) else ""
-        name = next(iter(channels))
-        raise InputError(
-            f"{path}: {kind}say which channel: {names} (channel='{name}', or --channel {name})"
-        )
+            return "Y"
+        if all(np.array_equal(first, other, equal_nan=True) for other in channels.values()):
+            channels[_GREY] = first
+            return _GREY
+        if set(channels) != set(COLOURS):
+            raise InputError(
+                f"{path}: say which channel: {names} (channel='{name}', or --channel {name})"
+            )
+        if wanted.wavelength_nm is not None:
+            name = colour_at(wanted.wavelength_nm)
+            why = f"that of {wanted.wavelength_nm:g} nm"
+        else:
+            name = colour_of_line(channels)
+            why = "in which a line stands out most; --wavelength or --channel say otherwise"
+        remarks.append(f"is a colour image: its {name} channel is read, {why}")
+        return name
     if list(channels) == [_GREY]:
         remarks.append(f"is grey: --channel {channel} is not needed")
-        return channels[_GREY]
+        return _GREY
     letters = {colour[0]: colour for colour in COLOURS}
     for name in (channel, letters.get(channel.lower(), ""), channel.lower()):
         if name in channels:
-            return channels[name]
+            return name
     raise InputError(f"{path}: has no channel '{channel}'; take {names}")
 
 
@@ -127,13 +196,15 @@ def _refusing(path: Path, kind: str) -> Iterator[None]:
         ) from None
 
 
-def read_picture(path: Path, channel: str | None) -> StoredImage:
-    """PNG, JPEG or BMP: Pillow reads what the file says of itself, OpenCV pixels of all depths."""
+def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
+    """PNG, JPEG, BMP, WebP and their kin.
+
+    Pillow reads what the file says of itself, OpenCV pixels of all depths.
+    """
     remarks: list[str] = []
-    with _refusing(path, "PNG, JPEG or BMP"):
-        data = path.read_bytes()
-        with PIL.Image.open(BytesIO(data), formats=("PNG", "JPEG", "BMP")) as header:
-            kind = header.format
+    with _refusing(path, kind):
+        data, formats = path.read_bytes(), (_PILLOWS[kind],)
+        with PIL.Image.open(BytesIO(data), formats=formats) as header:
             _check_size(path, *header.size)
             try:
                 orientation = int(header.getexif().get(_ORIENTATION, 1))
@@ -141,20 +212,27 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
                 orientation = 1
                 remarks.append("its EXIF block is damaged and not used")
             frames = getattr(header, "n_frames", 1)
-            if kind in ("JPEG", "MPO"):
-                remarks.append("is a JPEG: its loss may move centres, and it may not be linear")
+            if kind == "JPEG":
+                halved = get_sampling(header) not in (0, -1)
+                colours = "; its colours have fewer pixels than its brightness" if halved else ""
+                remarks.append(
+                    f"is a JPEG: its loss may move centres, and it may not be linear{colours}"
+                )
                 if header.mode not in ("L", "RGB"):
                     raise InputError(f"{path}: is {header.mode}; save it as grey or RGB")
-                image = np.asarray(header)
+            elif kind in ("WebP", "AVIF", "JPEG 2000") and data[12:16] != b"VP8L":
+                remarks.append(f"is {a(kind)}: if it was not saved without loss, centres may move")
+            if {"gamma", "srgb", "icc_profile"} & header.info.keys() and kind != "JPEG":
+                remarks.append("names a gamma or colour profile, which is not applied")
+            if kind == "PNG":
+                with PIL.Image.open(BytesIO(data), formats=formats) as whole:
+                    whole.verify()
+                if not data.rstrip(b"\0").endswith(_PNG_END):
+                    raise InputError(f"{path}: is not a whole PNG file; copy it again")
+            if kind in _BY_PILLOW:
+                image = np.asarray(header.convert("RGB") if header.mode == "P" else header)
                 image = image[..., ::-1] if image.ndim > 2 else image  # OpenCV's order
             else:
-                if {"gamma", "srgb", "icc_profile"} & header.info.keys():
-                    remarks.append("names a gamma or colour profile, which is not applied")
-                if kind == "PNG":
-                    with PIL.Image.open(BytesIO(data), formats=("PNG",)) as whole:
-                        whole.verify()
-                    if not data.rstrip(b"\0").endswith(_PNG_END):
-                        raise InputError(f"{path}: is not a whole PNG file; copy it again")
                 image = _decoded(path, data)
     if frames > 1:
         remarks.append(f"has {frames} frames; the first is read, the others are left out")
@@ -168,16 +246,60 @@ def read_picture(path: Path, channel: str | None) -> StoredImage:
             remarks.append(f"its {depth} bits are spread to 0 ... 255")
         elif significant and 0 < significant < 8 * image.itemsize:
             bits, scaled = significant, True
+    channels = _by_name(image, COLOURS[::-1])
+    return _stored(
+        *(path, channels, wanted, remarks),
+        bits=bits,
+        scaled=scaled,
+        orientation=orientation,
+        metadata=metadata_of(header.info.get(KEY)) or {},
+    )
+
+
+def read_pnm(path: Path, wanted: Wanted) -> StoredImage:
+    """PGM, PPM and the other kinds of `netpbm`."""
+    with _refusing(path, "Netpbm"), naming(path):
+        data = path.read_bytes()
+        header = read_header(data)
+        _check_size(path, header.width, header.height, header.samples)
+        image, largest = read_netpbm(data)
+    bits = largest.bit_length() if largest else None
+    metadata: dict[str, Any] = {}
+    if largest and largest + 1 != 1 << largest.bit_length():
+        metadata = {"saturation": float(largest)}
+    return _stored(path, _by_name(image, COLOURS), wanted, remarks=[], bits=bits, metadata=metadata)
+
+
+def read_hdr(path: Path, wanted: Wanted) -> StoredImage:
+    """Radiance's RGBE, of floats."""
+    with _refusing(path, "Radiance"):
+        data = path.read_bytes()
+        sizes = re.search(rb"\n[-+][XY] (\d{1,9}) [-+][XY] (\d{1,9})\n", data[:65536])
+        if not sizes:
+            raise InputError(f"{path}: its header is not whole; write it again")
+        _check_size(path, *map(int, sizes.groups()))
+        image = _decoded(path, data)
+    return _stored(path, _by_name(image, COLOURS[::-1]), wanted, remarks=[])
+
+
+def _by_name(image: NDArray, colours: Sequence[str]) -> dict[str, NDArray]:
+    """The channels of an image (H, W) or (H, W, samples) whose colours come in such an order."""
     if image.ndim == 2:
-        channels = {_GREY: image}
-    else:
-        names = ("blue", "green", "red", _ALPHA)[: image.shape[2]]
-        channels = {
-            name: image[:, :, names.index(name)] for name in (*COLOURS, _ALPHA)[: len(names)]
-        }
-    chosen = _channel(path, channels, channel, remarks)
-    metadata = metadata_of(header.info.get(KEY)) or {}
-    return StoredImage(chosen, bits, scaled, orientation, remarks, metadata)
+        return {_GREY: image}
+    names = (_GREY, _ALPHA) if image.shape[2] < 3 else (*colours, _ALPHA)
+    if image.shape[2] > len(names):
+        names = tuple(f"{n}" for n in range(1, image.shape[2] + 1))
+    named = {name: image[:, :, n] for n, name in enumerate(names[: image.shape[2]])}
+    return {name: named[name] for name in (*COLOURS, *names) if name in named}
+
+
+def _stored(
+    path: Path, channels: dict[str, NDArray], wanted: Wanted, remarks: list[str], **said: Any
+) -> StoredImage:
+    """The channel that is wanted, with what the file says of it."""
+    name = _channel(path, channels, wanted, remarks)
+    channel = None if name == _GREY else name
+    return StoredImage(channels[name], remarks=remarks, channel=channel, **said)
 
 
 def _decoded(path: Path, data: bytes) -> NDArray:
@@ -201,7 +323,7 @@ def _significant_bits(data: bytes) -> int | None:
     return None
 
 
-def read_tiff(path: Path, channel: str | None) -> StoredImage:
+def read_tiff(path: Path, wanted: Wanted) -> StoredImage:
     """TIFF by tifffile, which undoes packing, planes and compression as the tags say."""
     remarks: list[str] = []
     with _refusing(path, "TIFF"), tifffile.TiffFile(path) as file:
@@ -246,7 +368,8 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         if len(names) != values.shape[2] or len(set(names)) < len(names):
             names = [f"{n}" for n in range(1, values.shape[2] + 1)]
         channels = {name: values[:, :, n] for n, name in enumerate(names)}
-        chosen = _channel(path, channels, channel, remarks)
+        name = _channel(path, channels, wanted, remarks)
+        chosen = channels[name]
         tags = {tag.name: tag.value for tag in page.tags.values()}
         metadata = described(page.description) or {}
         most = float(np.max(tags.get("MaxSampleValue", 0)))
@@ -269,7 +392,8 @@ def read_tiff(path: Path, channel: str | None) -> StoredImage:
         remarks.append(f"has {count} pages; one is read, the others are left out")
     said = bits_of(metadata) or bits
     bits = said if bits and said <= 8 * chosen.itemsize else bits
-    return StoredImage(chosen, bits or None, False, orientation, remarks, metadata)
+    channel = None if name == _GREY else name
+    return StoredImage(chosen, bits or None, False, orientation, remarks, metadata, channel)
 
 
 def _without(values: NDArray, mark: str) -> NDArray:
@@ -281,7 +405,7 @@ def _without(values: NDArray, mark: str) -> NDArray:
     return np.where(missing, np.nan, values) if missing.any() else values
 
 
-def read_exr(path: Path, channel: str | None) -> StoredImage:
+def read_exr(path: Path, wanted: Wanted) -> StoredImage:
     """OpenEXR: a channel of any of its parts, where its display window has it."""
     name = os.fsencode(path)  # whatever its letters
     with _refusing(path, "OpenEXR"):
@@ -307,7 +431,7 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
             )
     remarks: list[str] = []
     names = [f"{head.get('name') or number}" for number, head in enumerate(heads, 1)]
-    part, values = _exr_channel(path, names, parts, channel, remarks)
+    part, chosen, values = _exr_channel(path, names, parts, wanted, remarks)
     (left, top), (width, height), (left_shown, top_shown), shown = windows[part]
     if values.shape != (height, width):
         raise InputError(f"{path}: its channel is subsampled; choose another or save it in full")
@@ -315,7 +439,7 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
         remarks.append("its pixels are not square, which is not used")
     metadata = metadata_of(heads[part].get(KEY)) or {}
     if windows[part][:2] == windows[part][2:]:
-        return StoredImage(values, remarks=remarks, metadata=metadata)
+        return StoredImage(values, remarks=remarks, metadata=metadata, channel=chosen)
     remarks.append(
         f"its data window of {width} x {height} px begins at ({left - left_shown},"
         f" {top - top_shown}) of its {shown[0]} x {shown[1]} px: pixels beside it are missing"
@@ -324,7 +448,7 @@ def read_exr(path: Path, channel: str | None) -> StoredImage:
     rows, columns = np.arange(height) + top - top_shown, np.arange(width) + left - left_shown
     inside = (rows >= 0) & (rows < shown[1]), (columns >= 0) & (columns < shown[0])
     whole[np.ix_(rows[inside[0]], columns[inside[1]])] = values[np.ix_(*inside)]
-    return StoredImage(whole, remarks=remarks, metadata=metadata)
+    return StoredImage(whole, remarks=remarks, metadata=metadata, channel=chosen)
 
 
 def _whole_piz(
@@ -351,10 +475,11 @@ def _exr_channel(
     path: Path,
     names: list[str],
     parts: list[dict[str, NDArray]],
-    channel: str | None,
+    wanted: Wanted,
     remarks: list[str],
-) -> tuple[int, NDArray]:
-    """Number of the part, and the channel (H, W) of it that is asked for."""
+) -> tuple[int, str | None, NDArray]:
+    """Number of the part, and name (None: all are the same) and pixels of the channel wanted."""
+    channel = wanted.channel
     everywhere = [name for part in parts for name in part]
     aliases = dict(zip("RGBA", (*COLOURS, _ALPHA), strict=True))
     places = {
@@ -365,11 +490,12 @@ def _exr_channel(
     if channel is not None and len(parts) > 1:  # "part.name" is known too where "name" would do
         prefix, _, own = channel.partition(".")
         if prefix in names and own in parts[names.index(prefix)]:
-            return names.index(prefix), parts[names.index(prefix)][own]
+            return names.index(prefix), channel, parts[names.index(prefix)][own]
     named = {name: values for name, (_, values) in places.items()}
-    chosen = _channel(path, named, channel, remarks)
+    name = _channel(path, named, wanted, remarks)
+    chosen = named[name]
     part = next(i for i, values in places.values() if values is chosen)
     if len(parts) > 1 and channel is None:
         others = ", ".join(name for i, name in enumerate(names) if i != part)
         remarks.append(f"has {len(parts)} parts; '{names[part]}' is read, not {others}")
-    return part, chosen
+    return part, None if name == _GREY else name, chosen

@@ -39,7 +39,9 @@ class Settings(Record):
     peaks : int
         Sought in each column or row, the highest first.
     channel : str or None
-        Of a colour image.
+        Of a colour image; None: that of the wavelength, or the one in which the line stands out.
+    wavelength_nm : float or None
+        Of the laser, for the colour that is read.
     bits : int or None
         Of the camera, where the file has more.
     saturation : float or None
@@ -58,6 +60,7 @@ class Settings(Record):
     along: str = "columns"
     peaks: int = 1
     channel: str | None = None
+    wavelength_nm: float | None = None
     bits: int | None = None
     saturation: float | None = None
     noise: float | None = None
@@ -255,7 +258,9 @@ def detect(
         Naming the image that can't be read, or is not of the calibration's size.
     """
     for path in paths:
-        read = read_image(path, settings.channel, settings.bits)
+        read = read_image(
+            *(path, settings.channel, settings.bits), wavelength_nm=settings.wavelength_nm
+        )
         image = read.pixels
         if calibration and image.shape != calibration.camera.size[::-1]:
             width, height = calibration.camera.size

@@ -33,7 +33,7 @@ from virtual_sensor.arrays import LARGEST, SMALLEST, number_within
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, naming
 from virtual_sensor.files import RESULTS_SIGN, exists, readable
-from virtual_sensor.imaging.image_files import ENDINGS, read_image
+from virtual_sensor.imaging.image_files import is_image, read_image
 from virtual_sensor.imaging.scene import (
     Scene,
     find_scene,
@@ -275,17 +275,17 @@ def _read(path: Path, own: dict[str, str], scenes: Scenes) -> Iterator[Measured]
         yield from _of_folder(path, own, scenes)
     elif path.suffix.lower() == ".exr" and holds_decoded(path):
         yield of_fringes(path.stem, scenes.of(path, own), read_decoded(path))
-    elif path.suffix.lower() in ENDINGS:
-        yield _of_image(path, scenes.of(path, own))
     elif path.suffix.lower() in _TABLES:
         yield _of_columns(path, read_centres(path), scenes.of(path, own))
+    elif is_image(path):
+        yield _of_image(path, scenes.of(path, own))
     elif path.name == RESULTS_SIGN:
         yield from _of_folder(path.parent, own, scenes)
     else:
         readable(path)
         raise InputError(
             f"{path}: is no measurement; give a folder of `measure` or `burst`, a table of line"
-            f" centres (CSV), or an image ({', '.join(ENDINGS)})"
+            f" centres (CSV), or an image"
         )
 
 

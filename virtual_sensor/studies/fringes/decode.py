@@ -16,6 +16,7 @@ from virtual_sensor.devices.image_sensor import LinearGrey
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.errors import InputError, few, nearest
 from virtual_sensor.imaging.image_files import Image, find_images, read_image
+from virtual_sensor.imaging.line_colours import COLOURS
 from virtual_sensor.metrology.fringes.codec import LEAST_MODULATION, Codec
 from virtual_sensor.metrology.fringes.codecs import codec_of
 from virtual_sensor.metrology.fringes.decoded import DecodedFringes, FringeStatus
@@ -278,6 +279,11 @@ def _read(
     for number, path in enumerate(paths):
         report(f"reading {path.name}", 0.6 * number / len(paths))
         read = read_image(path, settings.channel, settings.bits)
+        if read.channel in COLOURS and settings.channel is None:
+            raise InputError(
+                f"{path}: is a colour image; say which channel: {', '.join(COLOURS)} (--channel"
+                " green)"
+            )
         if images and read.pixels.shape != images[0].shape:
             (here, there) = (
                 f"{each.shape[1]} x {each.shape[0]} px" for each in (read.pixels, images[0])
