@@ -54,8 +54,9 @@ def revolved(outline: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
 
 
 def write_ply(path: Path, vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> None:
-    """Write a binary PLY file."""
-    properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "nx", "ny", "nz"))
+    """Write a binary PLY file; vertices have places, normals, and texture coordinates or none."""
+    names = ("x", "y", "z", "nx", "ny", "nz", "u", "v")[: vertices.shape[1]]
+    properties = "".join(f"property float {name}\n" for name in names)
     header = (
         "ply\nformat binary_little_endian 1.0\n"
         f"element vertex {len(vertices)}\n{properties}"

@@ -249,11 +249,12 @@ def test_what_a_scene_refers_to_is_shipped(name):
     path = ROOT / "scenes" / f"{name}.xml"
     scene = ElementTree.parse(path)
     values = {e.get("name"): e.get("value") for e in scene.iter("default")}
-    for element in scene.iter("string"):
-        if element.get("name") in ("field", "filename"):
-            file = element.get("value")
-            for parameter, value in reversed(values.items()):  # a default may use earlier ones
-                file = file.replace(f"${parameter}", value)
+    named = ("field", "filename")
+    texts = [e.get("value") for e in scene.iter("string") if e.get("name") in named]
+    for file in texts + [element.get("filename") for element in scene.iter("include")]:
+        for parameter, value in reversed(values.items()):  # a default may use earlier ones
+            file = file.replace(f"${parameter}", value)
+        if file:  # no field is none
             assert path.parent / file in [f for files in shipped().values() for f in files]
 
 

@@ -36,7 +36,8 @@ def correct(
         str | None,
         typer.Option(
             help="In which it was measured, by default the one that the folders name; a file, or"
-            " one that is installed: hot_cylinder, cold_cylinder, stepped_shaft."
+            " one that is installed: hot_cylinder, cold_cylinder, stepped_shaft,"
+            " v_groove."
         ),
     ] = None,
     define: shared.Definitions = None,

@@ -45,7 +45,8 @@ SceneArgument = Annotated[
     typer.Argument(
         metavar="SCENE",
         callback=there,
-        help="A scene file, or one that is installed: hot_cylinder, cold_cylinder, stepped_shaft.",
+        help="A scene file, or one that is installed: hot_cylinder, cold_cylinder, stepped_shaft,"
+        " v_groove.",
     ),
 ]
 Definitions = Annotated[
