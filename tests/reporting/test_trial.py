@@ -18,6 +18,7 @@ from virtual_sensor.reporting import trial as reporting
 from virtual_sensor.reporting.style import colours
 from virtual_sensor.studies.machine import machine
 from virtual_sensor.studies.trial import trial as study
+from virtual_sensor.studies.trial.hard import Sample, hard_condition
 from virtual_sensor.studies.trial.images import STATED, Condition
 from virtual_sensor.studies.trial.scores import PHASES, Phases, Score
 from virtual_sensor.studies.trial.trial import Trial, conditions
@@ -32,7 +33,8 @@ def score(condition, detector, ratio=1.2, time_us=5.0, lost=0.0, outliers=0.0):
     return Score(
         *(condition.kind, condition.width_px, condition.column_electrons),
         *(condition.read_noise_electrons, detector, 0.0, error, error, error, 0.01),
-        *(outliers, lost, 100, time_us),
+        *(outliers, lost, outliers, 100, time_us),
+        amount=condition.amount,
     )
 
 
@@ -44,6 +46,7 @@ def of(*task, harder=()):
     return Trial(
         scores=(*scores, *harder, *task),
         phases=Phases.of(biases),
+        samples=(),
         task=STATED,
         seed=1,
         columns=100,
@@ -59,14 +62,22 @@ def drawn(tmp_path_factory):
     task = [score(STATED, name, ratio, time_us) for name, ratio, time_us in figures]
     hard = Condition("speckle", 2.0, 6320.0, 2.0)
     harder = [score(hard, name, np.nan if name == OWN else 2.0, lost=0.2) for name in NAMES]
+    clipped = [hard_condition("clipped frame", amount) for amount in (2.0, 8.0)]
+    harder += [
+        score(at, name, 3.0, outliers=0.1 * (name == OWN)) for at in clipped for name in NAMES
+    ]
     trial = of(*task, harder=harder)
+    grey = np.arange(600, dtype=np.uint16).reshape(20, 30)
+    row = np.full(30, 9.5)
+    sample = Sample(clipped[1], OWN, grey, row, np.arange(30.0), row)
+    trial = replace(trial, samples=(sample,))
     folder = tmp_path_factory.mktemp("trial") / "out"
     reporting.save(trial, folder, "virtual-sensor trial --detector '<my>'")
     return trial, folder
 
 
 def test_every_file_is_there_and_documented(drawn):
-    """Four pictures, two tables, a page, its Markdown and a summary."""
+    """Six pictures, two tables, a page, its Markdown and a summary."""
     _, folder = drawn
     assert undocumented(folder, reporting.FILES) == []
     assert {p.name for p in folder.iterdir()} == {each.pattern for each in reporting.FILES}
@@ -88,7 +99,7 @@ def test_the_page_opens_and_a_users_name_is_a_name(drawn, faults_of):
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<my>" not in page
     assert page.count("&lt;my&gt;") > 3
-    assert page.count("<img ") == 2 + 1 + 3 + 1 + 1
+    assert page.count("<img ") == 2 + 1 + 3 + 1 + 1 + 1 + 1
     table = (folder / "table.md").read_text(encoding="utf-8")
     assert "&lt;my> $detector\\| | 0.0190 | 1.90 |" in table
 
@@ -112,6 +123,19 @@ def test_the_headline_takes_the_fastest_within_a_tenth_of_the_bound():
     said = reporting.lead(of(fast, near))
     assert "with 5,000 e at its peak and 2 e of read noise, take fir8: 0.011 px rms, 1.09 ±" in said
     assert "gaussian: 1.00 ± 0.07 times the Cramér-Rao bound" in said
+
+
+def test_hard_frames_have_a_table_and_what_breaks_its_promise_is_named(drawn):
+    """The best is right in most columns, and keeps its promise; the others are counted."""
+    trial, folder = drawn
+    (first, last) = reporting.hard_table(trial).rows
+    assert first[:2] == ("clipped frame, 2 times the full well", "gaussian")
+    assert last[-1] == "1 of 3"
+    said = reporting.honesty(trial)
+    assert f"{OWN} in 2; most, 10.0%" in said
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["breaches"] == 2
+    assert reporting.honesty(replace(trial, scores=trial.scores[:3])).startswith("In no image")
 
 
 def test_detectors_are_told_apart_by_colour_and_keep_it():

@@ -1,5 +1,7 @@
 """The trial is fair: known truth, the bound by its formula, the same images for a seed."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from artificial import cramer_rao
@@ -7,10 +9,21 @@ from artificial import cramer_rao
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
+from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.drawn_lines import cramer_rao_px, line_shares
 from virtual_sensor.metrology.truth import TrueLine, rms
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
+from virtual_sensor.studies.trial.hard import (
+    QUICK_AMOUNTS,
+    Bench,
+    Sample,
+    hard_condition,
+    hard_frames,
+    sparks,
+)
 from virtual_sensor.studies.trial.images import (
+    AMOUNTS,
+    KINDS,
     STATED,
     Condition,
     drawn_line,
@@ -18,7 +31,7 @@ from virtual_sensor.studies.trial.images import (
     shifted,
 )
 from virtual_sensor.studies.trial.scores import PHASES, phase_bias, score
-from virtual_sensor.studies.trial.trial import trial
+from virtual_sensor.studies.trial.trial import kinds_of, trial
 
 CLEAN = Condition("clean", 2.0, 2000.0, 2.0)
 
@@ -92,6 +105,7 @@ def test_what_a_users_detector_does_is_counted():
     assert found.outlier_share == pytest.approx(0.1)
     assert found.lost_share == pytest.approx(0.2)
     assert np.isnan(found.predicted_px)
+    assert found.wrong_share == pytest.approx(0.1)  # it predicts no error: 0.5 px
 
 
 def test_phases_show_the_published_bias():
@@ -158,3 +172,99 @@ def test_a_line_that_an_image_sensor_records_is_of_its_data_sheet():
         assert found.condition == condition
         assert found.lost_share < 0.05
         assert found.ratio < 4.0
+
+
+def boastful(image):
+    """A user's detector that is off by 0.1 px, and claims 0.01 px in every second column."""
+    row = np.full(image.shape[1], 32.1)
+    claimed = np.where(np.arange(row.size) % 2, 0.01, 0.03)
+    return dataclasses.replace(LineCentres.of_rows(row), sigma=claimed)
+
+
+def test_a_centre_is_held_against_the_error_that_its_detector_predicts():
+    """Off by ten of its sigmas in every second column, by three in the others."""
+    flat = drawn_line(CLEAN, 200, (0, 2))
+    rows = np.where(np.arange(200) < 180, 32.0, np.nan)
+    still = dataclasses.replace(flat, truth=TrueLine.of_rows(rows), options={})
+    found = score(f"{__name__}:boastful", CLEAN, still)
+    of_nothing = 20  # columns beyond the line's end
+    assert found.wrong_share * found.columns == pytest.approx(found.columns // 2 + of_nothing)
+    assert found.breaks_the_rule
+    assert not score("max_likelihood", CLEAN, flat).breaks_the_rule
+
+
+@pytest.fixture(scope="module")
+def hard():
+    """A hard frame of each kind, small."""
+    return {at.kind: (at, image) for at, image in hard_frames(True, 0, "", KINDS, str)}
+
+
+PROMISE_TOO_MUCH = {
+    "ambient frame": {"steger"},
+    "edged frame": {"steger"},
+    "speckled frame": {"gaussian", "max_likelihood", "steger"},
+    "spattered frame": {"steger"},
+}
+"""Detectors whose centres are wrong by more than they say, in hard frames of a kind."""
+
+
+def test_no_detector_promises_more_than_it_keeps_but_those_that_are_named(hard):
+    """Over 1 % of the columns found, and off by over six of the sigmas that it predicts."""
+    for kind, (condition, image) in hard.items():
+        for name in ("gaussian", "max_likelihood", "steger"):
+            found = score(name, condition, image)
+            named = name in PROMISE_TOO_MUCH.get(kind, ())
+            assert found.breaks_the_rule <= named, (kind, name, found.wrong_share)
+
+
+def test_an_edge_of_the_reflectance_shifts_the_light_by_the_formula():
+    """Curless and Levoy 1995: by sigma sqrt(2/pi) (1 - r)/(1 + r) where it is in the middle."""
+    condition = hard_condition("edged frame", 10.0)
+    light, truth = Bench(512).light(condition, np.random.default_rng(0))
+    row = truth.centres(5.0).row
+    known = np.isfinite(row)
+    moment = (light * np.arange(len(light))[:, None]).sum(axis=0)
+    shift = moment[known] / light.sum(axis=0)[known] - row[known]
+    y = np.linspace(-20.0, 20.0, 512)[known] * 45.0 / 40.0  # mm along the line, of a film of 45
+    middles = np.interp(np.arange(-2.5, 3.0) * 40.0 / 6.0, y, shift)
+    expected = condition.width_px * np.sqrt(2.0 / np.pi) * 0.9 / 1.1
+    np.testing.assert_allclose(np.abs(middles), expected, atol=0.1)
+    np.testing.assert_array_equal(np.sign(middles), -np.sign(np.roll(middles, 1)))
+
+
+def test_hard_frames_are_as_hard_as_they_say(hard):
+    """Each has its truth; the clipped one clips, the one in ambient light has it."""
+    assert set(hard) == set(QUICK_AMOUNTS)
+    for condition, image in hard.values():
+        assert image.truth.columns(4.0).size > 400
+        assert condition.amount == QUICK_AMOUNTS[condition.kind][-1]
+    _, clipped = hard["clipped frame"]
+    full = (clipped.grey >= clipped.options["saturation"]).sum(axis=0)
+    # A Gaussian of sigma 2 px, 8 times over-exposed, lies above the brim for 2 sqrt(2 ln 8) sigma.
+    broad = 2.0 * 2.0 * np.sqrt(2.0 * np.log(8.0))
+    assert np.median(full) == pytest.approx(broad, abs=1.0)
+    _, ambient = hard["ambient frame"]
+    assert np.median(ambient.grey) > 1000.0
+    for condition, image in hard.values():
+        sample = Sample.of(condition, image, "gaussian")
+        assert sample.grey.shape == (60, 150)
+        assert np.isfinite(sample.true_row).all()
+        assert np.all((sample.row >= 0) & (sample.row < 60))
+
+
+def test_sparks_are_bright_and_repeat_by_their_seed():
+    """None makes no light; as many as asked, anywhere."""
+    one, same = (sparks((40, 90), 30, np.random.default_rng(3)) for _ in range(2))
+    assert one.tobytes() == same.tobytes()
+    assert 1.0 < one.max() < 30.0
+    assert not sparks((40, 90), 0, np.random.default_rng(3)).any()
+
+
+def test_kinds_of_images_are_found_by_name():
+    """As the command line gives them: "clipped" for a clipped frame, "hard" for all hard ones."""
+    assert kinds_of([]) == KINDS
+    assert kinds_of(["hard"]) == tuple(AMOUNTS)
+    assert kinds_of(["Clipped", "edged_frame", "clipped frame"]) == ("clipped frame", "edged frame")
+    assert kinds_of(["saturated", "hot"]) == ("saturated", "hot frame")
+    with pytest.raises(InputError, match="no images of the kind 'cliped'"):
+        trial(kinds=["cliped"])

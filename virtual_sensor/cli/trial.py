@@ -18,6 +18,8 @@ EPILOG = (
     "    virtual-sensor trial --width 2.5 --peak 900 --read-noise 6\n\n"
     "    virtual-sensor trial --sensor-model cmos_5um5 --width 2.5\n\n"
     "    virtual-sensor trial --quick -o glance\n\n"
+    "    virtual-sensor trial --kind hard -o hard\n\n"
+    "    virtual-sensor trial --kind clipped --kind edged --detector gaussian\n\n"
     "    virtual-sensor trial --detector max_likelihood --detector my_package.my_module:mine"
 )
 
@@ -60,8 +62,20 @@ def trial(
     columns: Annotated[int, typer.Option(metavar="N", min=100, help="Of each drawn image.")] = 2000,
     quick: Annotated[bool, typer.Option("--quick", help="Few images, in seconds.")] = False,
     frames: Annotated[
-        bool, typer.Option("--frames/--no-frames", help="Render the part cold and hot too.")
+        bool,
+        typer.Option(
+            "--frames/--no-frames", help="Render too: the part cold and hot, and hard frames."
+        ),
     ] = True,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND",
+            help="Only such images, besides your line's: clean, saturated, speckle, cold, hot;"
+            " clipped, edged, speckled, ambient, spattered, ghostly, or hard for these six;"
+            " repeatable.",
+        ),
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(metavar="N", min=1, help="Processes; by default one for each core."),
@@ -72,9 +86,11 @@ def trial(
     """Try line detectors on images of known truth: error, bias, outliers, time, and the bound.
 
     Widths, signals and noises; saturation, speckle, ambient light; the part rendered cold and hot.
+    Hard frames: over-exposed, with edges of the reflectance, grains, spatter and ghosts; each
+    centre is held against the error that its detector predicts.
     """
-    from virtual_sensor.reporting.trial import described, lead, save, table
-    from virtual_sensor.studies.trial.images import Condition
+    from virtual_sensor.reporting.trial import described, hard_table, honesty, lead, save, table
+    from virtual_sensor.studies.trial.images import AMOUNTS, Condition
     from virtual_sensor.studies.trial.trial import trial as run
 
     shared.see_own_modules()
@@ -94,7 +110,7 @@ def trial(
         task = Condition.of_sensor("task", width, sensor, peak)
     with shared.reporting("getting ready") as report:
         result = run(
-            *(detector or [], task, seed, columns, quick, frames, workers),
+            *(detector or [], task, seed, columns, quick, frames, kind or [], workers),
             lambda stage, fraction: report(stage, 0.9 * fraction),
         )
         report("drawing and writing", 0.9)
@@ -102,5 +118,6 @@ def trial(
     scores = table(result.of("task"), described(task), narrow=True)
     bold = ["Bold: no other detector is both faster and more accurate."]
     key = bold if shared.console.is_terminal else []  # a pipe has no bold
-    shared.print_results([scores, *key, lead(result)])
+    hard = (hard_table(result), honesty(result)) if result.of(*AMOUNTS) else ()
+    shared.print_results([scores, *key, *hard, lead(result)])
     shared.print_end(output)

@@ -17,7 +17,7 @@ from virtual_sensor.files import RESULTS_SIGN, folder_written_whole
 from virtual_sensor.metrology.detectors import NAMES, STEGER
 from virtual_sensor.records import Record, record_columns
 from virtual_sensor.reporting.files import FileOf, write_results
-from virtual_sensor.reporting.page import PAGE, Details, Page, Section
+from virtual_sensor.reporting.page import PAGE, Content, Details, Page, Section
 from virtual_sensor.reporting.pictures import Panel, Picture, draw_picture
 from virtual_sensor.reporting.style import (
     LINES,
@@ -31,11 +31,20 @@ from virtual_sensor.reporting.style import (
 from virtual_sensor.reporting.tables import Column, TextTable, text_table
 from virtual_sensor.reporting.words import time_in_words, unbroken
 from virtual_sensor.studies.machine import Machine
-from virtual_sensor.studies.trial.images import Condition
-from virtual_sensor.studies.trial.scores import OUTLIER_BOUNDS, OUTLIER_PX, Phases, Score
+from virtual_sensor.studies.trial.hard import Sample
+from virtual_sensor.studies.trial.images import AMOUNTS, Condition
+from virtual_sensor.studies.trial.scores import (
+    MOST_WRONG,
+    OUTLIER_BOUNDS,
+    OUTLIER_PX,
+    WRONG_SIGMAS,
+    Phases,
+    Score,
+)
 from virtual_sensor.studies.trial.trial import Trial, front
 
 TABLE = "table.md"
+_SHOWN_APART = ("task", "clean", *AMOUNTS)  # have pictures of their own
 _LONGEST_NAME = 22
 _HOW = (
     "Every detector sees the same images, and knows the camera's noise and gain. Clean lines are"
@@ -53,6 +62,14 @@ _HOW = (
     " pixel."
     " Frames are of the hot cylinder, rendered; their truth is where the laser's axis meets the"
     " surface.",
+    "Hard frames are rendered too: of a flat plate, with the line's peak at 80 % of a full well of"
+    " 10,000 e and read noise of 3 e. The clipped ones are so many times over-exposed. Edges of the"
+    " reflectance run through the line slowly, each from four of its standard deviations below it"
+    " to as many above, bright above or below. Speckle is of the f-number given. Ambient light is"
+    " uneven, on a plate in patches. Sparks of spatter are up to three times the line's height.",
+    f"A detector breaks the rule where more than {MOST_WRONG:.0%} of a line's columns have a centre"
+    f" that counts as found and is off by more than {WRONG_SIGMAS:g} of the sigmas that it predicts"
+    f" (and 0.02 px; {OUTLIER_PX:g} px where it predicts none).",
 )
 _SECTIONS = {
     "speed": (
@@ -75,6 +92,15 @@ _SECTIONS = {
         "Harder images",
         "Shares of the columns with a line; in words, the rms error of those that are right.",
     ),
+    "hard": (
+        "Hard frames",
+        "Share of the columns with a line whose centre is right, over what makes the frame hard.",
+    ),
+    "frames": (
+        "What hard frames look like",
+        "A part of the hardest of each kind: the line's true row, and the centres that a detector"
+        " counts as found.",
+    ),
 }
 """Titles and words of the pictures on the page."""
 
@@ -95,6 +121,8 @@ class Summary(Record):
         The fastest within a tenth of the task's bound, or else the most accurate.
     front : list of str
         Detectors that no other beats in both time and error in the task, the fastest first.
+    breaches : int
+        Scores of detectors that promise more than they keep: `wrong_share` is above 1 %.
     seed, columns : int
         Of the images.
     time_s : float
@@ -106,6 +134,7 @@ class Summary(Record):
     task: Condition
     recommended: Score | None
     front: list[str]
+    breaches: int
     seed: int
     columns: int
     time_s: float
@@ -120,6 +149,8 @@ FILES = (
     FileOf("signal.png", "Error over its bound against the signal, for each width of the line."),
     FileOf("phase.png", "Bias against sub-pixel phase, for each width of the line."),
     FileOf("troubles.png", "Columns that are right, wrong and lost in harder images."),
+    FileOf("hard.png", "Columns that are right in hard frames, over what makes them hard."),
+    FileOf("frames.png", "Parts of hard frames, the line's truth and what was found."),
     FileOf(PAGE, "Page with all of it."),
 )
 
@@ -139,6 +170,7 @@ def save(trial: Trial, folder: Path, command: str, overwrite: bool = False) -> N
         task=trial.task,
         recommended=trial.recommended,
         front=[each.detector for each in front(trial.of("task"))],
+        breaches=len(trial.breaches),
         seed=trial.seed,
         columns=trial.columns,
         time_s=trial.time_s,
@@ -158,7 +190,7 @@ def save(trial: Trial, folder: Path, command: str, overwrite: bool = False) -> N
 def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> TextTable:
     """Scores on one image, the most accurate first; the front is emphasised.
 
-    A narrow one, for the console, is without the predicted errors.
+    A narrow one, for the console, is without the predicted errors and what they miss.
     """
     columns = (
         Column("detector"),
@@ -167,12 +199,64 @@ def table(scores: Sequence[Score], caption: str = "", narrow: bool = False) -> T
         Column("predicted_px", "predicted", "{:.4f}"),
         Column("outlier_share", "outliers", "{:.1%}"),
         Column("lost_share", "no centre", "{:.1%}"),
+        Column("wrong_share", "over 6 sigma", "{:.1%}"),
         Column("time_us", "time", _time),
     )
-    shown = [each for each in columns if not (narrow and each.name == "predicted_px")]
+    left_out = ("predicted_px", "wrong_share") if narrow else ()
+    shown = [each for each in columns if each.name not in left_out]
     ordered = sorted(scores, key=lambda s: (not np.isfinite(s.rms_px), s.rms_px))
     best = {each.detector for each in front(scores)}
     return text_table(ordered, shown, caption, [each.detector in best for each in ordered])
+
+
+def hard_table(trial: Trial) -> TextTable:
+    """The best detector on each hard frame: it keeps the rule, and is right in most columns."""
+    conditions = dict.fromkeys(each.condition for each in trial.of(*AMOUNTS))
+    rows = []
+    for condition in conditions:
+        own = [each for each in trial.scores if each.condition == condition]
+        best = max(own, key=lambda e: (not e.breaks_the_rule, round(e.right_share, 2), -e.rms_px))
+        broken = sum(each.breaks_the_rule for each in own)
+        rows.append(
+            {
+                "image": _of_amount(condition),
+                "best": best.detector,
+                "rms_px": best.rms_px,
+                "sigma_ratio": best.sigma_ratio,
+                "right": best.right_share,
+                "broken": f"{broken} of {len(own)}" if broken else "none",
+            }
+        )
+    columns = (
+        Column("image"),
+        Column("best", "best detector"),
+        Column("rms_px", shape="{:.3f}"),
+        Column("sigma_ratio", "predicted / rms", "{:.2f}"),
+        Column("right", shape="{:.1%}"),
+        Column("broken", "promise too much"),
+    )
+    return text_table(rows, columns, "Hard frames")
+
+
+def honesty(trial: Trial) -> str:
+    """Whether centres are within six of the sigmas that their detectors predict."""
+    rule = f"off by more than {WRONG_SIGMAS:g} of the sigmas that it predicts"
+    if not trial.breaches:
+        return f"In no image has a detector more than {MOST_WRONG:.0%} of its centres {rule}."
+    worst = trial.breaches[0]
+    found = {name: sum(e.detector == name for e in trial.breaches) for name in trial.detectors}
+    counts = ", ".join(f"{name} in {n}" for name, n in found.items() if n)
+    images = len({each.condition for each in trial.scores})
+    return (
+        f"Of {images} images, more than {MOST_WRONG:.0%} of a detector's centres are {rule}:"
+        f" {counts}; most, {worst.wrong_share:.1%}, of {worst.detector} in the"
+        f" {described(worst.condition)}."
+    )
+
+
+def _of_amount(condition: Condition) -> str:
+    """What a hard frame is of: its kind, and how hard it is."""
+    return f"{condition.kind}, {AMOUNTS[condition.kind][0].format(condition.amount)}"
 
 
 def _time(us: float) -> str:
@@ -188,6 +272,8 @@ def markdown(trial: Trial) -> str:
 def described(condition: Condition) -> str:
     """What an image is like, in words."""
     kind = "line" if condition.kind in ("task", "clean") else condition.kind
+    if kind in AMOUNTS:
+        kind = f"{_of_amount(condition)}: a line"
     sensor = f", recorded by {Path(condition.sensor).stem}" if condition.sensor else ""
     return (
         f"{kind} of sigma {condition.width_px:.3g} px with {condition.peak_electrons:,.0f} e at its"
@@ -230,14 +316,20 @@ def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
     sections = []
     for name, picture in pictures.items():
         title, words = _SECTIONS[name]
-        task = [table(trial.of("task"), described(trial.task))] if name == "speed" else []
-        sections.append(Section(title, words, *task, picture))
+        own: tuple[Content, ...] = ()
+        if name == "speed":
+            own = (table(trial.of("task"), described(trial.task)),)
+        elif name == "hard":
+            own = (hard_table(trial), honesty(trial))
+        sections.append(Section(title, words, *own, picture))
     conditions = dict.fromkeys(each.condition for each in trial.scores)
-    tables = tuple(
+    all_tables = tuple(
         table([each for each in trial.scores if each.condition == condition], described(condition))
         for condition in conditions
     )
-    sections.append(Section("All scores", Details(f"Tables of {len(tables)} images", tables)))
+    sections.append(
+        Section("All scores", Details(f"Tables of {len(all_tables)} images", all_tables))
+    )
     sections.append(Section("How it was done", *_HOW))
     return Page(
         title="A trial of line detectors",
@@ -251,11 +343,17 @@ def page(trial: Trial, pictures: Mapping[str, Picture], command: str) -> Page:
 def draw(trial: Trial) -> dict[str, Picture]:
     """The pictures by the names of their files."""
     key = _Key(trial.detectors)
-    drawn = {"speed": _speed(trial, key), "signal": _signal(trial, key)}
+    drawn = {"speed": _speed(trial, key)}
+    if trial.of("clean"):
+        drawn["signal"] = _signal(trial, key)
     if len(trial.phases):
         drawn["phase"] = _phase(trial, key)
-    if any(each.kind not in ("task", "clean") for each in trial.scores):
+    if any(each.kind not in _SHOWN_APART for each in trial.scores):
         drawn["troubles"] = _troubles(trial, key)
+    if trial.of(*AMOUNTS):
+        drawn["hard"] = _hard(trial, key)
+    if trial.samples:
+        drawn["frames"] = _frames(trial, key)
     return drawn
 
 
@@ -411,7 +509,7 @@ def _troubles(trial: Trial, key: _Key) -> Picture:
         axes.figure.legend(loc="outside lower center", ncols=3)
 
     panels = []
-    harder = [each for each in trial.scores if each.kind not in ("task", "clean")]
+    harder = [each for each in trial.scores if each.kind not in _SHOWN_APART]
     for at in dict.fromkeys(each.condition for each in harder):
         own = [each for each in harder if each.condition == at]
         said = ", ".join(f"{each.detector} {each.right_share:.0%}" for each in own)
@@ -419,6 +517,54 @@ def _troubles(trial: Trial, key: _Key) -> Picture:
         panels.append(Panel(title, partial(shares, own), f"Right: {said}."))
     title = "Columns right, wrong and lost, and the rms error of those that are right"
     return draw_picture(title, panels, 3)
+
+
+def _hard(trial: Trial, key: _Key) -> Picture:
+    """Columns that are right against how hard the frame is, a panel for each kind."""
+
+    def curves(own: Sequence[Score], axes: Axes) -> None:
+        for name in key.detectors:
+            points = sorted((e.amount, e.right_share) for e in own if e.detector == name)
+            axes.plot(*np.transpose(points), **key.line(name), ms=5)
+        axes.set(xscale="log", xlabel=AMOUNTS[own[0].kind][1])
+        axes.set(ylim=(-0.03, 1.03), ylabel="share of the columns that is right")
+        tried = sorted({e.amount for e in own})
+        axes.set_xticks(tried, [f"{amount:g}" for amount in tried], minor=False)
+        axes.set_xticks([], minor=True)
+        _key_beside(axes)
+
+    panels = []
+    for kind in dict.fromkeys(each.kind for each in trial.of(*AMOUNTS)):
+        own = trial.of(kind)
+        most = max(each.amount for each in own)
+        said = [f"{e.detector} {e.right_share:.0%}" for e in own if e.amount == most]
+        alt = f"Right in the {_of_amount(own[-1])}: {', '.join(said)}."
+        panels.append(Panel(kind[0].upper() + kind[1:], partial(curves, own), alt))
+    return draw_picture("Columns that are right in hard frames", panels, 3)
+
+
+def _frames(trial: Trial, key: _Key) -> Picture:
+    """A part of each kind's hardest frame, with the truth and what was found."""
+
+    def shown(sample: Sample, axes: Axes) -> None:
+        top = float(np.percentile(sample.grey, 99.8))
+        axes.imshow(sample.grey, cmap="gray", vmax=max(top, 1.0), aspect="auto")
+        axes.plot(sample.true_row, color=colour("line"), lw=0.8, label="truth")
+        mark = {"ls": "none", "marker": ".", "ms": 3, "color": colour("hot")}
+        axes.plot(sample.column, sample.row, **mark, label=f"found by {key.names[sample.detector]}")
+        axes.set(xlabel="u in px", ylabel="v in px")
+        axes.grid(visible=False)
+        axes.figure.legend(loc="outside lower center", ncols=2)
+
+    panels = [
+        Panel(
+            _of_amount(sample.condition),
+            partial(shown, sample),
+            f"{sample.column.size} centres found in {sample.grey.shape[1]} columns.",
+        )
+        for sample in trial.samples
+    ]
+    return draw_picture("Parts of hard frames", panels)
 
 
 def _key_beside(axes: Axes) -> None:

@@ -26,6 +26,17 @@ SPECKLE = Aperture(5.6, pixel_um=5.5, polarisations=2)
 CLIPPED = 2.0  # times the full well: the peak of a saturated line
 AMBIENT_ELECTRONS = 100.0  # of a pixel
 EXPOSED = 0.8  # of what a sensor can tell is where a line's peak lies, unless it is given
+HARD_WELL_E, HARD_NOISE_E = 10_000.0, 3.0  # of the camera of hard frames
+AMOUNTS = {
+    "clipped frame": ("{:g} times the full well", "times the full well at the line's peak"),
+    "edged frame": ("edges of {:g}:1", "bright over dark at edges of the reflectance"),
+    "speckled frame": ("f/{:g}", "f-number"),
+    "ambient frame": ("ambient light of {:.0%}", "ambient light over the line's peak"),
+    "spattered frame": ("{:g} sparks", "sparks in 1000 columns"),
+    "ghostly frame": ("roughness {:g}", "roughness of the steel of a V-groove"),
+}
+"""Hard frames by their kind: how an amount of what makes them hard is written, and what it is."""
+
 _FULL_WELL_ELECTRONS = 60_000.0
 _SWING_PX, _WAVE_PX = 2.0, 600.0  # amplitude and length of a drawn line's waves
 
@@ -38,7 +49,9 @@ class Condition(Record):
     ----------
     kind : str
         "task", "clean": a drawn line in shot and read noise; "saturated", "speckle",
-        "ambient light": the same with that too; "cold frame", "hot frame": rendered.
+        "ambient light": the same with that too; "cold frame", "hot frame": rendered; so are the
+        hard ones: "clipped frame", "edged frame", "speckled frame", "ambient frame", "spattered
+        frame", "ghostly frame".
     width_px : float
         Standard deviation of the line's profile; of a rendered frame the median, as measured.
     column_electrons : float
@@ -47,6 +60,8 @@ class Condition(Record):
         Of the camera, for each pixel.
     sensor : str
         Image sensor that records, by its name or file; empty: one that has this noise alone.
+    amount : float
+        Of what makes a hard frame hard, as `AMOUNTS` says; 0 in all others.
     """
 
     kind: str
@@ -54,6 +69,7 @@ class Condition(Record):
     column_electrons: float
     read_noise_electrons: float
     sensor: str = field(default="", kw_only=True)
+    amount: float = field(default=0.0, kw_only=True)
 
     @classmethod
     def of_peak(
@@ -88,8 +104,11 @@ class Condition(Record):
         """The sensor; else one grey value an electron, and a well that no clean line fills."""
         if self.sensor:
             return image_sensor(self.sensor)
-        clipped = self.kind == "saturated"
-        well = self.peak_electrons / CLIPPED if clipped else _FULL_WELL_ELECTRONS
+        well = _FULL_WELL_ELECTRONS
+        if self.kind in AMOUNTS:
+            well = HARD_WELL_E
+        elif self.kind == "saturated":
+            well = self.peak_electrons / CLIPPED
         return ImageSensor(
             quantum_efficiency=1.0,
             gain=1.0,
@@ -101,6 +120,12 @@ class Condition(Record):
             prnu=0.0,
         )
 
+
+KINDS = (
+    *("clean", "saturated", "speckle", "ambient light", "cold frame", "hot frame"),
+    *AMOUNTS,
+)
+"""Images that a trial is of, besides the task's."""
 
 STATED = Condition.of_peak("task", 1.5, peak_electrons=5000.0, read_noise_electrons=2.0)
 """The task in which detectors are compared where one has to stand for all: `drawn_line(STATED)`."""
@@ -159,8 +184,8 @@ def drawn_line(
     if condition.kind in ("speckle", "saturated"):
         bound_px = np.full(columns, np.nan)
     camera = condition.camera
-    grey = _recorded(mean / camera.quantum_efficiency, camera, rng)
-    return TrialImage(grey, TrueLine.of_rows(truth), bound_px, _known(condition))
+    grey = recorded(mean / camera.quantum_efficiency, camera, rng)
+    return TrialImage(grey, TrueLine.of_rows(truth), bound_px, known_of(condition))
 
 
 def frame_line(
@@ -172,13 +197,13 @@ def frame_line(
     lit = np.flatnonzero(frame.lit.any(axis=1))
     rows = slice(max(lit[0] - HEIGHT_PX // 2, 0), lit[-1] + HEIGHT_PX // 2)
     light = light[rows]
-    grey = _recorded(light, camera, np.random.default_rng(seed))
+    grey = recorded(light, camera, np.random.default_rng(seed))
     mean = light * camera.quantum_efficiency
     bound_px = cramer_rao_px(mean, shifted(mean), condition.read_noise_electrons)
-    return TrialImage(grey, truth.moved(-rows.start), bound_px, _known(condition))
+    return TrialImage(grey, truth.moved(-rows.start), bound_px, known_of(condition))
 
 
-def _recorded(photons: Array, sensor: ImageSensor, rng: np.random.Generator) -> NDArray[Any]:
+def recorded(photons: Array, sensor: ImageSensor, rng: np.random.Generator) -> NDArray[Any]:
     """Grey values, in proportion to the light where the sensor has a knee-point."""
     grey = grey_values(photons, sensor, rng)
     return grey.astype(np.uint16) if sensor.knee is None else sensor.without_knee(grey)
@@ -190,7 +215,7 @@ def shifted(mean: Array) -> Array:
     return np.fft.irfft(np.fft.rfft(mean, axis=0) * frequency, len(mean), axis=0)
 
 
-def _known(condition: Condition) -> dict[str, Any]:
+def known_of(condition: Condition) -> dict[str, Any]:
     """What a detector is to know of the camera."""
     camera = condition.camera
     ambient = AMBIENT_ELECTRONS if condition.kind == "ambient light" else 0.0

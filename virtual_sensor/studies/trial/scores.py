@@ -14,13 +14,15 @@ from threadpoolctl import threadpool_limits
 from virtual_sensor import interrupts
 from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.metrology.truth import TrueLine, compare_line, rms
+from virtual_sensor.metrology.truth import FINE_PX, TrueLine, compare_line, rms
 from virtual_sensor.records import Table
 from virtual_sensor.studies.trial.images import Condition, TrialImage, drawn_line
 
 Array = NDArray[np.float64]
 
 OUTLIER_PX, OUTLIER_BOUNDS = 0.5, 6.0  # an outlier is farther off than both
+WRONG_SIGMAS, MOST_WRONG = 6.0, 0.01
+"""No centre that counts as found may be off by more of its own sigmas, but in so many columns."""
 PHASES = np.linspace(-0.5, 0.5, 41)
 _ENDS_PX = 3.5  # columns next to a line's ends are lit in part: their truth is of another place
 _RUNS, _MOST_RUNS, _TASK_S = 3, 30, 0.5
@@ -42,6 +44,9 @@ class Score(Condition):
         Rms of the Cramer-Rao bound over the columns; NaN where noise is not all.
     outlier_share, lost_share : float
         Of the columns with a line: wrong though OK; without a centre.
+    wrong_share : float
+        Of them: found, yet off by more than six of the sigmas that the detector predicts for it
+        (and 0.02 px; 0.5 px where it predicts none), or found where there is no line.
     columns : int
         With a line.
     time_us : float
@@ -56,6 +61,7 @@ class Score(Condition):
     bound_px: float
     outlier_share: float
     lost_share: float
+    wrong_share: float
     columns: int
     time_us: float
 
@@ -63,7 +69,7 @@ class Score(Condition):
     def condition(self) -> Condition:
         """What the image is like."""
         numbers = self.width_px, self.column_electrons, self.read_noise_electrons
-        return Condition(self.kind, *numbers, sensor=self.sensor)
+        return Condition(self.kind, *numbers, sensor=self.sensor, amount=self.amount)
 
     @property
     def ratio(self) -> float:
@@ -73,7 +79,17 @@ class Score(Condition):
     @property
     def right_share(self) -> float:
         """Of the columns with a line: those whose centre is no outlier."""
-        return 1.0 - self.outlier_share - self.lost_share
+        return max(1.0 - self.outlier_share - self.lost_share, 0.0)
+
+    @property
+    def sigma_ratio(self) -> float:
+        """The error that the detector predicts over the one that it makes."""
+        return self.predicted_px / self.rms_px
+
+    @property
+    def breaks_the_rule(self) -> bool:
+        """Whether more than 1 % of its centres are farther off than it says: by six sigmas."""
+        return self.wrong_share > MOST_WRONG
 
 
 def score_drawn(
@@ -100,6 +116,8 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     bound = image.bound_px[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
     wild = np.abs(errors.error_px) > least
+    claimed = np.where(np.isnan(errors.sigma), OUTLIER_PX, WRONG_SIGMAS * errors.sigma)
+    wrong = np.abs(errors.error_px) > np.maximum(claimed, FINE_PX)
     good, sigma = errors.error_px[~wild], errors.sigma[~wild]
     with_sigma = np.isfinite(sigma)
     return Score(
@@ -112,6 +130,7 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         bound_px=rms(image.bound_px[image.truth.columns(_ENDS_PX)]),
         outlier_share=float(wild.sum() / errors.expected),
         lost_share=errors.lost.size / errors.expected,
+        wrong_share=float(wrong.sum() + errors.stray_centres) / errors.expected,
         columns=errors.expected,
         time_us=1e6 * min(took) / image.grey.shape[1],
     )

@@ -16,16 +16,24 @@ from numpy.typing import NDArray
 from virtual_sensor import interrupts
 from virtual_sensor.arrays import number_within
 from virtual_sensor.display import Displayed, listed
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, nearest
 from virtual_sensor.imaging.render import render_frame
 from virtual_sensor.imaging.scene import load_scene
-from virtual_sensor.metrology.detectors import NAMES, find_detector
+from virtual_sensor.metrology.detectors import NAMES, STEGER, find_detector
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.records import record_columns
 from virtual_sensor.studies.machine import Machine, machine
 from virtual_sensor.studies.pareto import not_beaten
-from virtual_sensor.studies.trial.images import STATED, Condition, TrialImage, frame_line
+from virtual_sensor.studies.trial.hard import Sample, hard_frames
+from virtual_sensor.studies.trial.images import (
+    AMOUNTS,
+    KINDS,
+    STATED,
+    Condition,
+    TrialImage,
+    frame_line,
+)
 from virtual_sensor.studies.trial.scores import (
     Phases,
     Score,
@@ -61,6 +69,8 @@ class Trial(Displayed):
     scores : tuple of Score
         Of each detector on each image.
     phases : Phases
+    samples : tuple of Sample
+        Parts of the hard frames, to look at.
     task : Condition
         The line and camera that a detector is to be chosen for.
     seed, columns : int
@@ -72,6 +82,7 @@ class Trial(Displayed):
 
     scores: tuple[Score, ...]
     phases: Phases
+    samples: tuple[Sample, ...]
     task: Condition
     seed: int
     columns: int
@@ -95,6 +106,16 @@ class Trial(Displayed):
     def of(self, *kinds: str) -> list[Score]:
         """The scores of some kinds of images."""
         return [each for each in self.scores if each.kind in kinds]
+
+    @property
+    def breaches(self) -> list[Score]:
+        """Scores of detectors that promise more than they keep, the worst first.
+
+        More than 1 % of a line's columns have a centre that counts as found, and is off by more
+        than six of its own sigmas.
+        """
+        broken = [each for each in self.scores if each.breaks_the_rule]
+        return sorted(broken, key=lambda each: -each.wrong_share)
 
     @property
     def recommended(self) -> Score | None:
@@ -135,6 +156,29 @@ def conditions(task: Condition, quick: bool) -> list[Condition]:
     return [*clean, *troubles, replace(task, kind="task")]
 
 
+def kinds_of(names: Sequence[str]) -> tuple[str, ...]:
+    """The kinds of images that names stand for: a kind, "hard" for all hard frames; () for all.
+
+    Raises
+    ------
+    InputError
+        Where there is no such kind.
+    """
+    groups = {"hard": tuple(AMOUNTS)}
+    groups |= {kind.removesuffix(" frame"): (kind,) for kind in KINDS}
+    groups |= {kind: (kind,) for kind in KINDS}
+    found: dict[str, None] = {}
+    for name in names:
+        key = " ".join(name.lower().replace("_", " ").split())
+        if key not in groups:
+            raise InputError(
+                f"trial: no images of the kind '{name}'; take {', '.join(KINDS)}, or hard"
+                f"{nearest(key, [*groups])}"
+            )
+        found |= dict.fromkeys(groups[key])
+    return tuple(found) or KINDS
+
+
 def trial(
     detectors: Sequence[str] = (),
     task: Condition = STATED,
@@ -142,6 +186,7 @@ def trial(
     columns: int = 2000,
     quick: bool = False,
     frames: bool = True,
+    kinds: Sequence[str] = (),
     workers: int | None = None,
     report: Report = lambda stage, fraction: None,
 ) -> Trial:
@@ -160,7 +205,10 @@ def trial(
     quick : bool
         Few images, small frames.
     frames : bool
-        Whether to render the part cold and hot too.
+        Whether to render too: the part cold and hot, and hard frames.
+    kinds : sequence of str
+        Images that are wanted besides the task's, by default all: see `KINDS`; "hard" stands for
+        all hard frames.
     workers : int, optional
         Processes; by default one for each core.
     report : callable
@@ -181,11 +229,12 @@ def trial(
     number_within("trial: width of the line", task.width_px, *_WIDTHS_PX, "0.3 to 8 px")
     number_within("trial: electrons at the peak", task.peak_electrons, *_PEAKS, "10 to 50000")
     number_within("trial: read noise", task.read_noise_electrons, 0.0, 1000.0, "0 to 1000 e")
+    wanted = kinds_of(kinds)
     report("rendering the part", 0.0)
-    rendered = list(_frames(quick, seed, task, report)) if frames else []
-    drawn = conditions(task, quick)
+    rendered = list(_frames(quick, seed, task, wanted, report)) if frames else []
+    drawn = [each for each in conditions(task, quick) if each.kind in ("task", *wanted)]
     widths = PHASE_WIDTHS_PX[1:4:2] if quick else PHASE_WIDTHS_PX
-    pairs = [(name, width) for name in names for width in widths]
+    pairs = [(name, width) for name in names for width in widths if "clean" in wanted]
     with _pool(workers) as pool:
         with interrupts.deaf_children():
             images = {
@@ -202,6 +251,7 @@ def trial(
     return Trial(
         scores=tuple(score for future in images for score in future.result()),
         phases=Phases.of({pair: future.result() for future, pair in biases.items()}),
+        samples=_samples(names, rendered),
         task=drawn[-1],
         seed=seed,
         columns=columns,
@@ -211,9 +261,23 @@ def trial(
 
 
 def _frames(
-    quick: bool, seed: int, task: Condition, report: Report
+    quick: bool, seed: int, task: Condition, kinds: tuple[str, ...], report: Report
 ) -> Iterator[tuple[Condition, TrialImage]]:
-    """The part cold and hot, rendered; each at some exposures, or by the task's sensor at its."""
+    """The part cold and hot, rendered; each at some exposures, or by the task's sensor at its.
+
+    Then the hard frames.
+    """
+    yield from _part(quick, seed, task, kinds, report)
+
+    def say(stage: str) -> None:
+        report(stage, 0.5 * _FRAMES_SHARE)
+
+    yield from hard_frames(quick, seed, task.sensor, kinds, say)
+
+
+def _part(
+    quick: bool, seed: int, task: Condition, kinds: tuple[str, ...], report: Report
+) -> Iterator[tuple[Condition, TrialImage]]:
     peaks = FRAME_PEAKS_E[1:2] if quick else FRAME_PEAKS_E
     noise_e = DARK_NOISES_E[0]
     if task.sensor:
@@ -222,6 +286,8 @@ def _frames(
     scene = load_scene(SCENE, width=film, height=film, line_radius=0.1 * 2048 / film)
     states = (("cold frame", scene.cold()), ("hot frame", scene))
     for number, (kind, state) in enumerate(states):
+        if kind not in kinds:
+            continue
         report(f"rendering the {kind}", 0.5 * number * _FRAMES_SHARE)
         frame = render_frame(state)
         truth = TrueLine.of_frame(frame)
@@ -230,6 +296,16 @@ def _frames(
         for peak in peaks:
             condition = Condition.of_peak(kind, round(width, 2), peak, noise_e, task.sensor)
             yield condition, frame_line(condition, frame, truth, (seed, number, int(peak)))
+
+
+def _samples(
+    names: Sequence[str], rendered: Sequence[tuple[Condition, TrialImage]]
+) -> tuple[Sample, ...]:
+    """Of each kind of hard frame the hardest, with what a detector that searches columns finds."""
+    by_column = (name for name in (NAMES[0], *names) if name in names and name != STEGER)
+    detector = next(by_column, names[0])
+    hardest = {at.kind: (at, image) for at, image in rendered if at.kind in AMOUNTS}
+    return tuple(Sample.of(at, image, detector) for at, image in hardest.values())
 
 
 def _pool(workers: int | None) -> ProcessPoolExecutor:
