@@ -59,7 +59,7 @@ From images to numbers
     line_centres         Find the centres of a laser line in an image.
     lines_by_source      Find the line of each source where the scene expects its light, through
                          its air.
-    LineCentres          Centres of a laser line; NaN where `status` is not OK.
+    LineCentres          Centres of a laser line; NaN where `status` is none of `FOUND`, nor GHOST.
     dot_centres          Find the intensity-weighted centroids of bright dots.
     triangulate          Measure the points that pixels see on a source's rays, along straight
                          or bent lines of sight.
