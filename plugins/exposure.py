@@ -121,6 +121,15 @@ class Exposure:
         dr.eval(image)
         return image
 
+    def brighten(self, image: NDArray[np.float32], frame: int = 0) -> None:
+        """Add radiances (H, W) to a frame on the film."""
+        tensor = self._blocks[frame].tensor()
+        values = np.array(tensor)  # three colours, alpha if any, and the samples' weight
+        weight = values[:, :, -1]
+        weight[weight == 0.0] = 1.0
+        values[:, :, :3] += (image * weight)[:, :, None]
+        tensor[:] = type(tensor)(in_own_memory(values.ravel(), mi.Float), values.shape)
+
     def images(self) -> NDArray[np.float32]:
         """The radiances, (frames, H, W)."""
         shape = self._frames, self.view.height, self.view.width

@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
+from virtual_sensor_plugins.interreflection import INDIRECT_SAMPLES
 from virtual_sensor_plugins.properties import folders_of_files, optional
 from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of, steady
 from virtual_sensor_plugins.views import camera_of
 
+from virtual_sensor.arrays import whole_number
 from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.medium.description import MediumDescription
@@ -18,11 +20,15 @@ from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.transports import Transport
 from virtual_sensor.poses import Pose, keeps_lengths
 
+_MOST_DEPTH = 32
+_MOST_SAMPLES = 4096
 _MOST_STEPS = 40_000  # of a march: twice the default, for rays aslant through the field
 
 
 class Refractive(mi.SamplingIntegrator):
-    """Direct light only, along bent rays: from the laser to the surface, from there to the camera.
+    """Light along bent rays: from the laser to the surface, from there to the camera.
+
+    With a `max_depth` above 2 the sources' light is reflected between surfaces too.
 
     ===============  ==========  ==================================================================
     Property         Default     Meaning
@@ -44,9 +50,13 @@ class Refractive(mi.SamplingIntegrator):
     step             2           Step of the march, mm
     method           "leapfrog"  "leapfrog", "sharma" or "rk4"
     precision        "single"    "single" or "double"
+    max_depth        2           Segments of light's path: 2 is direct light; 3 has one reflection
+                                 between surfaces, 4 two
+    indirect_samples 4           Points of the lit stripe for each sample of indirect light
     ===============  ==========  ==================================================================
 
-    Limits: no interreflection.  Light of emitters other than `laser_line` runs straight from the
+    Limits: reflected light runs straight from surface to surface, and that of lamps and glow is not
+    reflected again.  Light of emitters other than `laser_line` runs straight from the
     emitter to the surface, and bent from there to the camera.  The factor n^2 in the conservation
     of radiance, 5e-4 at most in hot air, is left out.  Where the laser is the only light, samples
     are spent on the pixels that it reaches and on no others.
@@ -81,6 +91,9 @@ class Refractive(mi.SamplingIntegrator):
             name_of_transport = str(props.get("transport", "tabulated"))
             tolerance_px = float(props.get("tolerance", 0.003))
             self.transport = Transport(name_of_transport, march, tolerance_px)
+            self.max_depth = _max_depth(int(props.get("max_depth", 2)))
+            self.indirect_samples = int(props.get("indirect_samples", INDIRECT_SAMPLES))
+            whole_number("'indirect_samples'", self.indirect_samples, 1, _MOST_SAMPLES)
 
     @cached_property
     def medium(self) -> IndexField | None:
@@ -93,7 +106,16 @@ class Refractive(mi.SamplingIntegrator):
         with naming("refractive"):
             transport.check(medium)
         camera, sources = camera_of(sensor), devices_of(scene)
-        return Arrangement(scene, sensor, camera, sources, medium, transport)
+        return Arrangement(
+            scene,
+            sensor,
+            camera,
+            sources,
+            medium,
+            transport,
+            max_depth=self.max_depth,
+            indirect_samples=self.indirect_samples,
+        )
 
     def sample(
         self, scene: mi.Scene, sampler: mi.Sampler, ray: Any, medium: Any = None, active: Any = True
@@ -120,11 +142,26 @@ class Refractive(mi.SamplingIntegrator):
         with ONE_FRAME:
             prepared = Prepared.of(self.arrangement(scene, sensor))
             exposure, _ = prepared.exposed(spp, seed, on_film=True)
+            if self.max_depth > 2:
+                by_source = prepared.indirect(seed).values()
+                exposure.brighten(sum(light[:, 0].sum(axis=0) for light in by_source))
             return exposure.developed(develop=develop)
 
     def to_string(self) -> str:
         """Its own values, for Mitsuba's scene listing."""
         return f"Refractive[{self.transport.march}, field={self.air.path}]"
+
+
+def _max_depth(depth: int) -> int:
+    """How many segments light's path has at most."""
+    if depth == 1:
+        raise InputError("'max_depth' is 1, by which surfaces are dark; give 2 for direct light")
+    if depth < 0:
+        raise InputError(
+            f"'max_depth' is {depth}, light of any number of reflections, which takes for ever"
+            f" here; give 2 for direct light, 3 for one reflection between, up to {_MOST_DEPTH}"
+        )
+    return whole_number("'max_depth'", depth, 2, _MOST_DEPTH)
 
 
 def _pose(props: mi.Properties) -> Pose | None:

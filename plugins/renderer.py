@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from virtual_sensor_plugins import glow
 from virtual_sensor_plugins.drift import Drift, Widened
 from virtual_sensor_plugins.exposure import Exposure, own_sampler, shared_sampler
+from virtual_sensor_plugins.interreflection import (
+    INDIRECT_SAMPLES,
+    MOMENTS,
+    TILE_PX,
+    Beam,
+    Reflected,
+    Stripe,
+    tiles_of,
+)
 from virtual_sensor_plugins.lit_pixels import (
+    FIRST_MARGIN_MM,
     Columns,
     LitPixels,
     RenderReport,
@@ -36,7 +46,8 @@ from virtual_sensor.optics.surfaces import SceneSurface, own_variant, slab
 from virtual_sensor.optics.transports import Marched, Sight, Transport
 
 # Samples in flight at once: enough to fill the cores, and progress is seen.
-_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23}
+_LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23, "reflected": 1 << 18}
+_INDIRECT_SPP = 4  # samples of a pixel for its indirect light
 
 Fluxes = Callable[[Any, Any, Any], Sequence[Any]]
 """From a source's (s, t) and depth to its flux in each frame; one alone is that of all."""
@@ -82,6 +93,10 @@ class Arrangement:
         Whether surfaces glow, those that can.
     drift_mm : float
         How far camera and sources may be on their way from there while the film is exposed.
+    max_depth : int
+        Of light's path, in segments: 2 is direct light, 3 has one reflection between.
+    indirect_samples : int
+        Points of the lit stripe for each sample of a pixel's indirect light.
     """
 
     scene: mi.Scene
@@ -92,6 +107,8 @@ class Arrangement:
     transport: Transport
     hot: bool = True
     drift_mm: float = 0.0
+    max_depth: int = 2
+    indirect_samples: int = INDIRECT_SAMPLES
 
     def __post_init__(self) -> None:
         own_variant(self.scene)
@@ -176,15 +193,25 @@ class Arrangement:
             Of the sources, in the order of its lights.
         draws : list
         """
+        si, direction, valid = self.met_by(sight)
+        lights = list(zip(fluxes, sight.lights, strict=True))
+        return self._shaded(si, direction, valid, lights, draws)
+
+    def met_by(self, sight: Sight) -> tuple[Any, Any, Any]:
+        """What a sight's rays meet, their directions there, and which do."""
         heading = mi.Vector3f(sight.heading)
         last = mi.Ray3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
         si = self.scene.ray_intersect(last, sight.hit)
-        valid = sight.hit & si.is_valid()
-        lights = list(zip(fluxes, sight.lights, strict=True))
-        return self._shaded(si, last.d, valid, lights, draws)
+        return si, last.d, sight.hit & si.is_valid()
 
     def radiance_along(self, ray: Any, draws: list[Any]) -> tuple[list[Any], Any]:
-        """The lamps' radiance against straight rays, and which of these meet a surface.
+        """The lamps' radiance against straight rays, and which of these meet a surface."""
+        si = self.met_along(ray)
+        valid = si.is_valid()
+        return self._shaded(si, ray.d, valid, [], draws), valid
+
+    def met_along(self, ray: Any) -> Any:
+        """What straight rays meet.
 
         From afar, Mitsuba's float32 puts hits inside a cylinder, where no lamp shines: those rays
         start again close to what they meet.  So does the ray in some millions that slips through
@@ -196,9 +223,7 @@ class Arrangement:
         near = mi.Ray3f(ray(start), ray.d)
         si = self.scene.ray_intersect(near)
         again = si.is_valid() & ((si.t > _FAR_MM) | _from_behind(si, near))
-        si = dr.if_stmt((near, si), again, self.met_closer, lambda near, si: si)
-        valid = si.is_valid()
-        return self._shaded(si, ray.d, valid, [], draws), valid
+        return dr.if_stmt((near, si), again, self.met_closer, lambda near, si: si)
 
     def met_closer(self, ray: Any, si: Any) -> Any:
         """What rays meet that start again close to it; from aside, if they met it from behind."""
@@ -369,6 +394,96 @@ class Prepared:
             report = replace(report, reason=why or report.reason)
         samples, marched = self._expose_lit(exposure, lit, fluxes)
         return exposure, replace(report, samples=samples, marched_samples=marched)
+
+    def indirect(
+        self,
+        seed: int,
+        progress: Callable[[float], None] | None = None,
+        moments: bool = False,
+    ) -> dict[str, NDArray[np.float32]]:
+        """Light of the sources by reflections between surfaces, apart from direct light.
+
+        Its pixels have samples of their own, few of them: it changes less from place to place.
+
+        Returns
+        -------
+        dict of ndarray of shape (B, 1, H, W)
+            By the sources' names: radiance by one reflection between, by two, ...  With `moments`
+            (B, 5, H, W): radiance, and radiance times s, t, s^2 and t^2 of the rays that make it.
+        """
+        arrangement = self.arrangement
+        view, names = arrangement.view, tuple(arrangement.sources)
+        bounces, numbers = arrangement.max_depth - 2, MOMENTS if moments else 1
+        shape = bounces, len(names), numbers, view.height, view.width
+        if bounces < 1 or not names:
+            return {name: np.zeros((bounces, *shape[2:]), np.float32) for name in names}
+        beams = tuple(self._beam(name) for name in names)
+        march = arrangement.transport.march
+        stripe = Stripe(arrangement.scene, beams, arrangement.refracting, march, seed)
+        reflected = Reflected(stripe, bounces, arrangement.indirect_samples, moments)
+        sampler = mi.load_dict({"type": "independent", "sample_count": _INDIRECT_SPP})
+        points = self.pupil.points if self.pupil is not None else ()
+        sights = [(each.straight, each.lit) for each in points]
+        sights = sights or [(arrangement.straight, self.lit)]
+        passes = len(sights)
+        if passes > 1:
+            sampler.set_sample_count(1)
+        exposure = Exposure(
+            view, sampler, seed, passes * view.pixels, progress, False, reflected.layers, passes
+        )
+        for number, (straight, lit) in enumerate(sights):
+            place = {"through": straight.view} if points else {}
+            self._expose_reflected(exposure, reflected, straight, lit, number, **place)
+        images = exposure.images().reshape(shape)
+        return {name: images[:, i] for i, name in enumerate(names)}
+
+    def _beam(self, name: str) -> Beam:
+        """A source's light, as what reflects it needs it."""
+        arrangement, lit = self.arrangement, self.lit
+        source, march = arrangement.sources[name], arrangement.transport.march
+        marched = Marched(arrangement.refracting, arrangement.surface, (source,), march)
+        if name not in lit.names:
+            margin = FIRST_MARGIN_MM * units_per_mm(source, arrangement.surface)
+            return Beam(name, source, marched, margin)
+        tracer, at = lit.tracer, lit.names.index(name)
+        if isinstance(tracer, Marched):
+            return Beam(name, source, marched, lit.margins[name])
+        one = replace(tracer, maps=(tracer.maps[at],), pads=(tracer.pads[at],), marched=marched)
+        return Beam(name, source, one, lit.margins[name])
+
+    def _expose_reflected(
+        self,
+        exposure: Exposure,
+        reflected: Reflected,
+        straight: StraightSight,
+        lit: LitPixels,
+        stream: int,
+        **place: Any,
+    ) -> None:
+        """Expose all pixels to the sources' reflected light."""
+        arrangement, view = self.arrangement, straight.view
+        film, _ = self._film_of(straight, lit)
+        marched = replace(arrangement.marched, sources=())
+
+        def met(ray: Any, pixel: Any) -> tuple[Any, Any]:
+            if film is not None:
+                si = arrangement.met_along(film.bent(ray, pixel))
+                return si, si.is_valid()
+            si, _, valid = arrangement.met_by(marched.hits(ray))
+            return si, valid
+
+        tiles, pixels = tiles_of(view.width, view.height)
+        seen, valid = met(view.centres(pixels), in_own_memory(pixels, mi.UInt32))
+        dr.eval(seen, valid)
+        choice = reflected.choice(seen, valid, tiles, exposure.sampler.clone())
+        across, width = (dr.opaque(mi.UInt32, n) for n in (tiles[1], view.width))
+
+        def by_reflections(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
+            si, valid = met(ray, pixel)
+            tile = pixel // width // TILE_PX * across + pixel % width // TILE_PX
+            return reflected.radiances(si, valid, choice, tile, exposure.sampler), valid
+
+        exposure.add(None, by_reflections, _LANES["reflected"], stream, **place)
 
     def _expose_pupil(
         self, exposure: Exposure, others: bool, fluxes: Mapping[str, Fluxes]

@@ -121,6 +121,25 @@ class Marched(Displayed):
         dr.eval(point, heading, hit)  # else what uses them would march again
         return Sight(point, heading, hit, ())
 
+    def lights(
+        self, points: Any, active: Any, near: Sight | None = None
+    ) -> tuple[Illumination, ...]:
+        """Light of each source at points of the surface, evaluated; `near` as of `sight`."""
+        points, lights = self.march.vector(points), []
+        for i, source in enumerate(self.sources):
+            light = illuminate(
+                source.family,
+                self.medium,
+                self.surface,
+                points,
+                self.march,
+                near=near.lights[i] if near else None,
+                active=active,
+            )
+            dr.eval(light)
+            lights.append(light)
+        return tuple(lights)
+
     def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
         """What camera rays see, evaluated; and how many of them were marched.
 
@@ -131,24 +150,12 @@ class Marched(Displayed):
         near : Sight, optional
             What rays close by see, one for each: it saves marches.
         """
-        seen, count, lights = self.hits(ray), dr.width(ray.d), []
-        for i, source in enumerate(self.sources):
-            light = illuminate(
-                source.family,
-                self.medium,
-                self.surface,
-                seen.point,
-                self.march,
-                near=near.lights[i] if near else None,
-                active=seen.hit,
-            )
-            dr.eval(light)
-            lights.append(light)
-        seen = replace(seen, lights=tuple(lights))
+        seen, count = self.hits(ray), dr.width(ray.d)
+        seen = replace(seen, lights=self.lights(seen.point, seen.hit, near))
         if near is None:
             return seen, count
         doubtful = mi.Mask(False)
-        for light, centre in zip(lights, near.lights, strict=True):
+        for light, centre in zip(seen.lights, near.lights, strict=True):
             # A dark centre beside a step leads astray; a folded one stays dark.
             folded = centre.status == int(LightStatus.FOLDED)
             light.concentration = dr.select(folded, 0.0, light.concentration)
@@ -187,19 +194,35 @@ class Tabulated(Displayed):
 
     def sight(self, ray: Any, near: Sight | None = None) -> tuple[Sight, int]:
         """As `Marched.sight`, which `near` is for; one kernel serves any number of rays."""
-        surface = self.marched.surface
         dr.eval(ray.o, ray.d)
-        seen = hits(self.camera, surface, ray, self.marched.march)
-        lights: tuple[Illumination, ...] = ()
-        doubtful = seen.lost
-        for source, table, pad in zip(self.marched.sources, self.maps, self.pads, strict=True):
-            light, off = light_by(table, surface, seen.point, seen.hit)
-            near_light = source.reaches(light.s, light.t, opaque(pad), light.depth)
-            doubtful |= seen.hit & near_light & (seen.off | off)
-            lights = (*lights, light)
+        seen = hits(self.camera, self.marched.surface, ray, self.marched.march)
+        lights, doubtful = self._by_maps(seen.point, seen.hit, seen.off)
         sight = Sight(seen.point, seen.heading, seen.hit, lights)
+        doubtful |= seen.lost
         dr.eval(sight, doubtful)
         return self.marched.again(ray, sight, doubtful)
+
+    def lights(self, points: Any, active: Any) -> tuple[Illumination, ...]:
+        """Light of each source at points of the surface, evaluated."""
+        lights, doubtful = self._by_maps(points, active, mi.Mask(False))
+        dr.eval(lights, doubtful)
+        if not dr.any(doubtful):
+            return lights
+        which = dr.compress(doubtful)
+        marched = self.marched.lights(dr.gather(type(points), points, which), True)
+        found: tuple[Illumination, ...] = with_rows(lights, which, marched)
+        return found
+
+    def _by_maps(self, points: Any, active: Any, off: Any) -> tuple[tuple[Illumination, ...], Any]:
+        """Light at points, and at which of these it is to be marched; `off` the camera's map."""
+        lights: tuple[Illumination, ...] = ()
+        doubtful = mi.Mask(False)
+        for source, table, pad in zip(self.marched.sources, self.maps, self.pads, strict=True):
+            light, off_map = light_by(table, self.marched.surface, points, active)
+            near_light = source.reaches(light.s, light.t, opaque(pad), light.depth)
+            doubtful |= active & near_light & (off | off_map)
+            lights = (*lights, light)
+        return lights, doubtful
 
 
 Tracer = Marched | Tabulated

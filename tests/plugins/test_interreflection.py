@@ -1,0 +1,115 @@
+"""Light by reflections between surfaces: against form factors, and against Mitsuba's `path`."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_sensor_plugins.exposure import ONE_FRAME
+from virtual_sensor_plugins.renderer import Prepared
+
+import virtual_sensor as vs
+from virtual_sensor.engine import mi
+from virtual_sensor.imaging.render import arrangement
+
+HEIGHT_MM, LENGTH_MM = 5.0, 20.0  # of the lit line over the corner, and along it
+SIZE, HALF_MM = 48, 6.0
+
+# A corner of two walls: the floor z = 0 with a line along x, and the wall y = 0, which a camera
+# sees square on and no laser ray reaches.
+CORNER = f"""<scene version="3.0.0">
+    <default name="depth" value="3"/><default name="samples" value="4"/>
+    <default name="radius" value="0.2"/><default name="dots" value=""/>
+    <integrator type="refractive"><integer name="max_depth" value="$depth"/>
+        <integer name="indirect_samples" value="$samples"/></integrator>
+    <sensor type="perspective">
+        <float name="fov" value="{2.0 * np.degrees(np.arctan(HALF_MM / 300.0))}"/>
+        <transform name="to_world">
+            <lookat origin="0, 300, 6.5" target="0, 0, 6.5" up="0, 0, 1"/></transform>
+        <film type="hdrfilm">
+            <integer name="width" value="{SIZE}"/><integer name="height" value="{SIZE}"/>
+            <string name="pixel_format" value="luminance"/><rfilter type="box"/></film>
+        <sampler type="independent"><integer name="sample_count" value="4"/></sampler>
+    </sensor>
+    <emitter type="laser_line" id="laser">
+        <float name="length" value="{LENGTH_MM}"/><float name="radius" value="$radius"/>
+        <string name="dots" value="$dots"/><float name="power" value="0.1"/>
+        <transform name="to_world"><lookat origin="0, {HEIGHT_MM}, 300"
+            target="0, {HEIGHT_MM}, 0" up="1, 0, 0"/></transform>
+    </emitter>
+    BSDF
+    <shape type="rectangle"><transform name="to_world"><scale value="15"/>
+        <translate y="15"/></transform><ref id="grey"/></shape>
+    <shape type="rectangle"><transform name="to_world"><scale value="15"/>
+        <rotate x="1" angle="-90"/><translate z="15"/></transform><ref id="grey"/></shape>
+</scene>"""
+GREY = '<bsdf type="diffuse" id="grey"><float name="reflectance" value="0.5"/></bsdf>'
+
+
+@pytest.fixture(name="corner")
+def fixture_corner(tmp_path):
+    """Load that scene."""
+
+    def load(bsdf=GREY, **parameters):
+        path = tmp_path / "corner.xml"
+        path.write_text(CORNER.replace("BSDF", bsdf), encoding="utf-8")
+        return vs.load_scene(path, **parameters)
+
+    return load
+
+
+def indirect(scene, seed=0, moments=False, **other):
+    """(B, 1 or 5, H, W) by the laser."""
+    with ONE_FRAME:
+        given = replace(arrangement(scene), **{"max_depth": 3, **other})
+        return Prepared.of(given).indirect(seed, moments=moments)["laser"]
+
+
+def wall_mm():
+    """X and z of the pixels' centres on the wall."""
+    across = (np.arange(SIZE) + 0.5) / SIZE * 2.0 * HALF_MM - HALF_MM
+    return -across[None, :], 6.5 - across[:, None]
+
+
+def by_a_line(x, z, length=LENGTH_MM, power=0.1, albedo=0.5):
+    """Radiance of the wall by a thin line on the floor: its form factor, integrated along it."""
+    near = HEIGHT_MM**2 + z**2
+
+    def part(end):
+        away = end - x
+        return away / (2.0 * near * (near + away**2)) + np.arctan(away / near**0.5) / (
+            2.0 * near**1.5
+        )
+
+    along = part(length / 2.0) - part(-length / 2.0)
+    exitance = albedo * power / length
+    return albedo / np.pi * exitance / np.pi * HEIGHT_MM * z * along
+
+
+def test_two_diffuse_walls_transfer_by_their_form_factor(corner):
+    """A wide sheet's light, shared by its width, is the line's to second order in it."""
+    layers = indirect(corner(), moments=True)
+    expected = by_a_line(*wall_mm())
+    radiance = layers[0, 0]
+    assert abs(radiance.sum() / expected.sum() - 1.0) < 0.003
+    seen = radiance.reshape(8, 6, 8, 6).sum((1, 3)) / expected.reshape(8, 6, 8, 6).sum((1, 3))
+    np.testing.assert_allclose(seen, 1.0, atol=0.05)
+    s, t = layers[0, 1:3].sum((1, 2)) / radiance.sum()
+    assert abs(s) < 0.02
+    assert abs(t) < 0.1
+
+
+def test_mitsubas_render_has_the_reflected_light_too(corner):
+    """On the film, and with a depth of 2 none."""
+    scene = corner()
+    on_film = np.array(mi.render(scene.mitsuba, seed=3))[:, :, 0]
+    np.testing.assert_allclose(on_film, indirect(scene, seed=3)[0, 0], rtol=1e-5)
+    assert not np.any(np.array(mi.render(corner(depth=2).mitsuba)))
+
+
+def test_a_depth_that_cannot_be_is_refused(corner):
+    """With what to give in its place."""
+    for value, why in ((1, "give 2 for direct light"), (-1, "any number"), (0, "from 2 to 32")):
+        with pytest.raises(vs.InputError, match=f"refractive: .*max_depth.*{why}"):
+            corner(depth=value)
+    with pytest.raises(vs.InputError, match="'indirect_samples' must be a whole number from 1"):
+        corner(samples=0)
