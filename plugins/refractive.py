@@ -30,30 +30,31 @@ class Refractive(mi.SamplingIntegrator):
 
     With a `max_depth` above 2 the sources' light is reflected between surfaces too.
 
-    ===============  ==========  ==================================================================
-    Property         Default     Meaning
-    ===============  ==========  ==================================================================
-    field            (none)      NetCDF file of the air, or the name of a field that comes with the
-                                 program; without one, light runs straight
-    time             ""          Flow time, s, in a field with a time axis; empty: its last
-    widen            1           Factor by which the field is stretched along y; 1: none
-    blur             0           Then: standard deviation of a Gaussian blur in y and z, mm; 0: none
-    pressure         ""          Of the air, Pa, which n - 1 goes with; empty: as the field has it
-    wavelength       532         Vacuum wavelength of the light, nm
-    transport        "tabulated" From tables of the bent rays; "marched": each sample's rays are
-                                 marched, its laser ray found by Newton; "first_order": so, but
-                                 deflected as if it ran straight; "straight": no refraction
-    tolerance        0.003       Largest error of the tables, px
-    interpolation    "cubic"     Of the field: "cubic" or "linear"
-    dimensions       3           Of the field; 2: its section x = 0, extruded along x
-    to_world         (none)      Rotations and translations of the field, such as its part's
-    step             2           Step of the march, mm
-    method           "leapfrog"  "leapfrog", "sharma" or "rk4"
-    precision        "single"    "single" or "double"
-    max_depth        2           Segments of light's path: 2 is direct light; 3 has one reflection
-                                 between surfaces, 4 two
-    indirect_samples 4           Points of the lit stripe for each sample of indirect light
-    ===============  ==========  ==================================================================
+    ================  ==========  ==================================================================
+    Property          Default     Meaning
+    ================  ==========  ==================================================================
+    field             (none)      NetCDF file of the air, or the name of a field that comes with the
+                                  program; without one, light runs straight
+    time              ""          Flow time, s, in a field with a time axis; empty: its last
+    widen             1           Factor by which the field is stretched along y; 1: none
+    blur              0           Then: standard deviation of a Gaussian blur in y and z, mm; 0:
+                                  none
+    pressure          ""          Of the air, Pa, which n - 1 goes with; empty: as the field has it
+    wavelength        532         Vacuum wavelength of the light, nm
+    transport         "tabulated" From tables of the bent rays; "marched": each sample's rays are
+                                  marched, its laser ray found by Newton; "first_order": so, but
+                                  deflected as if it ran straight; "straight": no refraction
+    tolerance         0.003       Largest error of the tables, px
+    interpolation     "cubic"     Of the field: "cubic" or "linear"
+    dimensions        3           Of the field; 2: its section x = 0, extruded along x
+    to_world          (none)      Rotations and translations of the field, such as its part's
+    step              2           Step of the march, mm
+    method            "leapfrog"  "leapfrog", "sharma" or "rk4"
+    precision         "single"    "single" or "double"
+    max_depth         2           Segments of light's path: 2 is direct light; 3 has one reflection
+                                  between surfaces, 4 two
+    indirect_samples  4           Points of the lit stripe for each sample of indirect light
+    ================  ==========  ==================================================================
 
     Limits: reflected light runs straight from surface to surface, and that of lamps and glow is not
     reflected again.  Light of emitters other than `laser_line` runs straight from the
