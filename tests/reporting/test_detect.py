@@ -170,6 +170,61 @@ def test_a_name_of_a_file_is_refused_for_the_folder_of_results(tmp_path):
         assert not (tmp_path / name).exists()
 
 
+def test_folders_go_on_without_what_cannot_be_used(tmp_path, undrawn, unpainted_test):
+    """A line for each of them, on the screen, on the page and in JSON; the status is 1.
+
+    Where none can be used there are no results.
+    """
+    folder = tmp_path / "shots"
+    folder.mkdir()
+    whole = cv2.imencode(".jpg", picture(255, np.uint8))[1].tobytes()
+    for name, data in (("a.jpg", whole), ("b", whole), ("cut.jpg", whole[:400]), ("no.png", b"?")):
+        (folder / name).write_bytes(data)
+    ended = run(folder, "-o", tmp_path / "out")
+    assert ended.exit_code == 1, ended.output
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert {*summary["images"]} == {"a", "b"}
+    assert [name.removeprefix(f"{folder}/") for name in summary["skipped"]] == ["cut.jpg", "no.png"]
+    page = (tmp_path / "out" / "report.html").read_text()
+    for text in (page, ended.output):
+        assert "2 images could not be used." in text.replace("\N{NO-BREAK SPACE}", " ")
+    assert "begins like none of PNG" in page
+    assert not (tmp_path / "out" / "cut.csv").exists()
+    ended = run(folder / "cut.jpg", folder / "no.png", "-o", tmp_path / "none")
+    assert isinstance(ended.exception, InputError)
+    assert "no.png: begins like" in str(ended.exception)
+    assert "nor can the other 1 images be used" in str(ended.exception)
+    assert not (tmp_path / "none").exists()
+
+
+def test_other_light_is_subtracted_by_dark_frames(tmp_path, undrawn, unpainted_test):
+    """One for all, which may lie among the images; of a folder that of the name, or none."""
+    other = 100 * (np.arange(64) > 32)[:, None] * np.ones((1, 90))
+    for name, image in (("1.png", 0.5 * picture(255, float) + other), ("off.png", other)):
+        cv2.imwrite(str(tmp_path / name), image.astype(np.uint8))
+    ended = run(tmp_path, "--dark", tmp_path / "off.png", "-o", tmp_path / "out")
+    assert ended.exit_code == 0, ended.output
+    found = rows(tmp_path / "out" / "1.csv")
+    np.testing.assert_allclose([float(row["row_px"]) for row in found], ROW, atol=0.02)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["dark"] == str(tmp_path / "off.png")
+    (tmp_path / "dark").mkdir()
+    for name in ("1.png", "2.png"):
+        cv2.imwrite(str(tmp_path / "dark" / name), other.astype(np.uint8))
+    ended = run(
+        tmp_path / "1.png",
+        tmp_path / "off.png",
+        "--dark",
+        tmp_path / "dark",
+        "-o",
+        tmp_path / "two",
+    )
+    assert "off.png" in ended.output
+    assert "has no dark frame of its name" in " ".join(ended.output.split())
+    ended = run(tmp_path / "1.png", "--dark", tmp_path / "1.png", "-o", tmp_path / "own")
+    assert "is its own dark frame" in str(ended.exception)
+
+
 def test_a_calibration_of_another_size_is_refused(tmp_path):
     """Points from the wrong camera would look right."""
     cv2.imwrite(str(tmp_path / "line.png"), picture(255, np.uint8))

@@ -15,6 +15,7 @@ EPILOG = (
     " -o found\n\n"
     "    virtual-sensor detect line.tif --along rows --peaks 2\n\n"
     "    virtual-sensor detect phone.jpg --wavelength 650\n\n"
+    "    virtual-sensor detect on/ --dark off/\n\n"
     "    virtual-sensor detect measured/hot.exr --calibration measured/calibration.yaml\n\n"
     "    virtual-sensor detect line.png --detector my_package.my_module:my_function"
 )
@@ -86,16 +87,24 @@ def detect(
             " too, as PLY."
         ),
     ] = None,
+    dark: Annotated[
+        Path | None,
+        typer.Option(
+            help="An image of the same scene, exposed alike, with the laser off: it is subtracted."
+            " Or a folder that has one of each image's name."
+        ),
+    ] = None,
     output: shared.Folder = Path("detected"),
     overwrite: shared.Overwrite = False,
 ) -> None:
     """Find laser lines in images: centres as CSV, points as PLY, a picture of each, and a page.
 
-    Exit status 3: there are results, but no image has a line centre; the statuses say why.
+    Exit status 3: there are results, but no image has a line centre; the statuses say why. 1: some
+    images could not be used, and are skipped.
     """
     from virtual_sensor.imaging.image_files import find_images
     from virtual_sensor.metrology.calibration import read_calibration
-    from virtual_sensor.reporting.detect import lead, save, table
+    from virtual_sensor.reporting.detect import lead, save, skipped, table
     from virtual_sensor.studies.detect import Settings
     from virtual_sensor.studies.detect import detect as run
 
@@ -110,14 +119,21 @@ def detect(
     shared.check_folder(output, overwrite)
     calibrated = read_calibration(calibration) if calibration else None
     paths, notes = find_images(images)
+    if dark and len(paths) > 1:  # it may lie among them
+        paths = [path for path in paths if path != dark]
     notes += calibrated.notes if calibrated else ()
     with shared.reporting("reading") as report:
-        found = run(paths, settings, calibrated)
+        found = run(paths, settings, calibrated, dark)
         command = shared.command_line()
         summary = save(
-            *(found, paths, settings, output, command, overwrite, calibration, notes, report)
+            *(found, paths, settings, output, command, overwrite, calibration, dark),
+            notes=notes,
+            report=report,
         )
-    shared.print_results([table(summary), lead(summary)], summary.notes)
+    tables = [table(summary), skipped(summary)] if summary.skipped else [table(summary)]
+    shared.print_results([*tables, lead(summary)], summary.notes)
     shared.print_end(output)
     if not summary.centres:
         raise typer.Exit(shared.NOTHING_FOUND)
+    if summary.skipped:
+        raise typer.Exit(1)

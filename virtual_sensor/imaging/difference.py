@@ -1,4 +1,4 @@
-"""Laser on, laser off: the difference of two frames holds the laser's light alone.
+"""Laser on, laser off: the difference of two frames, or images, holds the laser's light alone.
 
 Ambient light, the part's glow, the dark current and the fixed pattern of offsets are in both frames
 and cancel; their noise adds up.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from virtual_sensor.calls import public
 from virtual_sensor.devices.image_sensor import ImageSensor
 from virtual_sensor.display import listed
-from virtual_sensor.errors import InputError, short
+from virtual_sensor.errors import InputError, naming, short
+from virtual_sensor.imaging.dark_images import without_other_light
+from virtual_sensor.imaging.image_files import Image
 from virtual_sensor.imaging.recording import RecordedFrame, grey_of_radiance
 from virtual_sensor.imaging.render import Frame
 from virtual_sensor.seeds import part_seed
@@ -76,30 +78,55 @@ class DifferenceFrame(RecordedFrame):
         return self
 
 
+@overload
+def difference(on: RecordedFrame, off: RecordedFrame | None = None) -> DifferenceFrame: ...
+@overload
+def difference(on: Image, off: Image) -> Image: ...
 @public
-def difference(on: RecordedFrame, off: RecordedFrame | None = None) -> DifferenceFrame:
-    """A recorded frame with the laser on, minus one with it off.
+def difference(
+    on: RecordedFrame | Image, off: RecordedFrame | Image | None = None
+) -> DifferenceFrame | Image:
+    """A recorded frame, or an image, with the laser on, minus one with it off.
 
     >>> frame = vs.render_frame(scene, background=True)
     >>> shot = vs.difference(vs.record(scene, frame, seed=1))
     >>> line = vs.line_centres(shot)
+    >>> seen = vs.difference(vs.read_image("on.png"), vs.read_image("off.png"))
 
     Parameters
     ----------
-    on : RecordedFrame
-    off : RecordedFrame, optional
+    on : RecordedFrame or Image
+    off : RecordedFrame or Image, optional
         By the same sensor, exposed as long; by default what that records of the first frame's
         `background`, with noise of its own.
+
+    Returns
+    -------
+    DifferenceFrame or Image
+        An image's pixels are float32, negative ones too; where one of the two is clipped they are
+        at `largest`.  Its notes say where the two don't go together.
 
     Raises
     ------
     InputError
-        If one is no recorded frame, or a sequence; they differ in sensor, exposure or size; or
-        there is no `off` and the first frame knows no background.
+        If one is no recorded frame or image, or a sequence; they differ in sensor, exposure or
+        size; or there is no `off` and the first frame knows no background.
     """
+    if isinstance(on, Image):
+        if not isinstance(off, Image):
+            raise InputError(f"difference: off is {short(off)}; give an image (vs.read_image)")
+        with naming("difference"):
+            return without_other_light(on, off)
     if not isinstance(on, RecordedFrame) or np.ndim(on.grey) != 2:
-        raise InputError(f"difference: on is {short(on)}; give one recorded frame (vs.record)")
-    dark = _off_grey(on) if off is None else _checked(on, off)
+        raise InputError(
+            f"difference: on is {short(on)}; give one recorded frame (vs.record), or an image"
+            " (vs.read_image)"
+        )
+    if off is None:
+        dark, seed = _off_grey(on), _seed(on)
+    else:
+        checked = _checked(on, off)
+        dark, seed = checked.grey, checked.seed
     sensor = on.sensor
     straight = sensor.without_knee
     pedestal = float(math.ceil(max(sensor.black_level, _SIGMAS * _noise(on, dark))))
@@ -112,7 +139,7 @@ def difference(on: RecordedFrame, off: RecordedFrame | None = None) -> Differenc
     grey = grey.astype(sensor.kind)
     held: dict[str, Any] = {each.name: getattr(on, each.name) for each in fields(RecordedFrame)}
     held |= {"grey": grey, "sensor": sensor}
-    held |= {"drawn": {**on.drawn, "off": _seed(on) if off is None else off.seed}}
+    held |= {"drawn": {**on.drawn, "off": seed}}
     return DifferenceFrame(
         **held, on_grey=on.grey, off_grey=dark, on_sensor=on.sensor, pedestal=pedestal
     )
@@ -135,7 +162,7 @@ def _off_grey(on: RecordedFrame) -> NDArray:
     )
 
 
-def _checked(on: RecordedFrame, off: Any) -> NDArray:
+def _checked(on: RecordedFrame, off: Any) -> RecordedFrame:
     if not isinstance(off, RecordedFrame):
         raise InputError(f"difference: off is {short(off)}; give a recorded frame (vs.record)")
     if off.grey.shape != on.grey.shape or off.sensor != on.sensor:
@@ -148,7 +175,7 @@ def _checked(on: RecordedFrame, off: Any) -> NDArray:
             f"difference: off is exposed {ratio:.4g} times as long as on; record it with"
             " exposure_s=on.exposure_s, or leave it out"
         )
-    return off.grey
+    return off
 
 
 def _noise(on: RecordedFrame, off_grey: NDArray) -> float:

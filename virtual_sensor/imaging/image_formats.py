@@ -61,7 +61,8 @@ _PILLOWS = {
     "AVIF": "AVIF", "GIF": "GIF", "Sun raster": "SUN",
 }  # fmt: skip
 _BY_PILLOW = ("JPEG", "GIF", "Sun raster")  # of which OpenCV gives damaged ones too, or none
-_ORIENTATION = 0x0112  # EXIF's tag
+_ORIENTATION, _PHOTOGRAPH = 0x0112, 0x8769  # EXIF's tags: of the image, and of how it was taken
+_TAKEN = {0x829A: "exposure_s", 0x8827: "iso_speed"}
 _LOSSY = (6, 7, 33003, 33004, 33005, 34712, 34887, 34892, 50001, 50002)  # JPEG and its kin in TIFF
 
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it warns on the terminal
@@ -191,9 +192,7 @@ def _refusing(path: Path, kind: str) -> Iterator[None]:
         raise
     except Exception as error:
         reason = f"{error}".strip().splitlines() or [type(error).__name__]
-        raise InputError(
-            f"{path}: can't be read as {kind} ({reason[-1]}); is it whole, and what its name says?"
-        ) from None
+        raise InputError(f"{path}: can't be read as {kind} ({reason[-1]}); is it whole?") from None
 
 
 def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
@@ -206,10 +205,15 @@ def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
         data, formats = path.read_bytes(), (_PILLOWS[kind],)
         with PIL.Image.open(BytesIO(data), formats=formats) as header:
             _check_size(path, *header.size)
+            orientation, taken = 1, {}
             try:
-                orientation = int(header.getexif().get(_ORIENTATION, 1))
+                exif = header.getexif()
+                orientation = int(exif.get(_ORIENTATION, 1))
+                photograph = exif.get_ifd(_PHOTOGRAPH)
+                taken = {
+                    name: float(photograph[n]) for n, name in _TAKEN.items() if n in photograph
+                }
             except Exception:  # whatever is wrong with a block that only describes the image
-                orientation = 1
                 remarks.append("its EXIF block is damaged and not used")
             frames = getattr(header, "n_frames", 1)
             if kind == "JPEG":
@@ -252,7 +256,7 @@ def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
         bits=bits,
         scaled=scaled,
         orientation=orientation,
-        metadata=metadata_of(header.info.get(KEY)) or {},
+        metadata=taken | (metadata_of(header.info.get(KEY)) or {}),
     )
 
 
@@ -307,7 +311,7 @@ def _decoded(path: Path, data: bytes) -> NDArray:
     with _silent():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise InputError(f"{path}: can't be decoded; is it whole, and what its name says?")
+        raise InputError(f"{path}: can't be decoded; is it whole?")
     return image
 
 

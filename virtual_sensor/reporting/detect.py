@@ -53,6 +53,7 @@ from virtual_sensor.studies.detect import (
     Detected,
     ImageSummary,
     Settings,
+    Skipped,
     joined_notes,
 )
 from virtual_sensor.studies.provenance import Versions, versions
@@ -85,8 +86,12 @@ class Summary(Record):
         How the line was sought.
     calibration : Path or None
         File that the points come by.
+    dark : Path or None
+        Image, or folder of them, that was subtracted.
     images : dict of str to ImageSummary
         By the name that their files have.
+    skipped : dict of str to str
+        Files that could not be used, and why.
     notes : tuple of str
         What was converted, assumed or left out.
     """
@@ -95,7 +100,9 @@ class Summary(Record):
     made_with: Versions
     settings: Settings
     calibration: Path | None
+    dark: Path | None
     images: dict[str, ImageSummary]
+    skipped: dict[str, str]
     notes: tuple[str, ...]
 
     @property
@@ -126,13 +133,14 @@ def names_of(paths: Sequence[Path]) -> list[str]:
 
 
 def save(
-    found: Iterable[Detected],
+    found: Iterable[Detected | Skipped],
     paths: Sequence[Path],
     settings: Settings,
     folder: Path,
     command: str,
     overwrite: bool = False,
     calibration: Path | None = None,
+    dark: Path | None = None,
     notes: Sequence[str] = (),
     report: Callable[[str, float], None] = lambda stage, fraction: None,
 ) -> Summary:
@@ -140,7 +148,7 @@ def save(
 
     Parameters
     ----------
-    found : iterable of Detected
+    found : iterable of Detected or Skipped
         One for each path, in order; none stays in memory.
     paths : sequence of Path
     settings : Settings
@@ -152,6 +160,8 @@ def save(
         Whether earlier results are replaced.
     calibration : Path, optional
         That gave the points.
+    dark : Path, optional
+        That was subtracted.
     notes : sequence of str
         Beside the images' own.
     report : callable
@@ -163,12 +173,17 @@ def save(
         If an image can't be read, or the folder can't be written.
     """
     names = names_of(paths)
+    skipped: dict[str, str] = {}
     images: dict[str, ImageSummary] = {}
     shown: dict[str, Picture | PanelPicture] = {}
     remarks = []
     with folder_written_whole(folder, overwrite) as place:
         report(names[0], 0.0)
         for number, (name, each) in enumerate(zip(names, found, strict=True), 1):
+            report(name, number / len(paths))
+            if isinstance(each, Skipped):
+                skipped[f"{each.path}"] = each.reason
+                continue
             write_csv(place / f"{name}.csv", each.centres)
             if each.points_mm is not None:
                 points = each.points_mm.reshape(-1, 3)
@@ -178,9 +193,9 @@ def save(
             shown[name] = picture if len(paths) <= MOST_WHOLE_PICTURES else picture.panels[0]
             images[name] = each.summary
             remarks.append((each.path, each.remarks))
-            report(name, number / len(paths))
+        said = (*notes, *joined_notes(remarks))
         summary = Summary(
-            command, versions(), settings, calibration, images, (*notes, *joined_notes(remarks))
+            *(command, versions(), settings, calibration, dark, images, skipped, said)
         )
         write_results(place, FILES, {PAGE: page(summary, shown), RESULTS_SIGN: summary})
     return summary
@@ -214,6 +229,11 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     return text_table(rows, columns, caption=f"{described(summary.settings)}; medians")
 
 
+def skipped(summary: Summary) -> TextTable:
+    """The images that could not be used."""
+    return pair_table(("skipped", "why"), summary.skipped)
+
+
 def described(settings: Settings) -> str:
     """The detector and its settings that are not the usual ones."""
     usual = plain(Settings())
@@ -231,6 +251,8 @@ def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
     many = len(summary.images) > 1
     name = next(iter(summary.images))
     sections = [Section("Images" if many else "Result", table(summary, page=True))]
+    if summary.skipped:
+        sections.append(Section("Skipped", skipped(summary)))
     for number, (each, picture) in enumerate(shown.items(), 1):
         content: list[Content] = [picture]
         if isinstance(picture, PanelPicture):
@@ -238,7 +260,7 @@ def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
         content.append(Link(f"Centres as a table: {each}.csv", f"{quote(each)}.csv"))
         sections.append(Section(_title(number, each) if many else "Picture", *content))
     settings = {heading(name): value for name, value in plain(summary.settings).items()}
-    settings["calibration"] = plain(summary.calibration)
+    settings |= {"calibration": plain(summary.calibration), "dark": plain(summary.dark)}
     sections.append(Section("Settings", pair_table(("setting", "value"), settings, "not given")))
     return Page(
         title=f"Line centres in {counted(len(summary.images), 'image') if many else name}",
@@ -258,8 +280,10 @@ def lead(summary: Summary) -> str:
     for name in FOUND_NAMES:
         reasons.pop(name, None)
     why = _most(reasons, 3)
+    skipped = len(summary.skipped)
+    left = f" {counted(skipped, 'image')} could not be used." if skipped else ""
     if not summary.centres:
-        return f"No line centre was found{f': {why}' if why else ''}."
+        return f"No line centre was found{f': {why}' if why else ''}.{left}"
     sigma = np.array([each.median_sigma_px for each in images])
     known = sigma[np.isfinite(sigma)]
     error = f", with a predicted error of {np.median(known):.2g} px (median)" if known.size else ""
@@ -267,7 +291,7 @@ def lead(summary: Summary) -> str:
     if summary.settings.peaks > 1:
         of = f" of {lines} peaks at most"
     missing = f" Without a centre: {why}." if why else ""
-    return f"{counted(summary.centres, 'line centre')}{of}{error}.{missing}"
+    return f"{counted(summary.centres, 'line centre')}{of}{error}.{missing}{left}"
 
 
 def draw(found: Detected, name: str, settings: Settings) -> Picture:

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
-from virtual_sensor.imaging.image_files import read_image
+from virtual_sensor.imaging.dark_images import find_dark, without_other_light
+from virtual_sensor.imaging.image_files import Image, read_image
 from virtual_sensor.metrology.calibration import Calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import STEGER
@@ -238,10 +239,21 @@ class Detected(Displayed):
         )
 
 
+@dataclass(frozen=True)
+class Skipped(Displayed):
+    """An image that can't be used, and why, without its name."""
+
+    path: Path
+    reason: str
+
+
 def detect(
-    paths: Sequence[Path], settings: Settings, calibration: Calibration | None = None
-) -> Iterator[Detected]:
-    """Find the line in each image, one after the other.
+    paths: Sequence[Path],
+    settings: Settings,
+    calibration: Calibration | None = None,
+    dark: Path | None = None,
+) -> Iterator[Detected | Skipped]:
+    """Find the line in each image, one after the other; of several those that can be read.
 
     Parameters
     ----------
@@ -251,46 +263,84 @@ def detect(
         `saturation` is taken as no more than an image's file allows.
     calibration : Calibration, optional
         With it there are points.
+    dark : Path, optional
+        An image of the same scene with the laser off, which is subtracted from each; or a folder
+        that has one of each image's name.
 
     Raises
     ------
     InputError
-        Naming the image that can't be read, or is not of the calibration's size.
+        Naming the image, if none can be read, or is of the calibration's size, or has a dark frame
+        like it; or a setting that is out of its range.
     """
+    darks = find_dark(dark, paths) if dark else None
+    skipped: list[Skipped] = []
     for path in paths:
-        read = read_image(
-            *(path, settings.channel, settings.bits), wavelength_nm=settings.wavelength_nm
+        try:
+            image = _read(path, settings, calibration, darks)
+        except InputError as error:
+            skipped.append(Skipped(path, f"{error}".removeprefix(f"{path}: ")))
+            if len(skipped) == len(paths):
+                others = f"; nor can the other {len(paths) - 1} images be used" * (len(paths) > 1)
+                raise InputError(f"{path}: {skipped[-1].reason}{others}") from None
+            yield skipped[-1]
+        else:
+            yield _detected(path, image, settings, calibration)
+
+
+def _read(
+    path: Path,
+    settings: Settings,
+    calibration: Calibration | None,
+    darks: Mapping[Path, Path] | None,
+) -> Image:
+    """An image, without other light than the laser's if there are dark frames."""
+    image = read_image(
+        *(path, settings.channel, settings.bits), wavelength_nm=settings.wavelength_nm
+    )
+    if calibration and image.pixels.shape != calibration.camera.size[::-1]:
+        width, height = calibration.camera.size
+        raise InputError(
+            f"{path}: is {image.pixels.shape[1]} x {image.pixels.shape[0]} px, but the calibration"
+            f" is of {width} x {height} px; take the one that belongs to it"
         )
-        image = read.pixels
-        if calibration and image.shape != calibration.camera.size[::-1]:
-            width, height = calibration.camera.size
-            raise InputError(
-                f"{path}: is {image.shape[1]} x {image.shape[0]} px, but the calibration is of"
-                f" {width} x {height} px; take the one that belongs to it"
-            )
-        remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
-        here, said = settings.knowing(read.detector_options)
-        remarks += said
-        straight = read.linear_grey
-        if read.largest is not None:
-            asked = settings.saturation
-            least = read.largest if asked is None else min(asked, read.largest)
-            here = replace(here, saturation=least)
-            if asked is not None and least < asked:
-                remarks.append(f"can't reach a saturation of {asked:g}: taken as {read.largest:g}.")
-        if straight is not read:
-            remarks.append("has a knee-point: grey values beyond it are stretched back.")
-            if here.saturation is not None and read.sensor:
-                here = replace(here, saturation=float(read.sensor.without_knee(here.saturation)))
-        began = time.perf_counter()
-        line = here.centres(straight.pixels)
-        time_s = time.perf_counter() - began
-        other = next(along for along in ALONG if along != here.along)
-        across = replace(here, along=other)
-        if here.detector != STEGER and _lies_across(straight.pixels, line, across):
-            remarks.append(f"shows its line along the {other}: give --along {other}.")
-        points = triangulate(calibration, line.pixel) if calibration else None
-        yield Detected(path, image, line, points, time_s, tuple(remarks))
+    if darks is None:
+        return image
+    if path not in darks:
+        raise InputError(f"{path}: has no dark frame of its name; add it, or give one for all")
+    if darks[path].samefile(path):
+        raise InputError(f"{path}: is its own dark frame; give one with the laser off")
+    off = read_image(darks[path], settings.channel or image.channel, settings.bits)
+    return without_other_light(image, off)
+
+
+def _detected(
+    path: Path, read: Image, settings: Settings, calibration: Calibration | None
+) -> Detected:
+    """What is found in an image."""
+    remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
+    here, said = settings.knowing(read.detector_options)
+    remarks += said
+    straight = read.linear_grey
+    if read.largest is not None:
+        asked = settings.saturation
+        least = read.largest if asked is None else min(asked, read.largest)
+        here = replace(here, saturation=least)
+        if asked is not None and least < asked:
+            remarks.append(f"can't reach a saturation of {asked:g}: taken as {read.largest:g}.")
+    if straight is not read:
+        remarks.append("has a knee-point: grey values beyond it are stretched back.")
+        if here.saturation is not None and read.sensor:
+            here = replace(here, saturation=float(read.sensor.without_knee(here.saturation)))
+    began = time.perf_counter()
+    line = here.centres(straight.pixels)
+    time_s = time.perf_counter() - began
+    other = next(along for along in ALONG if along != here.along)
+    across = replace(here, along=other)
+    if here.detector != STEGER and _lies_across(straight.pixels, line, across):
+        remarks.append(f"shows its line along the {other}: give --along {other}.")
+    points = triangulate(calibration, line.pixel) if calibration else None
+    return Detected(path, read.pixels, line, points, time_s, tuple(remarks))
 
 
 def joined_notes(remarks: Iterable[tuple[Path, Sequence[str]]]) -> tuple[str, ...]:
