@@ -19,6 +19,7 @@ from virtual_sensor_plugins import glow, laser_line, lens_camera, pattern_projec
 
 import virtual_sensor as vs
 from virtual_sensor import cli
+from virtual_sensor.imaging.materials import installed_materials
 from virtual_sensor.imaging.scene_file import parameter_words, read_scene_file, shipped_scenes
 from virtual_sensor.reporting.sweep import unit_of
 from virtual_sensor.statuses import StatusEnum
@@ -276,8 +277,33 @@ def scene_parameters() -> str:
             " answered with all names of the scene. Angles and lengths of the sensor are drawn in"
             " the [glossary](glossary.md).\n",
             table(head, rows),
+            "## Materials\n",
+            "The parameter `material` names the surface of a part: one of these, which are files of"
+            " Mitsuba's elements `bsdf`, or a file of your own. Each has parameters of its own,"
+            " which are given like those of the scene, such as"
+            " `-D material=ground_steel -D roughness=0.1`. Where a part has texture coordinates, u"
+            " is along the lay of its surface and v across it.\n",
+            table(("material", "what it is", "parameters"), _materials()),
         ]
     )
+
+
+def _materials() -> list[tuple[str, str, str]]:
+    """Each installed material: its name, what its file says first, and its parameters."""
+    rows = []
+    for path in installed_materials():
+        said = re.search(r"<!--(.*?)-->", path.read_text(encoding="utf-8"), re.DOTALL)
+        values = scene_defaults(path)
+        words = parameter_words(path)
+        parameters = "; ".join(f"`{name}` ({values[name]}): {words[name]}" for name in values)
+        rows.append((f"`{path.stem}`", " ".join(said[1].split()) if said else "", parameters))
+    return rows
+
+
+def scene_defaults(path: Path) -> dict[str, str]:
+    """The defaults of a file's parameters."""
+    elements = (e.attributes for e in read_scene_file(path).elements if e.tag == "default")
+    return {each["name"]: each["value"] for each in elements}
 
 
 # --- the scenes' elements ------------------------------------------------------------------------

@@ -11,7 +11,13 @@ from virtual_sensor.imaging.dark_frames import why_dark
 from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.studies.measure import measure
 
+INCLUDED = '    <include filename="materials/$material.xml"/>\n'
+INLINE = """    <bsdf type="diffuse" id="steel">
+        <float name="reflectance" value="0.5"/>
+    </bsdf>
+"""
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+COLD = COLD.replace(INCLUDED, INLINE)
 BSDF = re.search(r"<bsdf.*?</bsdf>", COLD, re.DOTALL)[0]
 SHAPES = re.search(r"<shape.*</shape>", COLD, re.DOTALL)[0]
 SQUARE = "-40 -40 0{0}\n40 -40 0{0}\n40 40 0{0}\n-40 40 0{0}\n"

@@ -1,5 +1,8 @@
 """Materials of scenes, which are Mitsuba's own BSDFs, and the parts that shine most."""
 
+import pickle
+from pathlib import Path
+
 import numpy as np
 import pytest
 from virtual_sensor_scenes.make_v_groove import extruded, profile
@@ -38,9 +41,69 @@ def test_ground_steel_has_the_normals_of_ggx(roughness, fraction):
     shadow = 2.0 / (1.0 + np.sqrt(1.0 + roughness**2 * np.tan(np.radians(30.0)) ** 2))
     expected = density * shadow**2 / np.cos(np.radians(30.0))  # D G / 4 cos, of equal directions
     assert slanted / straight == pytest.approx(expected, rel=1e-4)
-    n, k = 2.9, 3.3
+    n, k = 2.895, 2.918  # Johnson and Christy (1974) at 521 and 549 nm, in between
     mirror = ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2)
     assert straight == pytest.approx(mirror * ggx(1.0, roughness) / 4.0, rel=0.01)
+
+
+def test_iron_is_as_it_is_at_the_wavelength():
+    """Rationale: the BSDF is of one wavelength, the laser's; Johnson and Christy (1974), table."""
+    metal = {"material": "ground_steel", **SMALL}
+    for wavelength, n, k in ((451, 2.59, 2.77), (659, 2.92, 3.10)):
+        scene = vs.load_scene("v_groove", wavelength=wavelength, **metal)
+        held = mi.traverse(bsdf_of(scene))
+        assert np.ravel([held["eta.value"], held["k.value"]]) == pytest.approx([n, k], rel=1e-6)
+    own = vs.load_scene("v_groove", wavelength=3000, iron_n=4, iron_k=9, **metal)
+    assert own.parameters["iron_k"] == "9"
+    with pytest.raises(vs.InputError, match="known from 188 to 1937 nm; give iron_n and iron_k"):
+        vs.load_scene("v_groove", wavelength=3000, **metal)
+
+
+def test_a_material_is_any_bsdf_in_a_file(tmp_path, monkeypatch):
+    """Whatever its id is, with its texture beside it; and the scene is the same when unpickled."""
+    monkeypatch.chdir(tmp_path)
+    mi.Bitmap(np.full((1, 2, 1), [[[0.2], [0.8]]], np.float32)).write("halves.exr")
+    texture = '<string name="filename" value="halves.exr"/><boolean name="raw" value="true"/>'
+    texture = f'<texture type="bitmap" name="reflectance">{texture}</texture>'
+    wood = f'<bsdf version="3.0.0" type="diffuse" id="wood">{texture}</bsdf>'
+    Path("wood.xml").write_text(wood, encoding="utf-8")
+    scene = vs.load_scene("v_groove", material="wood.xml", **SMALL)
+    si = mi.SurfaceInteraction3f()
+    si.uv, si.wi = mi.Point2f([0.25, 0.75], 0.5), mi.Vector3f(0.0, 0.0, 1.0)
+    seen = np.ravel(bsdf_of(scene).eval_diffuse_reflectance(si))
+    np.testing.assert_allclose(seen, [0.2, 0.8], rtol=1e-3)
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    path = vs.new_scene("scenes/mine", material="wood.xml")
+    copied = {f.relative_to("scenes").as_posix() for f in Path("scenes").rglob("*") if f.is_file()}
+    assert copied == {"mine.xml", "materials/wood.xml", "materials/halves.exr"}
+    again = vs.new_scene("other/mine", from_scene=path)
+    assert vs.load_scene(again).parameters["material"] == "wood"
+
+
+REFUSED = {
+    "": ("ground", "installed materials: .*did you mean ground_steel"),
+    '<scene version="3.0.0"><emitter type="constant"/></scene>': ("own.xml", "<emitter> in the fi"),
+    '<scene version="3.0.0"/>': ("own.xml", "no <bsdf>; add it"),
+    '<shape type="sphere"/>': ("own.xml", "own.xml, line 1: <shape> in the file of a material"),
+    "<bsdf": ("own.xml", "own.xml: not well-formed"),
+    '<scene version="3.0.0"><bsdf type="diffuse"/><bsdf type="plastic"/></scene>': (
+        *("own.xml", '2 <bsdf> elements; give the one that is the material id="steel"'),
+    ),
+    '<bsdf version="3.0.0" type="diffuse" id="laser"/>': ("own.xml", 'the id "laser"; give one an'),
+}
+
+
+def test_what_is_no_material_is_refused(tmp_path, monkeypatch):
+    """Naming the file and the remedy; and a parameter that another material has."""
+    monkeypatch.chdir(tmp_path)
+    for text, (name, words) in REFUSED.items():
+        Path("own.xml").write_text(text, encoding="utf-8")
+        with pytest.raises(vs.InputError, match=words):
+            vs.load_scene("v_groove", material=name, **SMALL)
+    with pytest.raises(vs.InputError, match="materials that have it: ground_steel"):
+        vs.load_scene("v_groove", roughness=0.2, **SMALL)
+    with pytest.raises(vs.InputError, match=r"--roughness 0\.2: the material diffuse has none"):
+        vs.new_scene("mine", material="diffuse", roughness=0.2)
 
 
 def test_v_groove_is_closed_and_what_its_script_makes():

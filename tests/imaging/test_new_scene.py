@@ -12,6 +12,7 @@ import trimesh
 import virtual_sensor as vs
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging import loading
+from virtual_sensor.imaging.materials import material_words
 from virtual_sensor.imaging.new_scene.options import NewScene
 from virtual_sensor.imaging.new_scene.write import write_scene
 from virtual_sensor.imaging.parts import find_part
@@ -215,7 +216,7 @@ def test_what_is_written_explains_itself(tmp_path):
     path = vs.new_scene(tmp_path / "shaft & 1", diameter_mm=40, length_mm=90, temperature_c=900)
     assert path == tmp_path / "shaft & 1.xml"
     scene = vs.load_scene(tmp_path / "shaft & 1")
-    words = parameter_words(path)
+    words = material_words() | parameter_words(path)
     assert {name for name in scene.parameters if not words.get(name)} == set()
     assert isinstance(scene.surface, Cylinder)
     assert scene.surface.radius_mm == 20.0

@@ -22,7 +22,13 @@ from virtual_sensor.imaging.scene_file import (
     shipped_scenes,
 )
 
+INCLUDED = '    <include filename="materials/$material.xml"/>\n'
+INLINE = """    <bsdf type="diffuse" id="steel">
+        <float name="reflectance" value="0.5"/>
+    </bsdf>
+"""
 COLD = (shipped_scenes() / "cold_cylinder.xml").read_text(encoding="utf-8")
+COLD = COLD.replace(INCLUDED, INLINE)
 LASER_PLACE = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="0, 1, 0"/>'
 CAMERA_PLACE = '<lookat origin="0, 0, $distance" target="0, 0, 0" up="-1, 0, 0"/>'
 STEEL = re.search(r" *<bsdf.*?</bsdf>\n", COLD, re.DOTALL)[0]

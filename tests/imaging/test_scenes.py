@@ -20,6 +20,9 @@ from virtual_sensor.optics.surfaces import Cylinder, SceneSurface
 SHIPPED = ["cold_cylinder", "hot_cylinder", "stepped_shaft"]
 
 
+MATERIAL = '<include filename="materials/$material.xml"/>'
+
+
 def shipped_text(name):
     """A shipped scene's XML."""
     return (shipped_scenes() / f"{name}.xml").read_text(encoding="utf-8")
@@ -319,7 +322,7 @@ REFUSED = {
         ],
     ),
     "plugin misspelt": (
-        COLD.replace('type="diffuse"', 'type="difuse"'),
+        COLD.replace(MATERIAL, '<bsdf type="difuse" id="steel"/>'),
         ["line ", '<bsdf type="difuse">', "correct its type"],
     ),
     "property missing": (

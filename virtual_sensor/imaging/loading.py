@@ -8,6 +8,7 @@ from functools import lru_cache
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,17 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable, scratch_folder, sha256_of
 from virtual_sensor.imaging.expansion import grow
+from virtual_sensor.imaging.materials import name_material
 from virtual_sensor.imaging.part_kinds import AS_MESH, EXACT_KINDS, KINDS
 from virtual_sensor.imaging.part_survey import faults
 from virtual_sensor.imaging.parts import Part, read_part
-from virtual_sensor.imaging.scene_file import Element, SceneFile, filled, shortened
+from virtual_sensor.imaging.scene_file import (
+    MATERIAL,
+    Element,
+    SceneFile,
+    filled,
+    shortened,
+)
 from virtual_sensor.medium.find_field import find_field, is_installed
 
 _FAR_MM = 1e6  # beyond, float32 leaves a doubt of 0.06 mm
@@ -93,7 +101,7 @@ _COMPLAINTS = (
         r'<ref id="\1"/>: no element has this id; correct it',
     ),
     (
-        r'duplicate ID: "([^"]*)"',
+        r'duplicate ID(?: in included file "[^"]*")?: "([^"]*)"',
         r'two elements have the id "\1"; give one another',
     ),
     (
@@ -136,13 +144,15 @@ class Loaded(Displayed):
 
 
 @contextmanager
-def _among(folder: Path, here: Path) -> Iterator[Any]:
-    """Let Mitsuba find files in a folder, and in the one where a scene was loaded."""
+def _among(folder: Path, here: Path, more: list[Path]) -> Iterator[Any]:
+    """Let Mitsuba find files in a folder, in the one where a scene was loaded, and in more."""
     before = mi.file_resolver()
     resolver = mi.FileResolver(before)
     with suppress(FileNotFoundError):  # a working folder that is gone
         resolver.prepend(str(here.absolute()))
         resolver.prepend(str(folder.absolute()))
+        for other in more:
+            resolver.append(str(other.absolute()))
     mi.set_file_resolver(resolver)
     try:
         yield resolver
@@ -200,6 +210,7 @@ def load(
     values: dict[str, str],
     here: Path,
     poses: Mapping[str, NDArray[np.float64]],
+    material: Path | None = None,
 ) -> Loaded:
     """Load with Mitsuba, and put its errors in a user's terms.
 
@@ -213,15 +224,22 @@ def load(
         Folder from which relative paths start, beside the scene's own.
     poses : Mapping
         By the names of cameras and sources: matrices (4, 4) in place of their `to_world`.
+    material : Path, optional
+        File of the material, which the first file includes.
     """
     main = files[0].elements[0].file
     config = mi.parser.ParserConfig(mi.variant())
     # Mitsuba 3.9 merges meshes otherwise, and a merged one has no valid bounding box.
     config.merge_equivalent = config.merge_meshes = False
     config.unused_parameters = mi.LogLevel.Debug  # such as those that `fov` is worked out from
-    with _among(main.parent, here), ExitStack() as temporary, _listening() as heard:
+    text, more = files[0].text, [material.parent] if material else []
+    if material:
+        text = text.replace(MATERIAL, escape(f"{material.absolute()}", {'"': "&quot;"}))
+    with _among(main.parent, here, more), ExitStack() as temporary, _listening() as heard:
         try:
-            state = mi.parser.parse_string(config, files[0].text, **values)
+            state = mi.parser.parse_string(config, text, **values)
+            if material:
+                name_material(state, material)
             _name(state)
             _place(state, poses)
             _find_field(main, state, given)

@@ -70,12 +70,19 @@ from virtual_sensor.imaging.field_solid import (
     wrong_scale,
 )
 from virtual_sensor.imaging.loading import Loaded, load
+from virtual_sensor.imaging.materials import (
+    check_material,
+    materials_with,
+    with_index_of_iron,
+)
 from virtual_sensor.imaging.part_survey import scale_note
 from virtual_sensor.imaging.scene_file import (
+    MATERIAL,
     SceneFile,
     filled,
     find_scene,
     included,
+    included_file,
     read_scene_file,
     shipped_scenes,
     shortened,
@@ -763,7 +770,7 @@ def _number(number: Any) -> str:
 def _staged(path: Path, given: dict[str, str], here: Path, poses: dict[str, Array]) -> _Stage:
     """Have Mitsuba load a scene."""
     files, values, folders = _read(path, given, here)
-    loaded = load(files, given, values, here, poses)
+    loaded = load(files, given, values, here, poses, _material(files, folders, values))
     if not isinstance(loaded.scene.integrator(), refractive.Refractive):
         raise InputError(
             f'{path}: the scene\'s integrator is not "refractive"; put <integrator'
@@ -806,6 +813,9 @@ def _read(
     for inner, _ in included(file, folders, values, (path.resolve(),)):
         files.append(inner)
         values = _values(files, given)
+    if material := _material(files, list(folders), values):
+        check_material(next(each for each in files if each.elements[0].file == material))
+        folders |= {material.parent: None}
     defaults = {e.attributes["name"] for file in files for e in file.elements if e.tag == "default"}
     used = {
         name
@@ -820,6 +830,8 @@ def _read(
         names = ", ".join(sorted(defaults)) or "none"
         option = _OF_NEW.get(unknown[0])
         remedy = f"; it was made without; say {option} to `virtual-sensor new`" if option else ""
+        if material and (have := materials_with(unknown[0])):
+            remedy = f"; materials that have it: {', '.join(have)}"
         raise InputError(
             f"{path}: no parameter '{shortened(unknown[0])}'; the scene has: {names}"
             f"{remedy or nearest(unknown[0], defaults)}"
@@ -827,8 +839,15 @@ def _read(
     if "temperature" in values:
         _check_temperature(path, values["temperature"])
     with naming(path):
-        values = with_field_of_view(values, given)
+        values = with_index_of_iron(with_field_of_view(values, given), given)
     return files, _with_own_radius(values, given, list(folders)), list(folders)
+
+
+def _material(files: list[SceneFile], folders: list[Path], values: dict[str, str]) -> Path | None:
+    """The file of the scene's material, if it includes one."""
+    elements = (element for element in files[0].elements if element.tag == "include")
+    of_material = (e for e in elements if e.attributes.get("filename") == MATERIAL)
+    return next((included_file(each, folders, values) for each in of_material), None)
 
 
 def _with_own_radius(
@@ -897,6 +916,8 @@ def _referred(files: list[SceneFile], folders: list[Path], values: dict[str, str
     found: dict[Path, None] = {}
     for element in (e for file in files for e in file.elements if e.tag in _NAMING_FILES):
         texts = [filled(text, values) for text in element.attributes.values()]
+        if element.tag == "include" and (file := included_file(element, folders, values)):
+            found[file.resolve()] = None
         for place in (folder / text for folder in folders for text in texts):
             if exists(place) and place.is_file():
                 found[place.resolve()] = None

@@ -8,6 +8,8 @@ other encodings, by byte order   heeded, with a note; unknown ones are refused, 
 mark or declaration              file all but UTF-8, UTF-16 and ISO-8859-1
 ``$parameters``, ``<default>``   heeded, also those of included files
 ``<include>``                    heeded, up to 14 deep; of one another: refused
+the material's ``<include>``     heeded: ``$material`` is a file, or the name of one in a folder
+                                 `materials` beside the scene or of the program
 ``<path>``, ``<alias>``,         heeded (by Mitsuba)
 ``<ref>``
 ``<!ENTITY>``                    refused: Mitsuba doesn't expand entities
@@ -23,13 +25,13 @@ files of parts.
 import codecs
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from xml.parsers import expat
 
-from virtual_sensor.errors import InputError
+from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, named_file, readable
 from virtual_sensor.imaging.part_kinds import is_part
 
@@ -37,6 +39,9 @@ MOST_NESTED = 16
 MOST_INCLUDED = 14  # one less than Mitsuba allows
 LONGEST_VALUE = 100_000
 LARGEST_FILE = 1 << 26
+
+MATERIAL = "materials/$material.xml"
+"""What a scene's material is included by."""
 
 _MARKS = {  # in this order: the mark of UTF-32 begins with that of UTF-16
     codecs.BOM_UTF32_LE: "UTF-32",
@@ -103,6 +108,27 @@ def find_scene(name: str | Path) -> Path:
         the one of the nearest name.
     """
     return named_file(name, "scene", ".xml", [Path()], [shipped_scenes()])
+
+
+def find_material(name: str, folders: Iterable[Path]) -> Path:
+    """A material's file: a path, or its name in `materials`, beside the scene or of the program.
+
+    Parameters
+    ----------
+    name : str
+        A bare one, such as "ground_steel", is looked for among materials alone.
+    folders : iterable of Path
+        In which files of the scene are looked for.
+
+    Raises
+    ------
+    InputError
+        If there is none: it names the places that were looked in, the materials that there are,
+        and the one of the nearest name.
+    """
+    own = [folder / "materials" for folder in folders]
+    places = own if Path(name).name == name and not Path(name).suffix else folders
+    return named_file(name, "material", ".xml", places, [shipped_scenes() / "materials"])
 
 
 def parameter_words(path: Path) -> dict[str, str]:
@@ -190,8 +216,7 @@ def included(
             folders |= {folder / text: None for folder in list(folders) for text in texts}
         if element.tag != "include":
             continue
-        name = filled(element.attributes.get("filename", ""), values)
-        found = next((p for f in folders if exists(p := f / name)), None) if name else None
+        found = included_file(element, folders, values)
         if found is None:
             continue  # Mitsuba says so, with the line
         if found.resolve() in parents:
@@ -206,6 +231,16 @@ def included(
         inner, within = read_scene_file(found, inner=True), (*parents, found.resolve())
         yield inner, within
         yield from included(inner, folders, values, within)
+
+
+def included_file(element: Element, folders: Iterable[Path], values: dict[str, str]) -> Path | None:
+    """The file that an ``<include>`` names, if it is in one of the folders."""
+    name = element.attributes.get("filename", "")
+    if name == MATERIAL and "material" in values:
+        with naming(element.where):
+            return find_material(values["material"], folders)
+    name = filled(name, values)
+    return next((p for f in folders if exists(p := f / name)), None) if name else None
 
 
 def filled(text: str, values: dict[str, str]) -> str:

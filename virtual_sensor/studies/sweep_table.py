@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import RESULTS_SIGN
+from virtual_sensor.imaging.materials import material_words
 from virtual_sensor.imaging.scene_file import find_scene, parameter_words
 from virtual_sensor.records import Record, Table
 from virtual_sensor.studies.finished_cases import fingerprint, of_other_programs
@@ -215,7 +216,7 @@ def results(finished: Sequence[Finished], folder: Path) -> Sweep:
     """
     found, cases = table(finished, folder), [end.case for end in finished]
     scene = cases[0].scene if cases else ""
-    words = parameter_words(find_scene(scene)) if cases else {}
+    words = material_words() | parameter_words(find_scene(scene)) if cases else {}
     said = list(zip((case.name for case in cases), found.status, found.message, strict=True))
     of_cases = [f"{name}: {m}" for name, how, m in said if m and how != CaseStatus.FAILED]
     summary = SweepSummary(

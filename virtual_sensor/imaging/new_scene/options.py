@@ -92,9 +92,13 @@ class NewScene:
         Full fan angle of the laser, degrees; by default 0, a sheet of parallel light.
     wavelength_nm : float, optional
         Of the laser, nm; by default 532.
+    material : str, optional
+        Of the part: the name of one that is installed, such as ground_steel or oxide_scale, or a
+        file with Mitsuba's BSDF, which is copied beside the scene. By default diffuse: the surface
+        scatters evenly, as if it were painted.
     roughness : float, optional
-        Of bare iron (Mitsuba's `roughconductor`), from 0.05, shiny, to 0.5, dull. By default the
-        surface scatters evenly, as if it were painted or scaled.
+        Of bare steel, alpha of GGX, from 0.05, shiny, to 0.5, dull; without a material, that of
+        ground_steel.
     temperature_c : float, optional
         Of a hot part, degC: its glow can then be switched on by the parameter `emissivity`.
     field : str, optional
@@ -131,6 +135,7 @@ class NewScene:
     line_radius_mm: float | None = None
     fan: float | None = None
     wavelength_nm: float | None = None
+    material: str | None = None
     roughness: float | None = None
     temperature_c: float | None = None
     field: str | None = None

@@ -23,32 +23,21 @@ Rows = list[tuple[str, object, str]]
 WAVELENGTH_NM = 532.0
 """Of the laser, by default."""
 
-_IRON = np.array(  # wavelength, nm, n and k: Johnson and Christy, Phys. Rev. B 9, 5056 (1974)
-    [
-        *((301, 1.67, 2.00), (342, 1.85, 2.27), (381, 2.12, 2.50), (413, 2.35, 2.65)),
-        *((451, 2.59, 2.77), (471, 2.67, 2.82), (496, 2.74, 2.88), (521, 2.86, 2.91)),
-        *((549, 2.95, 2.93), (582, 2.94, 2.99), (617, 2.88, 3.05), (659, 2.92, 3.10)),
-        *((704, 2.86, 3.19), (756, 2.87, 3.28), (821, 2.94, 3.39), (892, 2.96, 3.56)),
-        *((984, 2.92, 3.79), (1088, 2.97, 4.06), (1216, 3.03, 4.39), (1393, 3.09, 4.83)),
-    ]
-)
+MATERIAL_WORDS = "of the part: one that is installed, such as ground_steel, or a file"
 
 
 def scene_text(
     name: str, part: NewPart, part_place: str, sensor: Placement, said: NewScene, field: str
 ) -> str:
     """A scene's XML; `part_place` and `field` are the files' names from its folder."""
-    rows = _air(said, field) + _poses(sensor, said) + _devices(sensor, said)
+    rows = [*_air(said, field), *_surface(part, said), *_poses(sensor, said)]
+    rows += _devices(sensor, said)
     values = {name: value_text(value) for name, value, _ in rows}
     values = with_field_of_view(values, {})
     lines = []
     for parameter, _, words in rows:
         tag = f'<default name="{parameter}" value={quoteattr(values[parameter])}/>'
         lines.append(f"{tag:<43} <!-- {words} -->")
-    n, k = (
-        f"{np.interp(float(values['wavelength']), _IRON[:, 0], column):.3g}"
-        for column in _IRON.T[1:]
-    )
     return _template().render(
         name=name.replace("--", "- -"),
         part=part,
@@ -58,10 +47,6 @@ def scene_text(
         projector=said.projector,
         sources=_sources(sensor, said),
         offset=any(sensor.offsets_mm),
-        metal=said.roughness is not None,
-        n=n,
-        k=k,
-        wavelength=values["wavelength"],
         glows=said.temperature_c is not None,
     )
 
@@ -92,6 +77,21 @@ def _air(said: NewScene, field: str) -> Rows:
         ("pressure", "", "of the air, Pa; empty: as the field has it"),
         ("wavelength", said.wavelength_nm or WAVELENGTH_NM, "of the light, nm"),
     ]
+
+
+def _surface(part: NewPart, said: NewScene) -> Rows:
+    metal = said.roughness is not None
+    rows: Rows = [
+        ("material", said.material or ("ground_steel" if metal else "diffuse"), MATERIAL_WORDS)
+    ]
+    if metal:
+        words = "of the material, alpha of GGX, from 0.05, shiny, to 0.5, dull"
+        rows.append(("roughness", said.roughness, words))
+    if part.radius_mm:
+        words = "of the part per unit of its texture coordinate {}, mm"
+        rows.append(("u_mm", 2.0 * np.pi * part.radius_mm, words.format("u, round it")))
+        rows.append(("v_mm", 2.0 * part.half_length_mm, words.format("v, along it")))
+    return rows
 
 
 def _poses(sensor: Placement, said: NewScene) -> Rows:
@@ -168,9 +168,6 @@ def _projected(sensor: Placement) -> Rows:
 
 def _devices(sensor: Placement, said: NewScene) -> Rows:
     width, height = sensor.size_px
-    surface = ("reflectance", 0.5, "of the part, from 0 to 1")
-    if said.roughness is not None:
-        surface = ("roughness", said.roughness, "of the metal, from 0.05, shiny, to 0.5, dull")
     return [
         *(_projected(sensor) if said.projector else _line(sensor, said)),
         ("distance", sensor.distance_mm, "from the camera to the light's middle, mm"),
@@ -182,7 +179,6 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
         ("height", height, "px"),
         *_lens(said),
         ("spp", 16, "samples per pixel, a square number"),
-        surface,
         ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
         ("tolerance", 0.003, "of the tables, px"),
         ("step", 2, "of the ray march, mm"),

@@ -30,6 +30,7 @@ from virtual_sensor.files import (
 )
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.checks import check_scene
+from virtual_sensor.imaging.materials import installed_materials, materials_with
 from virtual_sensor.imaging.new_scene.lasers import close_lines
 from virtual_sensor.imaging.new_scene.options import SPELT, UPWARD, NewScene
 from virtual_sensor.imaging.new_scene.part import part_of
@@ -37,7 +38,14 @@ from virtual_sensor.imaging.new_scene.placement import PIXEL_UM, film_of, placed
 from virtual_sensor.imaging.new_scene.text import scene_text, value_text
 from virtual_sensor.imaging.part_survey import UNITS_MM, PartSurvey
 from virtual_sensor.imaging.scene import Scene, load_scene, scene_parameters
-from virtual_sensor.imaging.scene_file import filled, find_scene, read_scene_file, shipped_scenes
+from virtual_sensor.imaging.scene_file import (
+    MATERIAL,
+    filled,
+    find_material,
+    find_scene,
+    read_scene_file,
+    shipped_scenes,
+)
 from virtual_sensor.medium.find_field import find_field, is_installed
 from virtual_sensor.optics.lens import F_NUMBERS
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
@@ -142,9 +150,9 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
         `length_mm` of a cylinder; `focal_length_mm`, `pixel_um`, `film`, `f_number`,
         `focus_distance_mm`, `sensor_tilt`, `distortion`, `calibration`, `sensor_model`, `exposure`,
         `distance_mm`; `alpha`, `tilt`, `laser_offset_mm`, `beta`, `turn`, `at_mm`; `projector`;
-        `line_length_mm`, `line_radius_mm`, `fan`, `wavelength_nm`; `roughness`, `temperature_c`,
-        `field`, `from_scene`.  Several `alpha` make several cameras, several `tilt` several lasers
-        or projectors.
+        `line_length_mm`, `line_radius_mm`, `fan`, `wavelength_nm`; `material`, `roughness`,
+        `temperature_c`, `field`, `from_scene`.  Several `alpha` make several cameras, several
+        `tilt` several lasers or projectors.
 
     Returns
     -------
@@ -171,7 +179,7 @@ def new_scene(path: str | Path, *, overwrite: bool = False, **options: Any) -> P
     for name in ("alpha", "tilt", "laser_offset_mm", "at_mm"):
         if options.get(name) is not None:
             options[name] = tuple(numbers_of(f"new_scene: {name}", options[name]).ravel().tolist())
-    for name in ("part", "field", "from_scene", "calibration"):
+    for name in ("part", "field", "from_scene", "calibration", "material"):
         if options.get(name) is not None:
             options[name] = str(path_of(f"new_scene: {name}", options[name]))
     if isinstance(options.get("film"), (tuple, list)):
@@ -318,7 +326,32 @@ def _with_files(folder: Path, said: NewScene) -> tuple[NewScene, dict[str, Path]
             place = _place(folder, file)
             changed: dict[str, Any] = {name: place}
             said, files = dataclasses.replace(said, **changed), {**files, place: file}
+    if said.material is not None:
+        elements = read_scene_file(find_material(said.material, [Path()]), inner=True).elements
+        if said.roughness is not None and not any(
+            e.tag == "default" and e.attributes.get("name") == "roughness" for e in elements
+        ):
+            raise InputError(
+                f"--roughness {said.roughness:g}: the material {said.material} has none; leave it"
+                f" out, or take one of {', '.join(materials_with('roughness'))}"
+            )
+        name, of_material = _with_material(said.material, [Path()])
+        said, files = dataclasses.replace(said, material=name), files | of_material
     return said, files
+
+
+def _with_material(name: str, folders: list[Path]) -> tuple[str, dict[str, Path]]:
+    """A material's name in a scene, and its files by their places there: installed, it has none."""
+    file = find_material(name, folders)
+    if file in installed_materials():
+        return file.stem, {}
+    files = {f"materials/{file.name}": file}
+    for element in read_scene_file(file, inner=True).elements:
+        for text in element.attributes.values():
+            inside = not Path(text).is_absolute() and ".." not in text
+            if inside and Path(text).suffix and exists(beside := file.parent / text):
+                files[f"materials/{text}"] = beside
+    return file.stem, files
 
 
 def _place(folder: Path, file: Path) -> str:
@@ -391,7 +424,11 @@ def _copy(path: Path, said: NewScene) -> _Draft:
             raise InputError(f"--from {said.from_scene}: no <default> of {name}; change its text")
     files = own
     any_temperature = {**values, "temperature": "*"}
+    if "material" in values and not said.material:
+        files |= _with_material(values["material"], [source.parent])[1]
     for element in file.elements:
+        if element.attributes.get("filename") == MATERIAL:
+            continue
         for place in {filled(each, any_temperature) for each in element.attributes.values()}:
             if Path(place).suffix and not Path(place).is_absolute() and ".." not in place:
                 found = sorted(source.parent.glob(place))
