@@ -67,7 +67,8 @@ def lines_in_bands(
         meets = _meets(own, hidden)
         # What is left of a line where others are taken out would be called cut, and its neighbours.
         lit = _without(image, hidden | (own & meets), hidden | own)
-        line = line_centres(lit, method, saturation=saturation, **options)
+        # The band tells which light is the line's.
+        line = line_centres(lit, method, saturation=saturation, **{"choose": "highest", **options})
         if goes_along:  # within a band's breadth of where the line is taken out
             breadth = int(own.sum(axis=0).max(initial=0))
             meets = maximum_filter1d(meets, 2 * breadth + 1)

@@ -7,6 +7,7 @@ filter cannot shift it.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from virtual_sensor.metrology.detectors import (
     by_foreign,
     find_detector,
 )
+from virtual_sensor.metrology.line_choice import with_line_first
 from virtual_sensor.metrology.line_ends import among_cuts, line_ends
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
@@ -47,6 +49,7 @@ from virtual_sensor.metrology.line_shapes import Shapes, shapes
 from virtual_sensor.metrology.ridges import ridges
 
 ALONG = ("columns", "rows")
+CHOICES = ("path", "highest")
 
 MOST_PEAKS = 100  # of a column
 MOST_SIGMA_PX = 1e4
@@ -66,6 +69,7 @@ def line_centres(
     *,
     along: str = "columns",
     peaks: int = 1,
+    choose: str = "path",
     min_amplitude: float = 0.01,
     saturation: float | None = None,
     max_sigma: float = 32.0,
@@ -90,8 +94,13 @@ def line_centres(
     along : {"columns", "rows"}
         Whether the line crosses each column (it lies flat in the image), or each row.
     peaks : int
-        So many are sought in each column, the highest first: reflections, undercuts; up to
-        100.  With more than one the arrays have shape (peaks, W).
+        So many are sought in each column, up to 100.  With more than one the arrays have shape
+        (peaks, W): the line comes first, then the highest of the rest, which are GHOST unless they
+        are as good as the line.
+    choose : {"path", "highest"}
+        What is the line where columns have several peaks: the path across all columns that
+        continues best, by peaks that are high and narrow (see `metrology.line_choice`), or the
+        highest of each column.  With one peak, a column that shows a ghost alone is GHOST.
     min_amplitude : float
         Smallest height of a line, relative to the highest in the image.  What stands out by less
         than six sigma of the smoothed noise is no line either.
@@ -124,6 +133,7 @@ def line_centres(
     clipped = saturation_level(image, told.get("saturation") if saturation is None else saturation)
     image = checked_image(image)
     one_of("line_centres: along", along, ALONG)
+    one_of("line_centres: choose", choose, CHOICES)
     peaks = whole_number("line_centres: peaks", peaks, 1, MOST_PEAKS)
     below_1, beyond_least = np.nextafter([1.0, MIN_SIGMA_PX], [0.0, 1.0])
     min_amplitude = number_within(
@@ -144,7 +154,8 @@ def line_centres(
         image = np.ascontiguousarray(image.T)
 
     if isinstance(method, str) and method in NAMES:
-        line = _ours(image, method, peaks, min_amplitude, clipped, max_sigma, noise, gain)
+        path = choose == "path"
+        line = _ours(image, method, peaks, path, min_amplitude, clipped, max_sigma, noise, gain)
     else:
         line = by_foreign(image, method if callable(method) else find_detector(method))
     return line.transposed if along == "rows" else line
@@ -154,6 +165,7 @@ def _ours(
     image: NDArray,
     method: str,
     peaks: int,
+    path: bool,
     min_amplitude: float,
     saturation: float,
     max_sigma: float,
@@ -176,7 +188,7 @@ def _ours(
         line = ridges(image, given, *limits)
     else:
         seen = finite.any(axis=0)
-        line = _columnwise(image, filled, seen, COLUMNWISE[method], given, peaks, *limits)
+        line = _columnwise(image, filled, seen, COLUMNWISE[method], given, peaks, path, *limits)
     return replace(line, amplitude=line.amplitude * unit, background=line.background * unit)
 
 
@@ -187,11 +199,16 @@ def _columnwise(
     estimate: Estimate,
     noise: Noise,
     count: int,
+    path: bool,
     min_amplitude: float,
     saturation: float,
     max_sigma: float,
 ) -> LineCentres:
-    peaks = find_peaks(filled, noise.dark, min_amplitude, max_sigma, count)
+    search = partial(find_peaks, filled, noise.dark, min_amplitude, max_sigma)
+    peaks, ghosts = search(count), np.zeros((count, seen.size), bool)
+    if path:
+        peaks, ghost = with_line_first(peaks, count, SAME_HEIGHT, search)
+        ghosts[peaks.rank, peaks.column] = ghost
     if count > 1:  # neighbours of one line beside each other
         peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
@@ -215,7 +232,8 @@ def _columnwise(
     ends = line_ends((status != Status.NO_PEAK) & seen, row, error, width, amplitude)
     status[ends & there] = Status.LINE_END
     status[among_cuts(status, width)] = Status.CUT
-    found[:, ~is_measured(status)] = np.nan
+    status[ghosts & is_found(status)] = Status.GHOST
+    found[:, ~(is_measured if count > 1 else is_found)(status)] = np.nan
     if count == 1:
         found, status = found[:, 0], status[0]
     row, error, width, amplitude, background = found
