@@ -11,7 +11,7 @@ are short, it takes over.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import cv2
@@ -46,7 +46,9 @@ _GOLDEN = 0.6180339887498949
 _PROBES = 2  # camera rays of a tile that show which bins light it
 _LANES = 1 << 20
 _THREE = np.ones((3, 3), np.uint8)
-_GRAZING = 1e-9  # cosine
+_LEAST = 1e-30
+_SEED = 0x57121
+_STEPS = 0.8191725133961645, 0.6710436067037893, 0.5497004779019703  # of a lattice in 3D
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +165,31 @@ class Beam:
     margin: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Points of surfaces that sources light, directly or by reflections; in the order of bins.
+
+    Attributes
+    ----------
+    si : SurfaceInteraction3f
+        Its `wi` is where the light comes from.
+    s, t : scalar
+        Of the source's rays.
+    power : spectrum
+        Of the light on one point, over the cosine that irradiance has there.
+    density : scalar
+        How densely points are drawn there, if all bins were drawn alike: points per mm^2 of the
+        stripe, or of a surface that is lit from the point before; 0 where no ray of a camera's can
+        find the same light.
+    """
+
+    si: Any
+    s: Any
+    t: Any
+    power: Any
+    density: Any
+
+
 class Stripe:
     """Points that sources light, bin by bin of the light along t, and source by source.
 
@@ -173,6 +200,9 @@ class Stripe:
     medium : Field or None
     march : March
     seed : int
+    bounces : int
+        How many generations of points are found: those that sources light, those that are lit from
+        these, ...
     """
 
     def __init__(
@@ -182,32 +212,29 @@ class Stripe:
         medium: Field | None,
         march: March,
         seed: int,
+        bounces: int = 1,
     ) -> None:
         self.scene, self.beams = scene, beams
         self.bins = _BINS * len(beams)
-        random = np.random.default_rng([seed, 0x57121])
+        random = np.random.default_rng([seed, _SEED])
         surface = SceneSurface(scene)
         middle = np.asarray(surface.corners, float).reshape(2, 3).mean(axis=0)
         self._tables, parts = [], []
         for beam in beams:
-            family = beam.source.family
-            depth = float(family.coordinates(middle[None])[0, 2])
+            depth = float(beam.source.family.coordinates(middle[None])[0, 2])
             table = FluxTable.of(beam.source, depth)
             self._tables.append(_Table(table))
-            s, t, density = table.rays(_BINS * _IN_BIN, random.random(2))
-            one = Marched(medium, surface, (beam.source,), march)
-            parts.append(self._lit(beam, one, (s, t), density, self._tables[-1]))
-        joined = parts[0] if len(parts) == 1 else _joined(parts)
-        self.si, self.heading, self.s, self.t, self.power, self.spacing, self.found = joined
+            marched = Marched(medium, surface, (beam.source,), march)
+            rays = table.rays(_BINS * _IN_BIN, random.random(2))
+            parts.append(self._lit(beam, marched, rays, self._tables[-1]))
+        self.generations = [parts[0] if len(parts) == 1 else _joined(parts)]
+        for _ in range(1, bounces):
+            self.generations.append(self._lit_from(self.generations[-1], random))
 
-    def _lit(
-        self, beam: Beam, marched: Marched, rays: tuple[Array, Array], drawn: Array, table: _Table
-    ) -> tuple[Any, ...]:
-        """The points that rays light, as attributes of a `Stripe`."""
-        family, source = beam.source.family, beam.source
-        s, t = (in_own_memory(each, mi.Float) for each in rays)
-        density = in_own_memory(drawn, mi.Float)
-        frame = FamilyFrame.of(family, mi.Array3f)
+    def _lit(self, beam: Beam, marched: Marched, rays: tuple[Array, ...], table: _Table) -> Points:
+        """The points that rays of a source light."""
+        source, frame = beam.source, FamilyFrame.of(beam.source.family, mi.Array3f)
+        s, t, drawn = (in_own_memory(each, mi.Float) for each in rays)
         origin, direction, _ = frame.rays(s, t)
         sight = marched.hits(mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction)))
         heading = mi.Vector3f(sight.heading)
@@ -217,16 +244,40 @@ class Stripe:
         lean = dr.abs(dr.dot(si.n, heading))
         lit = sight.hit & si.is_valid() & (lean > 0.0)
         depth = frame.local(mi.Array3f(si.p))[2]
-        # Power of a point over the cosine that its irradiance has.
-        power = dr.select(lit, source.flux(s, t, depth) / (density * lean), 0.0)
+        power = mi.Spectrum(dr.select(lit, source.flux(s, t, depth) / (drawn * lean), 0.0))
         light = beam.tracer.lights(mi.Array3f(si.p), lit)[0]
         concentration = mi.Float(light.concentration)
         found = lit & self._near(beam, frame, si.p) & (concentration > 0.0)
-        tabled, _ = table.at(s, t)
-        # Points per mm^2 of the surface, where all bins are drawn alike.
-        spacing = dr.select(found, tabled * concentration * lean, 0.0)
-        dr.eval(si, heading, s, t, power, spacing, found)
-        return si, heading, s, t, power, spacing, found
+        density = dr.select(found, table.at(s, t)[0] * concentration * lean * _BINS, 0.0)
+        points = Points(si, s, t, power, density)
+        dr.eval(points)
+        return points
+
+    def _lit_from(self, points: Points, random: np.random.Generator) -> Points:
+        """The points that light of others meets, by a ray drawn by the reflection of each."""
+        si, number = points.si, np.arange(dr.width(points.s))
+        chance = random.random(3)
+        one, *two = (
+            in_own_memory((number * step + first) % 1.0, mi.Float)
+            for step, first in zip(_STEPS, chance, strict=True)
+        )
+        lit = dr.any(points.power != 0.0)
+        context = mi.BSDFContext(mi.TransportMode.Importance)
+        sample, weight = si.bsdf().sample(context, si, one, mi.Point2f(*two), lit)
+        heading = si.to_world(sample.wo)
+        lit &= dr.any(weight != 0.0)
+        met = self.scene.ray_intersect(si.spawn_ray(heading), lit)
+        lit &= met.is_valid()
+        lean = dr.abs(dr.dot(met.n, heading))
+        lit &= lean > 0.0
+        arrives = dr.abs(dr.dot(si.n, -si.to_world(si.wi)))  # of the light before
+        power = points.power * weight * (arrives / lean)
+        met.wi = dr.select(lit, met.to_local(-heading), mi.Vector3f(0.0, 0.0, 1.0))
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        density = dr.select(delta, dr.inf, sample.pdf * lean / dr.square(met.t))
+        reflected = Points(met, points.s, points.t, dr.select(lit, power, 0.0), density)
+        dr.eval(reflected)
+        return reflected
 
     def _near(self, beam: Beam, frame: FamilyFrame, point: Any) -> Any:
         """Whether points may be lit, by the straight ray through them."""
@@ -257,7 +308,7 @@ class Stripe:
                 heading,
                 (s, t),
                 dr.select(lit, flux * concentration, 0.0),
-                density * concentration * dr.abs(dr.dot(si.n, heading)),
+                density * concentration * dr.abs(dr.dot(si.n, heading)) * _BINS,
                 place + number * _BINS,
             )
 
@@ -279,8 +330,8 @@ class Caught:
         s and t of the source's rays.
     irradiance : scalar
         Square to the light, W/mm^2.
-    spacing : scalar
-        Points per mm^2 of the surface, if all bins were drawn alike.
+    density : scalar
+        As that of `Points`.
     place : UInt32
         The bin.
     """
@@ -291,21 +342,19 @@ class Caught:
     heading: Any
     coordinates: tuple[Any, Any]
     irradiance: Any
-    spacing: Any
+    density: Any
     place: Any
 
 
-def _joined(parts: list[tuple[Any, ...]]) -> tuple[Any, ...]:
+def _joined(trees: list[Any]) -> Any:
     """Dr.Jit's arrays of several sources, one after the other."""
-    return tuple(_concatenated([part[i] for part in parts]) for i in range(len(parts[0])))
-
-
-def _concatenated(trees: list[Any]) -> Any:
-    width = [dr.width(tree) for tree in trees]
-    kind = type(trees[0])
-    whole = dr.zeros(kind, sum(width))
-    first = 0
-    for tree, count in zip(trees, width, strict=True):
+    if is_dataclass(trees[0]):
+        names = [field.name for field in fields(trees[0])]
+        parts = (_joined([getattr(tree, name) for tree in trees]) for name in names)
+        return Points(*parts)
+    widths = [dr.width(tree) for tree in trees]
+    whole, first = dr.zeros(type(trees[0]), sum(widths)), 0
+    for tree, count in zip(trees, widths, strict=True):
         dr.scatter(whole, tree, dr.arange(mi.UInt32, count) + first)
         first += count
     dr.eval(whole)
@@ -353,22 +402,56 @@ def _grey(value: Any) -> Any:
     return sum(value[i] for i in range(1, len(value))) / len(value) + value[0] / len(value)
 
 
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """A surface that light of points is connected to.
+
+    Attributes
+    ----------
+    si : SurfaceInteraction3f
+    bsdf : BSDFPtr
+    active : mask
+    choice : Choice
+    row : UInt32
+        Of the choice.
+    rival : Choice or None
+        Of the points of the next generation, in the stead of what is met here by chance; None: of
+        those that are seen.
+    tile : UInt32
+        Its row.
+    found : scalar
+        How densely this surface is met by chance, per mm^2 of it.
+    """
+
+    si: Any
+    bsdf: Any
+    active: Any
+    choice: Choice
+    row: Any
+    rival: Choice | None = None
+    tile: Any = None
+    found: Any = None
+
+
 class Reflected:
     """Light that reaches points by reflections.
+
+    Light by b reflections is found in two ways, each of which is good where the other is not:
+    what is seen is connected to points of the generation b - 1; or a ray drawn by its reflection
+    meets a surface, and this is connected to points of the generation b - 2, or lit by the source.
 
     Parameters
     ----------
     stripe : Stripe
-    bounces : int
-        Reflections between the lit point and the one that is seen, at most.
     samples : int
-        Points of the stripe for each connection.
+        Points for each connection.
     moments : bool
         Whether which rays make the light is found too.
     """
 
-    def __init__(self, stripe: Stripe, bounces: int, samples: int, moments: bool) -> None:
-        self.stripe, self.bounces, self.moments = stripe, bounces, moments
+    def __init__(self, stripe: Stripe, samples: int, moments: bool) -> None:
+        self.stripe, self.moments = stripe, moments
+        self.bounces = len(stripe.generations)
         self._count = dr.opaque(mi.UInt32, samples)
         self._alike = Choice(np.zeros((0, stripe.bins)))
 
@@ -378,43 +461,66 @@ class Reflected:
         return self.bounces * len(self.stripe.beams) * (MOMENTS if self.moments else 1)
 
     def radiances(
-        self, si: Any, active: Any, choice: Choice, row: Any, sampler: mi.Sampler
+        self, si: Any, active: Any, choices: list[Choice], row: Any, sampler: mi.Sampler
     ) -> list[Any]:
-        """Layers of the radiance that leaves what is seen."""
-        scene = self.stripe.scene
+        """Layers of the radiance that leaves what is seen.
+
+        Parameters
+        ----------
+        si : SurfaceInteraction3f
+        active : mask
+        choices : list of Choice
+            For each generation of points.
+        row : UInt32
+            Of the choices.
+        sampler : mi.Sampler
+        """
         layers = [mi.Spectrum(0.0) for _ in range(self.layers)]
-        through = mi.Spectrum(1.0)
-        context = mi.BSDFContext()
-        for bounce in range(self.bounces):
-            draw = sampler.next_2d()
-            value, index = self.connected(si, active, choice, row, draw, sampler.next_1d())
-            s, t = (dr.gather(mi.Float, each, index) for each in (self.stripe.s, self.stripe.t))
-            self._put(layers, bounce, index // (_BINS * _IN_BIN), through * value, s, t)
-            bsdf = si.bsdf()
-            sample, weight = bsdf.sample(
-                context, si, sampler.next_1d(active), sampler.next_2d(active), active
-            )
-            go = active & dr.any(weight != 0.0)
-            ray = si.spawn_ray(si.to_world(sample.wo))
-            met = scene.ray_intersect(ray, go)
-            go &= met.is_valid()
-            through = dr.select(go, through * weight, 0.0)
-            met.wi = dr.select(go, met.wi, mi.Vector3f(0.0, 0.0, 1.0))
-            delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
-            pdf = dr.select(delta, dr.inf, sample.pdf)
-            dr.eval(layers, met, go, through, pdf, row)
-            self._met(layers, bounce, met, go, through, pdf, choice, row)
-            si, active, row = met, go, dr.full(mi.UInt32, 0, dr.width(go)) + choice.even
+        context, bsdf = mi.BSDFContext(), si.bsdf()
+        for bounce, choice in enumerate(choices):
+            joint = _Joint(si, bsdf, active, choice, row)
+            self._connect(layers, bounce, bounce, joint, mi.Spectrum(1.0), sampler)
+        sample, weight = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
+        go = active & dr.any(weight != 0.0)
+        met = self.stripe.scene.ray_intersect(si.spawn_ray(si.to_world(sample.wo)), go)
+        go &= met.is_valid()
+        met.wi = dr.select(go, met.wi, mi.Vector3f(0.0, 0.0, 1.0))
+        through = dr.select(go, weight, 0.0)
+        delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        lean = dr.abs(dr.dot(met.n, met.to_world(met.wi)))
+        found = dr.select(delta, dr.inf, sample.pdf * lean / dr.square(met.t))
+        for bounce in range(1, self.bounces):
+            even = dr.full(mi.UInt32, 0, dr.width(go)) + self._alike.even
+            rival = choices[bounce], row, found
+            joint = _Joint(met, met.bsdf(), go, self._alike, even, *rival)
+            self._connect(layers, bounce, bounce - 1, joint, through, sampler)
+        dr.eval(layers, met, go, through, found, row)
+        self._catch(layers, met, go, through, found, choices[0], row)
         return layers
 
-    def _met(
+    def _connect(
         self,
         layers: list[Any],
         bounce: int,
+        generation: int,
+        joint: _Joint,
+        through: Any,
+        sampler: mi.Sampler,
+    ) -> None:
+        """Add light of points of a generation."""
+        points = self.stripe.generations[generation]
+        draws = sampler.next_2d(), sampler.next_1d()
+        value, index = self.connected(points, generation, joint, *draws)
+        s, t = (dr.gather(mi.Float, each, index) for each in (points.s, points.t))
+        self._put(layers, bounce, index // (_BINS * _IN_BIN), through * value, s, t)
+
+    def _catch(
+        self,
+        layers: list[Any],
         met: Any,
         active: Any,
         through: Any,
-        pdf: Any,
+        found: Any,
         choice: Choice,
         row: Any,
     ) -> None:
@@ -424,16 +530,14 @@ class Reflected:
             si, which = light.si, light.which
             value = si.bsdf().eval(context, si, si.to_local(-light.heading))
             value *= light.irradiance * dr.gather(mi.Spectrum, through, which)
-            # As many points of the stripe per sr as are connected to.
-            other = mi.Float(self._count) * _BINS * light.spacing * dr.square(si.t)
-            other *= choice.of_bin(dr.gather(mi.UInt32, row, which), light.place)
-            other /= dr.maximum(dr.abs(dr.dot(si.n, si.to_world(si.wi))), _GRAZING)
-            own = dr.gather(mi.Float, pdf, which)
-            value *= dr.select(dr.isfinite(own), own / (own + other), 1.0)
+            drawn = mi.Float(self._count) * light.density
+            drawn *= choice.of_bin(dr.gather(mi.UInt32, row, which), light.place)
+            own = dr.gather(mi.Float, found, which)
+            value *= dr.select(dr.isfinite(own), own / (own + drawn), 1.0)
             all_of = [dr.zeros(kind, count) for kind in (mi.Spectrum, mi.Float, mi.Float)]
             for whole, part in zip(all_of, (value, *light.coordinates), strict=True):
                 dr.scatter(whole, part, which)
-            self._put(layers, bounce, mi.UInt32(light.number), *all_of)
+            self._put(layers, 0, mi.UInt32(light.number), *all_of)
 
     def _put(self, layers: list[Any], bounce: int, number: Any, value: Any, s: Any, t: Any) -> None:
         """Add light of sources to the layers."""
@@ -447,18 +551,17 @@ class Reflected:
                 layers[first + i] = layers[first + i] + own * times
 
     def connected(
-        self, si: Any, active: Any, choice: Choice, row: Any, draw: Any, among: Any
+        self, points: Points, generation: int, joint: _Joint, draw: Any, among: Any
     ) -> tuple[Any, Any]:
-        """Light by one of some points of the stripe, drawn by what each makes unshadowed.
+        """Light by one of some points of a generation, drawn by what each makes unshadowed.
 
-        Returns the radiance that leaves what is seen, and the point's number.
+        Returns the radiance that leaves the joint, and the point's number.
         """
-        stripe, context, bsdf = self.stripe, mi.BSDFContext(), si.bsdf()
 
         def another(j: Any, among: Any, total: Any, score: Any, value: Any, index: Any) -> Any:
             u = (mi.Float(j) + draw.x) / mi.Float(self._count)
             v = draw.y + mi.Float(j) * _GOLDEN
-            k, made = self._one(si, bsdf, context, active, choice, row, u, v)
+            k, made = self._one(points, generation, joint, u, v)
             grey = _grey(made)
             total = total + grey
             part = dr.select(grey > 0.0, grey / total, 0.0)
@@ -477,51 +580,63 @@ class Reflected:
         _, _, total, score, value, index = dr.while_loop(
             start, lambda j, *_: j < self._count, another
         )
-        lit = active & (total > 0.0)
-        place = dr.gather(mi.Point3f, stripe.si.p, index)
-        lit &= ~stripe.scene.ray_test(si.spawn_ray_to(place), lit)
+        lit = joint.active & (total > 0.0)
+        place = dr.gather(mi.Point3f, points.si.p, index)
+        lit &= ~self.stripe.scene.ray_test(joint.si.spawn_ray_to(place), lit)
         value = dr.select(lit, value * (total / score), 0.0)
         return value / mi.Float(self._count), index
 
     def _one(
-        self,
-        si: Any,
-        bsdf: Any,
-        context: Any,
-        active: Any,
-        choice: Choice,
-        row: Any,
-        u: Any,
-        v: Any,
+        self, points: Points, generation: int, joint: _Joint, u: Any, v: Any
     ) -> tuple[Any, Any]:
-        """A point of the stripe, and the unshadowed light that it makes over its chance."""
-        stripe = self.stripe
-        place, chance = choice.drawn(row, u)
+        """One of the points, and the unshadowed light that it makes over its chance."""
+        si, context = joint.si, mi.BSDFContext()
+        place, chance = joint.choice.drawn(joint.row, u)
         within = mi.UInt32(dr.minimum((v - dr.floor(v)) * _IN_BIN, _IN_BIN - 1.0))
         k = place * _IN_BIN + within
-        lit = dr.gather(mi.SurfaceInteraction3f, stripe.si, k)
-        power = dr.gather(mi.Float, stripe.power, k)
-        spacing = dr.gather(mi.Float, stripe.spacing, k)
+        lit = dr.gather(mi.SurfaceInteraction3f, points.si, k)
+        power = dr.gather(mi.Spectrum, points.power, k)
         away = lit.p - si.p
         square = dr.squared_norm(away)
-        go = active & (power > 0.0) & (square > 0.0)
+        go = joint.active & dr.any(power != 0.0) & (square > 0.0)
         heading = away * dr.rsqrt(square)
-        value, pdf = bsdf.eval_pdf(context, si, si.to_local(heading), go)
+        value, pdf = joint.bsdf.eval_pdf(context, si, si.to_local(heading), go)
         go &= dr.any(value != 0.0)
-        to_laser = mi.Vector3f(lit.wi)  # a copy: it is to be another
+        source = mi.Vector3f(lit.wi)  # a copy: it is to be another
         lit.wi = lit.to_local(-heading)
-        cosine = dr.abs(dr.dot(lit.n, heading))
-        value *= lit.bsdf().eval(context, lit, to_laser, go)
-        # Weighed against light that a ray drawn by the reflection meets here.
-        drawn = mi.Float(self._count) * chance * _BINS * spacing * square
-        weight = dr.select(spacing > 0.0, drawn / (drawn + pdf * cosine), 1.0)
-        value *= weight * power * cosine / (square * chance * _BINS)
+        lean = dr.abs(dr.dot(lit.n, heading))
+        count = mi.Float(self._count)
+        value *= lit.bsdf().eval(context, lit, source, go)
+        if joint.rival is None:
+            density = dr.gather(mi.Float, points.density, k)
+            drawn = count * chance * density * square
+            other = pdf * lean
+            if generation:  # by as many points of this generation's sources
+                other *= count / self.stripe.bins
+            sure = ~(dr.isfinite(density) & (density > 0.0))
+        else:
+            lit.wi = source
+            back = lit.bsdf().pdf(context, lit, lit.to_local(-heading), go)
+            drawn = count * chance * joint.found * square
+            other = count * joint.rival.of_bin(joint.tile, place) * back
+            other *= dr.abs(dr.dot(si.n, heading))
+            sure = ~dr.isfinite(joint.found)
+        weight = dr.select(sure, 1.0, drawn / dr.maximum(drawn + other, _LEAST))
+        value *= weight * power * lean / (square * chance * _BINS)
         return k, dr.select(go, value, 0.0)
 
-    def choice(self, seen: Any, active: Any, tiles: tuple[int, int], sampler: mi.Sampler) -> Choice:
+    def choices(
+        self, seen: Any, active: Any, tiles: tuple[int, int], sampler: mi.Sampler
+    ) -> list[Choice]:
         """Which bins light tiles of the image, by what some rays of each see (`tiles_of`)."""
-        count = tiles[0] * tiles[1]
-        light = self._by_bins(seen, active, sampler).reshape(count, _PROBES, -1).max(axis=1)
+        return [
+            self._choice(self._by_bins(number, seen, active, sampler), tiles)
+            for number in range(self.bounces)
+        ]
+
+    def _choice(self, light: NDArray[np.float32], tiles: tuple[int, int]) -> Choice:
+        """By the light of each bin, (rays, bins)."""
+        light = light.reshape(tiles[0] * tiles[1], _PROBES, -1).max(axis=1)
         # What a tile's other pixels see is like what the next ones' rays see.
         beside = np.stack([cv2.dilate(each.reshape(tiles), _THREE).ravel() for each in light.T], 1)
         beside = cv2.dilate(beside.reshape(-1, _BINS), _THREE[:1]).reshape(light.shape)
@@ -530,11 +645,13 @@ class Reflected:
         share = np.divide(beside, total, out=np.full_like(beside, even), where=total > 0.0)
         return Choice((1.0 - _CHOSEN_EVENLY) * share + _CHOSEN_EVENLY * even)
 
-    def _by_bins(self, seen: Any, active: Any, sampler: mi.Sampler) -> NDArray[np.float32]:
+    def _by_bins(
+        self, generation: int, seen: Any, active: Any, sampler: mi.Sampler
+    ) -> NDArray[np.float32]:
         """Unshadowed light by one point of each bin, (rays, bins)."""
         bins, rays, alike = self.stripe.bins, dr.width(active), self._alike
         light = np.zeros((rays, bins), np.float32)
-        context, chunk = mi.BSDFContext(), max(1, _LANES // bins)
+        chunk, points = max(1, _LANES // bins), self.stripe.generations[generation]
         for first in range(0, rays, chunk):
             count = min(chunk, rays - first)
             lane = dr.arange(mi.UInt32, count * bins)
@@ -543,7 +660,8 @@ class Reflected:
             si = dr.gather(mi.SurfaceInteraction3f, seen, ray)
             go = dr.gather(mi.Mask, active, ray)
             u, v = (mi.Float(lane % bins) + 0.5) / bins, sampler.next_1d()
-            _, made = self._one(si, si.bsdf(), context, go, alike, alike.even, u, v)
+            joint = _Joint(si, si.bsdf(), go, alike, alike.even)
+            _, made = self._one(points, generation, joint, u, v)
             light[first : first + count] = _grey(made).numpy().reshape(count, bins)
         return light
 

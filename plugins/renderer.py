@@ -419,8 +419,8 @@ class Prepared:
             return {name: np.zeros((bounces, *shape[2:]), np.float32) for name in names}
         beams = tuple(self._beam(name) for name in names)
         march = arrangement.transport.march
-        stripe = Stripe(arrangement.scene, beams, arrangement.refracting, march, seed)
-        reflected = Reflected(stripe, bounces, arrangement.indirect_samples, moments)
+        stripe = Stripe(arrangement.scene, beams, arrangement.refracting, march, seed, bounces)
+        reflected = Reflected(stripe, arrangement.indirect_samples, moments)
         sampler = mi.load_dict({"type": "independent", "sample_count": _INDIRECT_SPP})
         points = self.pupil.points if self.pupil is not None else ()
         sights = [(each.straight, each.lit) for each in points]
@@ -475,13 +475,13 @@ class Prepared:
         tiles, pixels = tiles_of(view.width, view.height)
         seen, valid = met(view.centres(pixels), in_own_memory(pixels, mi.UInt32))
         dr.eval(seen, valid)
-        choice = reflected.choice(seen, valid, tiles, exposure.sampler.clone())
+        choices = reflected.choices(seen, valid, tiles, exposure.sampler.clone())
         across, width = (dr.opaque(mi.UInt32, n) for n in (tiles[1], view.width))
 
         def by_reflections(ray: Any, row: Any, pixel: Any) -> tuple[list[Any], Any]:
             si, valid = met(ray, pixel)
             tile = pixel // width // TILE_PX * across + pixel % width // TILE_PX
-            return reflected.radiances(si, valid, choice, tile, exposure.sampler), valid
+            return reflected.radiances(si, valid, choices, tile, exposure.sampler), valid
 
         exposure.add(None, by_reflections, _LANES["reflected"], stream, **place)
 
