@@ -303,7 +303,7 @@ def test_search_sees_the_shafts_steps_and_not_into_its_groove(temperature):
 
 
 COLD = shipped_text("cold_cylinder")
-LASER, CAMERA = element(COLD, "emitter"), element(COLD, "sensor")
+LASER, CAMERA, INTEGRATOR = (element(COLD, each) for each in ("emitter", "sensor", "integrator"))
 STRAIGHT = '<integrator type="refractive"/>'
 AIR = '<string name="field" value="air.nc"/>'
 CAMERA_WITHOUT = re.sub(r"\s*<(string|float) .*?/>", "", CAMERA)
@@ -339,12 +339,12 @@ REFUSED = {
         ['<shape type="ply">', "stepped_shaft.ply"],
     ),
     "field missing": (
-        COLD.replace(STRAIGHT, f"{STRAIGHT[:-2]}>{AIR}</integrator>"),
+        COLD.replace("</integrator>", f"{AIR}</integrator>"),
         ["line ", "air.nc", "no such field"],
     ),
     "no camera": (COLD.replace(CAMERA, ""), ["no camera", '<sensor type="lens_camera">']),
-    "no integrator": (COLD.replace(STRAIGHT, ""), [STRAIGHT]),
-    "other integrator": (COLD.replace(STRAIGHT, '<integrator type="direct"/>'), [STRAIGHT]),
+    "no integrator": (COLD.replace(INTEGRATOR, ""), [STRAIGHT]),
+    "other integrator": (COLD.replace(INTEGRATOR, '<integrator type="direct"/>'), [STRAIGHT]),
     "other camera": (
         COLD.replace(CAMERA, CAMERA_WITHOUT.replace("lens_camera", "orthographic")),
         ['is no <sensor type="lens_camera">'],

@@ -35,8 +35,8 @@ class ColumnTruth(Table):
     blur_px : ndarray of shape (N,)
         Standard deviation of the lens's blur along the column, out of focus; 0 of a pinhole.
     electrons : ndarray of shape (N,)
-        Mean electrons of the line's light in the column, where lamps and glow are known without
-        theirs; light of other lasers that falls there is in it.
+        Mean electrons of the line's direct light in the column, where lamps and glow are known
+        without theirs; light of other lasers that falls there is in it.
     visibility : ndarray of shape (N,)
         Which part of a Gaussian profile the camera sees there: less than 1 at edges.
     """

@@ -24,18 +24,22 @@ from virtual_sensor.arrays import number_within, vector_of, whole_number
 from virtual_sensor.arrays import truth_of as boolean
 from virtual_sensor.calls import public
 from virtual_sensor.devices.exposure_time import exposure_time_s
-from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import (
+    DIRECT,
     Frame,
     Image,
     PixelTruth,
     RenderReport,
+    arrangement,
     checked,
     on_and_off,
+    part_of,
     prepared_for,
+    radii_mm,
     truth_of,
+    with_layers,
 )
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.sequence import report_of_all
@@ -52,6 +56,8 @@ _WITHIN = _GAUSS * np.array([[1, 1, -1, -1, -1, -1, 1, 1], [1, -1, -1, 1, 1, -1,
 _STRATUM_PX = 1.0  # the image moves by no more within a part of the exposure
 _DRIFT_PX = 4.0  # nor by more to either side of where lit pixels and maps are made
 _MOST_INSTANTS = 4096
+_MOST_BOUNCED = 64  # places from which light that bounces is rendered
+_DIRECT_SHARE = 0.2  # of the time that a frame with it takes
 _LONGEST_S = 3600.0
 _FASTEST_MM_S = 1e7
 
@@ -66,8 +72,8 @@ class ExposedFrame(Frame):
         W/(mm^2 sr), the mean over the pixel and the time in which its row was exposed.
     truth : PixelTruth
         Where the part was in the middle of each row's exposure, and what lit it then.
-    radius_mm, report, background
-        As those of a `Frame`.
+    radius_mm, report, background, direct, indirect, ghosts
+        As those of a `Frame`; of ghosts the mean over the time.
     exposure_s : float
         Of each row.
     velocity_mm_s : ndarray of shape (3,)
@@ -260,7 +266,10 @@ def _exposed(
         for place, rows in places(offset):
             work.setdefault(place, []).append((number, rows))
     truths = dict(places(0.0))
-    total = np.zeros((1 + background, height, width), np.float32)
+    bounces = scene.max_depth > DIRECT
+    times_s = _bounced_times(motion, height, reach_mm / _DRIFT_PX) if bounces else np.zeros(0)
+    apart = background or (bounces and bool(arrangement(scene).lamps))
+    total = np.zeros((1 + apart, height, width), np.float32)
     known: list[PixelTruth] = []
     reports: list[RenderReport] = []
     done, whole = 0, count * height
@@ -271,29 +280,80 @@ def _exposed(
             prepared = prepared_for(moved, drift_mm=reach_mm if moves else 0.0)
             for number, rows in work.get(place, ()):
                 drift = motion.drift(rows, height, float(offsets[number]), at_s)
-                image, report = _instant(prepared, sampling, count, number, drift, background)
+                image, report = _instant(prepared, sampling, count, number, drift, apart)
                 total[:, rows] += image[:, rows]
                 reports.append(report)
                 done += rows.stop - rows.start
                 if progress:
-                    progress(done / whole)
+                    progress((_DIRECT_SHARE if bounces else 1.0) * done / whole)
             if place in truths:
                 drift = motion.drift(truths[place], height, 0.0, at_s)
                 known.append(_at_rest(truth_of(prepared, drift), motion.sensor_shift_mm(at_s)))
     total /= count
-    lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
-    return ExposedFrame(
+    frame = ExposedFrame(
         total[0],
         _joined(known),
-        {name: line.working_radius_mm for name, line in lines.items()},
+        radii_mm(scene),
         report_of_all(reports),
-        total[1] if background else None,
+        total[1] if apart else None,
         exposure_s=motion.exposure_s,
         velocity_mm_s=motion.velocity_mm_s,
         row_time_s=motion.row_time_s,
         instants=count,
         traces=len(work),
     )
+    if not bounces:
+        return frame
+    tell = part_of(progress, _DIRECT_SHARE, 1.0)
+    layered = with_layers(frame, _bounced(scene, motion, times_s, sampling[1], tell))
+    assert isinstance(layered, ExposedFrame)
+    return layered
+
+
+def _bounced_times(motion: _Motion, height: int, pixel_mm: float) -> Array:
+    """Ends of the times in which light that bounces is rendered once: the image moves by a pixel.
+
+    Raises
+    ------
+    InputError
+        If they are too many.
+    """
+    starts = motion.middles_s(height) - motion.exposure_s / 2.0
+    first, last = float(starts.min()), float(starts.max()) + motion.exposure_s
+    count = math.ceil((last - first) * motion.speed_mm_s / pixel_mm) or 1
+    if count > _MOST_BOUNCED:
+        raise InputError(
+            f"render_exposure: while the frame is exposed the image moves by {count} px, and light"
+            f" that bounces is rendered anew for each, up to {_MOST_BOUNCED}; give a shorter"
+            " exposure_s, a slower part, a global shutter (row_time_s=0), or direct light alone"
+            " (max_depth=2)"
+        )
+    return np.linspace(first, last, count + 1)
+
+
+def _bounced(
+    scene: Scene,
+    motion: _Motion,
+    times_s: Array,
+    seed: int,
+    progress: Callable[[float], None] | None,
+) -> dict[str, Image]:
+    """Moments of the light that bounces, by source: the mean over each row's exposure.
+
+    From where the sensor is in the middle of times, each for the rows that are exposed in it.
+    """
+    starts = motion.middles_s(scene.camera.size[1]) - motion.exposure_s / 2.0
+    total: dict[str, Image] = {}
+    for number, (start, end) in enumerate(pairwise(times_s.tolist())):
+        moved = _moved(scene, motion.sensor_shift_mm((start + end) / 2.0))
+        ends = number / (times_s.size - 1), (number + 1) / (times_s.size - 1)
+        with ONE_FRAME:
+            moments = prepared_for(moved).indirect(seed, part_of(progress, *ends), moments=True)
+        open_s = np.minimum(end, starts + motion.exposure_s) - np.maximum(start, starts)
+        share = np.maximum(open_s / motion.exposure_s, 0.0).astype(np.float32)[:, None]
+        for name, each in moments.items():
+            total[name] = total.get(name, np.float32(0.0)) + share * each
+    return total
 
 
 def _moved(scene: Scene, shift_mm: Array) -> Scene:

@@ -59,6 +59,7 @@ _SAME_DEPTH = 1e-4  # of it
 _BENT = 0.05  # of the image: farther than hot air moves what is seen
 _SAME_PIXEL = 0.01
 _SAME_TIME = 0.01  # of an exposure
+_DETOUR_MM = 1.0  # by so much at least light's way is longer that was reflected in between
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,10 +194,10 @@ class RecordedFrame(Displayed):
         name = self.ideal.source_name(source)
         if name not in self.ideal.radius_mm:
             raise InputError(f"the source '{name}' is no laser line, and its frame has no line")
-        other = self.ideal.background
-        light = self.electrons
-        if other is not None:
-            light = light - other * np.float32(self.electrons_per_radiance)
+        light, bounced = self.electrons, self.ideal.indirect
+        for other in (self.ideal.background, *(() if bounced is None else bounced)):
+            if other is not None:
+                light = light - other * np.float32(self.electrons_per_radiance)
         return column_truth(self.ideal, self.camera, light, name)
 
     @property
@@ -580,7 +581,10 @@ def _radiance(ideal: Ideal) -> NDArray[np.floating]:
 
 
 def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Image:
-    """Radiance with the laser's light speckled; light of lamps and glow stays as it is."""
+    """Radiance with the laser's light speckled; light of lamps and glow stays as it is.
+
+    Light that was reflected in between is speckled by itself where it is not coherent to the rest.
+    """
     light = _radiance(ideal)
     if light.ndim != 2:
         raise InputError(
@@ -593,15 +597,33 @@ def _speckled(scene: Scene, ideal: Ideal, aperture: Aperture, seed: int) -> Imag
             "record: lamps, or the part's glow, light this frame too, and laser light alone is"
             " speckled; render it by vs.render_frame(scene, background=True)"
         )
-    light = light if background is None else np.maximum(light - background, 0.0)
+    layers = _speckling_apart(scene, ideal, aperture)
+    if layers is None:
+        layers = [light if background is None else np.maximum(light - background, 0.0)]
     blur_px = blur_px_of(scene, ideal)
-    if blur_px.max() > aperture.resolution_px:
+    seen = np.zeros(light.shape)
+    for number, layer in enumerate(layers):
+        own = part_seed(seed, "indirect", number) if number else seed
+        if number or blur_px.max() <= aperture.resolution_px:
+            seen += speckled(layer, aperture, own)
+            continue
         in_focus = {scene.camera_name: replace(scene.camera, sub_pupils=1)}
-        sharp = light_of_sources(replace(scene, cameras=in_focus))
-        seen = speckled(light, aperture, seed, blur_px, sharp)
-    else:
-        seen = speckled(light, aperture, seed)
+        sharp = light_of_sources(replace(scene, cameras=in_focus), bounces=len(layers) == 1)
+        seen += speckled(layer, aperture, own, blur_px, sharp)
     return seen.astype(np.float32) + (0.0 if background is None else background)
+
+
+def _speckling_apart(scene: Scene, ideal: Ideal, aperture: Aperture) -> list[Image] | None:
+    """Layers of a frame's laser light whose speckle patterns add; None if all is one light.
+
+    Light that was reflected in between has come by another way: one that is longer by more than
+    what the light is coherent over, lambda^2 over the linewidth (Goodman 2007, 5.3).
+    """
+    direct, indirect = (getattr(ideal, name, None) for name in ("direct", "indirect"))
+    if direct is None or indirect is None or not aperture.linewidth_nm:
+        return None
+    coherent_mm = 1e-6 * aperture.wavelength_nm**2 / aperture.linewidth_nm
+    return [direct, *indirect] if coherent_mm < _DETOUR_MM else None
 
 
 def blur_px_of(scene: Scene, ideal: Ideal) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -38,6 +38,10 @@ Image = NDArray[np.float32]
 _MOST_SAMPLES = 1 << 20  # a pixel's are in flight at once
 _LARGEST_SEED = 2**32 - 1
 
+DIRECT = 2
+"""The `max_depth` of direct light: a segment to the surface, and one to the camera."""
+
+_DIRECT_SHARE = 0.2  # of the time that a frame with light that bounces takes
 _MOST_PREPARED = 4
 _PREPARED: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
@@ -265,7 +269,7 @@ def render(
     """
     scene, samples, seed = checked("render", scene, spp, seed, camera, source)
     with ONE_FRAME:
-        return prepared_for(scene).exposed(samples, seed)[0].images()[0]
+        return image_of(prepared_for(scene), samples, seed)
 
 
 @public
@@ -301,13 +305,78 @@ def render_frame(
     scene, samples, seed = checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = prepared_for(scene)
-        frames = 2 if background else 1
-        fluxes = {name: on_and_off(each) for name, each in scene.sources.items() if background}
-        exposure, report = prepared.exposed(samples, seed, progress, frames=frames, fluxes=fluxes)
-        lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
-        radius_mm = {name: line.working_radius_mm for name, line in lines.items()}
+        bounces = bool(bounces_of(prepared))
+        apart = background or (bounces and bool(prepared.arrangement.lamps))
+        fluxes = {name: on_and_off(each) for name, each in scene.sources.items() if apart}
+        exposure, report = prepared.exposed(
+            samples,
+            seed,
+            part_of(progress, 0.0, _DIRECT_SHARE) if bounces else progress,
+            frames=1 + apart,
+            fluxes=fluxes,
+        )
         radiance, *other = exposure.images()
-        return Frame(radiance, truth_of(prepared), radius_mm, report, *other)
+        frame = Frame(radiance, truth_of(prepared), radii_mm(scene), report, *other)
+        if not bounces:
+            return frame
+        moments = prepared.indirect(seed, part_of(progress, _DIRECT_SHARE, 1.0), moments=True)
+        return with_layers(frame, moments)
+
+
+def radii_mm(scene: Scene) -> dict[str, float]:
+    """By source that is a laser line, its 1/e^2 radius where things are measured."""
+    lines = {n: each for n, each in scene.sources.items() if isinstance(each, LaserLine)}
+    return {name: line.working_radius_mm for name, line in lines.items()}
+
+
+def with_layers(frame: Frame, moments: Mapping[str, NDArray[np.floating]]) -> Frame:
+    """A frame of direct light with its layers, by the moments of its indirect light.
+
+    They are as `GhostTruth.of` takes them.
+    """
+    shape = frame.radiance.shape
+    layers = [each[:, 0] for each in moments.values()]
+    indirect: Image = np.zeros((0, *shape), np.float32)
+    if layers:
+        indirect = np.sum(layers, axis=0, dtype=np.float32)
+    background, direct = frame.background, frame.radiance
+    if background is None:
+        background = np.zeros_like(direct)
+    else:
+        direct = np.maximum(direct - background, np.float32(0.0))
+    return replace(
+        frame,
+        radiance=frame.radiance + indirect.sum(axis=0, dtype=np.float32),
+        background=background,
+        direct=direct,
+        indirect=indirect,
+        ghosts=GhostTruth.of(moments),
+    )
+
+
+def image_of(prepared: Prepared, spp: int, seed: int) -> Image:
+    """The radiance of all light."""
+    image: Image = prepared.exposed(spp, seed)[0].images()[0]
+    return image + bounced_light(prepared, seed) if bounces_of(prepared) else image
+
+
+def bounces_of(prepared: Prepared) -> int:
+    """Reflections in between that frames have at most."""
+    return prepared.arrangement.max_depth - DIRECT
+
+
+def bounced_light(prepared: Prepared, seed: int) -> Image:
+    """The radiance (H, W) of the sources' light that is reflected in between."""
+    by_source = list(prepared.indirect(seed).values())
+    light: Image = np.sum([each[:, 0].sum(axis=0) for each in by_source], axis=0)
+    return light
+
+
+def part_of(
+    progress: Callable[[float], None] | None, first: float, last: float
+) -> Callable[[float], None] | None:
+    """Progress of a part of the whole."""
+    return progress and (lambda part: progress(first + (last - first) * part))
 
 
 def on_and_off(device: Device) -> Fluxes:
@@ -319,16 +388,21 @@ def on_and_off(device: Device) -> Fluxes:
     return fluxes
 
 
-def light_of_sources(scene: Scene, spp: int | None = None, seed: int = 0) -> Image:
-    """Radiance (H, W) that a scene's sources make, without that of its lamps and its glow."""
+def light_of_sources(
+    scene: Scene, spp: int | None = None, seed: int = 0, *, bounces: bool = True
+) -> Image:
+    """Radiance (H, W) that a scene's sources make, without that of its lamps and its glow.
+
+    Without `bounces` what they make directly.
+    """
     scene, samples, seed = checked("light_of_sources", scene, spp, seed)
     fluxes = {name: on_and_off(each) for name, each in scene.sources.items()}
     with ONE_FRAME:
-        exposure, _ = prepared_for(scene).exposed(
-            samples, seed, others=False, frames=2, fluxes=fluxes
-        )
+        prepared = prepared_for(scene)
+        exposure, _ = prepared.exposed(samples, seed, others=False, frames=2, fluxes=fluxes)
         on, off = exposure.images()
-    return np.maximum(on - off, np.float32(0.0))
+        light: Image = np.maximum(on - off, np.float32(0.0))
+        return light + bounced_light(prepared, seed) if bounces and bounces_of(prepared) else light
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
@@ -345,7 +419,7 @@ def render_uncached(scene: Scene, spp: int | None = None) -> Image:
     with ONE_FRAME:
         MAPS.clear()
         prepared = Prepared.of(arrangement(scene))
-        image = prepared.exposed(samples, seed)[0].images()[0]
+        image = image_of(prepared, samples, seed)
         _ = truth_of(prepared)
         return image
 
@@ -368,6 +442,8 @@ def arrangement(scene: Scene, drift_mm: float = 0.0) -> Arrangement:
         scene.transport,
         scene.hot,
         drift_mm,
+        scene.max_depth,
+        scene.indirect_samples,
     )
 
 

@@ -265,6 +265,19 @@ class Scene(Displayed):
         return self._stage.loaded.scene
 
     @property
+    def max_depth(self) -> int:
+        """Segments of the light's path, at most: 2 is direct light, 3 with one reflection between.
+
+        By its file: `with_parameters` gives a scene with another.
+        """
+        return int(self._stage.loaded.scene.integrator().max_depth)
+
+    @property
+    def indirect_samples(self) -> int:
+        """Likewise points of the lit stripe for each sample of a pixel's indirect light."""
+        return int(self._stage.loaded.scene.integrator().indirect_samples)
+
+    @property
     def surface(self) -> Surface:
         """The part's, in float64 where it is the analytic cylinder."""
         return self._stage.surface

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from virtual_sensor_plugins.exposure import ONE_FRAME
-from virtual_sensor_plugins.renderer import Fluxes
+from virtual_sensor_plugins.renderer import Fluxes, Prepared
 
 from virtual_sensor.arrays import where
 from virtual_sensor.calls import public
@@ -29,7 +29,10 @@ from virtual_sensor.imaging.render import (
     Image,
     PixelTruth,
     RenderReport,
+    bounced_light,
+    bounces_of,
     checked,
+    part_of,
     prepared_for,
     truth_of,
 )
@@ -178,11 +181,13 @@ def render_sequence(
         devices = [each.projector.with_pattern(pattern) for pattern in shown[first:last]]
         with ONE_FRAME:
             prepared = prepared_for(each)
-            tell = _within(progress, first / len(shown), last / len(shown))
+            tell = part_of(progress, first / len(shown), last / len(shown))
             fluxes = {each.projector_name: _fluxes(devices)}
             frames = last - first
             exposure, report = prepared.exposed(samples, seed, tell, frames=frames, fluxes=fluxes)
             images.append(exposure.images())
+            if bounces_of(prepared):
+                images[-1] = images[-1] + _indirect(prepared, each.projector_name, devices, seed)
             reports.append(report)
             if first_truth is None:
                 first_truth = each.projector.with_pattern(Uniform()), truth_of(prepared)
@@ -261,6 +266,13 @@ def _unequal(asker: str, number: int, count: int) -> str:
     return f"{asker}: {many} given for {count} patterns; give one for each"
 
 
+def _indirect(prepared: Prepared, name: str, devices: Sequence[Projector], seed: int) -> Image:
+    """Light that bounces while a projector shows patterns, (K, H, W): of each by itself."""
+    given = prepared.arrangement
+    shown = (replace(given, sources={**given.sources, name: each}) for each in devices)
+    return np.stack([bounced_light(replace(prepared, arrangement=each), seed) for each in shown])
+
+
 def _fluxes(devices: Sequence[Projector]) -> Fluxes:
     """The flux of one projector with several patterns: its pixels are found once."""
     first = devices[0]
@@ -270,13 +282,6 @@ def _fluxes(devices: Sequence[Projector]) -> Fluxes:
         return [where(lit, full * each.shown(*pixels), 0.0) for each in devices]
 
     return fluxes
-
-
-def _within(
-    progress: Callable[[float], None] | None, first: float, last: float
-) -> Callable[[float], None] | None:
-    """Progress of a part of the whole."""
-    return progress and (lambda part: progress(first + (last - first) * part))
 
 
 def report_of_all(reports: Sequence[RenderReport]) -> RenderReport:

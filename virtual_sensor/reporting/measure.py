@@ -95,6 +95,11 @@ _LETTERS = {
 }
 _UM, _PX, _COUNT = "µm", "{:.4f} px", "{}"
 _AT_Y = "at y along line, mm"  # from its middle
+_GHOST_WORDS = (
+    "The part reflects light onto itself. What of it is brighter than the direct light is a ghost"
+    " of the line; the frames' files have the light of each number of reflections by itself"
+    " (indirect1.Y, ...), and which of the laser's rays make it."
+)
 _FIGURES = (  # key, words in the table of all, heading on the console ("" where not shown), format
     ("section.rms_um", "Measured minus true section, rms", "rms, µm", _UM),
     ("section.largest_um", "... the largest", "largest, µm", _UM),
@@ -112,6 +117,11 @@ _FIGURES = (  # key, words in the table of all, heading on the console ("" where
     ("line_minus_search.cut_centres", "... left out, an edge cuts the line", "", _COUNT),
     ("line_minus_search.stray_centres", "... left out, off the searched line", "", _COUNT),
     ("line_minus_truth.wrong", "Centres that are ok and wrong by the frame's truth", "", _COUNT),
+    ("ghosts.ghost_columns", "Columns that see a ghost of 1 % or more", "ghosts", _COUNT),
+    ("ghosts.columns", "... of columns with light of the line", "columns", _COUNT),
+    ("ghosts.ghost_over_line", "Ghost over line, median of the columns", "median", "{:.2g}"),
+    ("ghosts.largest_ghost_over_line", "... in 95 % of them at most", "95 %", "{:.2g}"),
+    ("ghosts.indirect_share", "Light that was reflected in between", "of the light", "{:.1%}"),
     ("paper_search.largest_distance_um", "The paper's search: distance of {probes} rays", "", _UM),
     ("newton_search.largest_distance_um", "Newton's search: the same", "", _UM),
     ("newton_search.iterations", "Newton's search: marches a ray", "", _COUNT),
@@ -205,12 +215,13 @@ def table(result: Measurement, figures: Summary) -> TextTable:
         "rays": result.rays,
         "seen": _seen(figures).capitalize(),
     }
-    other = "line_" if result.cold.dots else "dots_"
-    states, shots = figures.states, _splits(figures)
+    states = figures.states
+    without = ["line_" if result.cold.dots else "dots_"]
+    without += ["record_time_s"] * (not _splits(figures)) + ["ghosts."] * (not _bounces(figures))
     rows = tuple(
         (words.format(**facts), *(_cell(attrgetter(key)(each), shape) for each in states.values()))
         for key, words, _, shape in _FIGURES
-        if words and not key.startswith(other) and not (key == "record_time_s" and not shots)
+        if words and not key.startswith(tuple(without))
     )
     return TextTable(("", *states), rows, numeric=(False, *(True for _ in states)))
 
@@ -234,7 +245,18 @@ def on_console(figures: Summary) -> list[TextTable | str]:
     said: list[TextTable | str] = [section_table(figures), *why(figures)]
     if splits:
         said += [split_on_console(splits), *split_words(splits)]
+    said += [ghost_table(figures)] if _bounces(figures) else []
     return [*said, check_table(figures)]
+
+
+def _bounces(figures: Summary) -> bool:
+    """Whether light that was reflected in between was rendered."""
+    return any(state.ghosts for state in figures.states.values())
+
+
+def ghost_table(figures: Summary) -> TextTable:
+    """How bright ghosts are beside the line."""
+    return _on_console(figures, "Ghosts: light reflected in between, beside the line", "ghosts.")
 
 
 def _splits(figures: Summary) -> dict[str, SplitSummary]:
@@ -320,8 +342,13 @@ def page(
             " from its middle: where the laser's axis meets the part.",
             *_at_edges(figures),
         ),
-        Section("What the camera sees", beside(panels, "frame", "air")),
+        Section(
+            "What the camera sees",
+            beside(panels, "frame", "air"),
+        ),
     ]
+    if _bounces(figures):
+        sections.append(Section("Ghosts", _GHOST_WORDS, ghost_table(figures)))
     if splits := known_splits(_splits(figures)):
         sections.insert(
             1,

@@ -247,7 +247,7 @@ def _frame(axes: Axes, frame: Frame) -> None:
     axes.imshow(tint, extent=picture.get_extent(), aspect="auto", interpolation="nearest")
     bounces = len(frame.indirect)
     words = f"by {bounces} reflection{'s' * (bounces > 1)} or fewer in between"
-    axes.legend(handles=[Patch(color=VERMILION, label=words)])
+    axes.legend(handles=[Patch(color=VERMILION, label=words)], labelcolor="linecolor")
 
 
 def _lit(frame: Any) -> tuple[slice, slice] | None:

@@ -27,6 +27,7 @@ from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.optics.ray_search import FoundPixels, SearchStatus, ray_search
 from virtual_sensor.records import Record, Table, status_names
+from virtual_sensor.studies.ghosts import GhostFacts, bounces, ghost_facts
 from virtual_sensor.studies.measure import Report
 from virtual_sensor.studies.notes import coarse_grid, unlit_rays
 from virtual_sensor.studies.probes import probe_rays
@@ -314,6 +315,8 @@ class BurstSummary(SceneFacts):
         The line that is found in the frames.
     rays : RaySway
         The probe rays.
+    ghosts : GhostFacts or None
+        What of the first frame's light was reflected in between; None of direct light alone.
     static_error : SectionErrors
         The mean points beside the part's true section: the error that stays.
     static_error_at_largest_um : float
@@ -332,6 +335,7 @@ class BurstSummary(SceneFacts):
     columns_in_every_frame: int
     line: LineSway
     rays: RaySway
+    ghosts: GhostFacts | None
     static_error: SectionErrors
     static_error_at_largest_um: float
     stage_s: dict[str, float]
@@ -362,6 +366,8 @@ class Burst(Displayed):
         Time spent on field, render, record, centres and search, over all frames, s.
     ideal : tuple of F LineCentres
         The line in the ideal frames, where they were recorded; else empty.
+    ghosts : GhostFacts or None
+        What of the first frame's light was reflected in between; None of direct light alone.
     """
 
     scene: Scene
@@ -374,6 +380,7 @@ class Burst(Displayed):
     notes: tuple[str, ...]
     stage_s: dict[str, float]
     ideal: tuple[LineCentres, ...] = ()
+    ghosts: GhostFacts | None = None
 
     def _line(self) -> str:
         span_s = f"{self.time_s.min():g} to {self.time_s.max():g} s" if self.time_s.size else ""
@@ -486,6 +493,7 @@ class Burst(Displayed):
                 measured_height_um=_sway(rays, rays.std_measured_height_um),
                 status=dict(Counter(rays.status.tolist())),
             ),
+            ghosts=self.ghosts,
             static_error=section_errors(self._section, line.mean_mm),
             static_error_at_largest_um=float(line.static_error_um[at[0]]) if at.size else np.nan,
             stage_s={name: round(value, 2) for name, value in self.stage_s.items()},
@@ -595,8 +603,8 @@ def burst(
     lines, rays, ideal, of_shots = [], [], [], list[str]()
     y = probe_rays(scene, y_mm)
     notes = [*scene.loading_notes, *unlit_rays(laser, y), *coarse_grid(scene)]
-    notes += [*_coarse_instants(times, stored), *recording.unheeded(scene)]
-    at_border: list[str] = []
+    notes += [*_coarse_instants(times, stored), *recording.unheeded(scene), *bounces(scene)]
+    at_border, ghosts = list[str](), None
     shown = np.linspace(0, frames - 1, _VIEWS).round()
     total, some = np.zeros(scene.camera.size[::-1]), dict[float, Image]()
     for number, instant in enumerate(times.tolist()):
@@ -612,6 +620,7 @@ def burst(
             of_shots += [f"at {instant:g} s: {text}" for text in shot.notes]
         rays.append(found)
         total += frame.radiance
+        ghosts = ghosts if number else ghost_facts(frame)
         if number in shown:
             some[instant] = frame.radiance
         each_frame(number, instant, frame, shot)
@@ -622,7 +631,8 @@ def burst(
         notes.append(f"so it is of {len(of_shots)} frames; expose them otherwise")
     views = _views(total / frames, some)
     found_lines = tuple(lines), tuple(rays)
-    return Burst(scene, times, stored, *found_lines, y, views, tuple(notes), stage_s, tuple(ideal))
+    of_frames = *found_lines, y, views, tuple(notes)
+    return Burst(scene, times, stored, *of_frames, stage_s, tuple(ideal), ghosts)
 
 
 def _one_frame(

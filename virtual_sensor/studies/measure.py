@@ -59,6 +59,7 @@ from virtual_sensor.studies.error_split import (
     split_error,
     split_summary,
 )
+from virtual_sensor.studies.ghosts import GhostFacts, bounces, ghost_facts
 from virtual_sensor.studies.notes import (
     beside_solid,
     centre_notes,
@@ -293,7 +294,7 @@ def measure(
     probe_y = probe_rays(scene, y_mm)
     coarse = coarse_grid(scene)
     options = recording or RecordingOptions()
-    notes += [*unlit_rays(laser, probe_y), *coarse, *options.unheeded(scene)]
+    notes += [*unlit_rays(laser, probe_y), *coarse, *options.unheeded(scene), *bounces(scene)]
     caveats += [note for note, poor in coarse.items() if poor]
     dense_y = laser.dots_mm if laser.dots_mm.size else dense_rays(scene)
     section = true_section(scene)
@@ -635,6 +636,8 @@ class StateSummary(Record):
         The probe rays, by both methods.
     frame : RenderReport
         How the frame was made.
+    ghosts : GhostFacts or None
+        What of the light was reflected in between; None where direct light alone was rendered.
     render_time_s, search_time_s : float
         Time that rendering and searching took.
     record_time_s : float or None
@@ -654,6 +657,7 @@ class StateSummary(Record):
     paper_search: SearchFacts
     newton_search: SearchFacts
     frame: RenderReport
+    ghosts: GhostFacts | None
     render_time_s: float
     search_time_s: float
     record_time_s: float | None
@@ -815,6 +819,7 @@ def _state_summary(state: State) -> StateSummary:
         paper_search=_search_facts(state.paper),
         newton_search=_search_facts(state.newton),
         frame=state.frame.report,
+        ghosts=ghost_facts(state.frame),
         render_time_s=round(state.render_time_s, 3),
         search_time_s=round(state.search_time_s, 3),
         record_time_s=None if state.record_time_s is None else round(state.record_time_s, 3),

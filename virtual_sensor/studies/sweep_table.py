@@ -80,6 +80,11 @@ class SweepTable(Table):
         What the sensor's noise makes of it, rms.
     cold_speckle_px, hot_speckle_px : ndarray of shape (N,)
         What speckle makes of it, rms.
+    cold_ghost_columns, hot_ghost_columns : ndarray of shape (N,)
+        Columns with a ghost of a hundredth of the line or more, where light that bounces was
+        rendered (max_depth).
+    cold_ghost_over_line, hot_ghost_over_line : ndarray of shape (N,)
+        How bright the brightest ghost of a column is beside its line: the median of all columns.
     cold_dots_largest_u_px, hot_dots_largest_u_px : ndarray of shape (N,)
         Rendered dots minus ray search, along the line, at most.
     cold_dots_largest_v_px, hot_dots_largest_v_px : ndarray of shape (N,)
@@ -126,6 +131,10 @@ class SweepTable(Table):
     hot_noise_px: Array
     cold_speckle_px: Array
     hot_speckle_px: Array
+    cold_ghost_columns: Array
+    hot_ghost_columns: Array
+    cold_ghost_over_line: Array
+    hot_ghost_over_line: Array
     cold_dots_largest_u_px: Array
     hot_dots_largest_u_px: Array
     cold_dots_largest_v_px: Array
@@ -306,7 +315,7 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
         state = summary.get("states", {}).get(name, {})
         parts = ("section", "dots_minus_search", "line_minus_search", "line_minus_truth")
         section, dots, line, truth = (state.get(part) or {} for part in parts)
-        whole = state.get("split") or {}
+        whole, ghosts = (state.get(part) or {} for part in ("split", "ghosts"))
         split = whole.get("parts", {})
         figures |= {
             f"{name}_centres": dots.get("found", line.get("centres")),
@@ -318,6 +327,8 @@ def _figures(summary: dict[str, Any]) -> dict[str, float]:
             f"{name}_line_largest_px": line.get("largest_px"),
             f"{name}_line_shift_px": _shift(whole) if whole and line else line.get("mean_px"),
             f"{name}_line_width_px": state.get("line_width_px") if line else None,
+            f"{name}_ghost_columns": ghosts.get("ghost_columns"),
+            f"{name}_ghost_over_line": ghosts.get("ghost_over_line"),
             f"{name}_dots_largest_u_px": dots.get("largest_u_px"),
             f"{name}_dots_largest_v_px": dots.get("largest_v_px"),
         }

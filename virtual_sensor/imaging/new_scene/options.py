@@ -99,6 +99,12 @@ class NewScene:
     roughness : float, optional
         Of bare steel, alpha of GGX, from 0.05, shiny, to 0.5, dull; without a material, that of
         ground_steel.
+    max_depth : int, optional
+        Of light's path: by default 2, direct light; 3, with one reflection between surfaces, which
+        shows a shiny part's ghosts; 4, with two.
+    indirect_samples : int, optional
+        Points of the lit stripe for each sample of light that is reflected in between; by default
+        4.
     temperature_c : float, optional
         Of a hot part, degC: its glow can then be switched on by the parameter `emissivity`.
     field : str, optional
@@ -137,6 +143,8 @@ class NewScene:
     wavelength_nm: float | None = None
     material: str | None = None
     roughness: float | None = None
+    max_depth: int | None = None
+    indirect_samples: int | None = None
     temperature_c: float | None = None
     field: str | None = None
     from_scene: str | None = dataclasses.field(default=None, metadata={"flag": "--from"})

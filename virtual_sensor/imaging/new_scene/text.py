@@ -179,10 +179,24 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
         ("height", height, "px"),
         *_lens(said),
         ("spp", 16, "samples per pixel, a square number"),
+        (
+            "max_depth",
+            _given(said.max_depth, 2),
+            "of light's path: 2, direct; 3, with one reflection",
+        ),
+        (
+            "indirect_samples",
+            _given(said.indirect_samples, 4),
+            "of the lit stripe, for such reflections",
+        ),
         ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
         ("tolerance", 0.003, "of the tables, px"),
         ("step", 2, "of the ray march, mm"),
     ]
+
+
+def _given(number: int | None, otherwise: int) -> int:
+    return otherwise if number is None else number
 
 
 def _lens(said: NewScene) -> Rows:
