@@ -5,6 +5,7 @@ import json
 import os
 import re
 import sys
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from virtual_sensor.cli.commands import app
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.image_files import find_images
 from virtual_sensor.metrology.calibration import calibration_of, calibration_text
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import NAMES
 from virtual_sensor.reporting import detect as reporting
 from virtual_sensor.reporting.pictures import draw_picture
@@ -168,6 +170,28 @@ def test_a_name_of_a_file_is_refused_for_the_folder_of_results(tmp_path):
         assert isinstance(ended.exception, InputError)
         assert f"name a folder, such as -o {tmp_path / name.split('.')[0]}" in str(ended.exception)
         assert not (tmp_path / name).exists()
+
+
+def test_clipped_centres_and_ghosts_are_told_from_others(tmp_path, undrawn):
+    """A ghost has a place and is missing; a clipped centre counts, and is said to be clipped."""
+    cv2.imwrite(str(tmp_path / "a.png"), picture(255, np.uint8))
+    (found,) = detect([tmp_path / "a.png"], Settings())
+    status = found.line.status.copy()
+    status[:10], status[10:15], status[15:40] = Status.GHOST, Status.NO_PEAK, Status.CLIPPED
+    found = replace(found, line=found.line.judged(status))
+    out = tmp_path / "out"
+    summary = reporting.save([found], [found.path], Settings(), out, "detect a.png")
+    told = rows(out / "a.csv")
+    assert [row["found"] for row in told] == ["0"] * 15 + ["1"] * 75
+    assert [bool(row["row_px"]) for row in told] == [True] * 10 + [False] * 5 + [True] * 75
+    assert summary.images["a"].along == "columns"
+    page = (out / "report.html").read_text().replace("\N{NO-BREAK SPACE}", " ")
+    assert "75 line centres (25 clipped) of 90 columns" in page
+    assert "Without a centre: 10 ghost, 5 no peak." in page
+    assert "75 (25 clipped)" in page
+    shown = reporting._View(found)
+    np.testing.assert_allclose(shown.ghosts[:, 1], ROW[:10], atol=0.02)
+    assert len(shown.good) == 75
 
 
 def test_folders_go_on_without_what_cannot_be_used(tmp_path, undrawn, unpainted_test):

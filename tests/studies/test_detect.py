@@ -59,7 +59,8 @@ def test_colours_are_asked_for_by_name(tmp_path):
 def test_the_colour_of_an_image_is_that_of_the_laser_or_of_the_line(tmp_path):
     """A clipped line is white, with a coloured rim; a background of another colour misleads nobody.
 
-    A line of no colour is read from the green, of which sensors have the most pixels.
+    Light that is lost in what the laser scatters is sought in the next colour; a line of no colour
+    is read from the green, of which sensors have the most pixels.
     """
     line = np.minimum(3 * picture(255, np.uint8).astype(int), 255)
     faint = line // 3
@@ -72,6 +73,10 @@ def test_the_colour_of_an_image_is_that_of_the_laser_or_of_the_line(tmp_path):
         read = read_image(path)
         assert read.channel == name
         assert f"its {name} channel is read, in which a line stands out most" in read.notes[-1]
+    scattered = np.where(line > 20, 255, 180)  # the laser's light about a line that is clipped
+    clipped = np.stack([line // 2, np.minimum(line, 255), scattered], axis=-1).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "clipped.png"), clipped)
+    assert read_image(tmp_path / "clipped.png").channel == "green"
     white = np.stack([line, line - line // 50, line], axis=-1).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "white.png"), white)
     assert read_image(tmp_path / "white.png").channel == "green"

@@ -17,6 +17,8 @@ _CROSSINGS_NM = (490.0, 580.0)  # of the colour filters on sensors: blue to gree
 _LINE_PX, _AROUND_PX = 1.5, 12.0  # a line stands out in the one and is lost in the other
 _PART = 99.9  # percentile: a line has more than a thousandth of the pixels
 _COLOURED = 0.25  # of the line's height is what a coloured one has more than other colours
+_RIM_PX = 13  # a clipped line is white, and coloured beside it
+_CORE = 90.0  # percentile of what lies so near, beside which the line is
 
 
 def colour_at(wavelength_nm: float) -> str:
@@ -34,19 +36,24 @@ def colour_at(wavelength_nm: float) -> str:
 
 
 def colour_of_line(channels: Mapping[str, NDArray]) -> str:
-    """The colour that a line has more of than the others; green, if it has none.
+    """The colour in which a line stands out most; green, if the image has no coloured line.
 
-    Where it is clipped, all colours may be; its flanks have its colour.
+    It is that of the laser, but where that is clipped, or lost in its own scattered light.
     """
     planes = {name: np.nan_to_num(channels[name].astype(np.float32)) for name in COLOURS}
-    grey = sum(planes.values()) / np.float32(3.0)
-    excess = {name: 1.5 * _height(plane - grey) for name, plane in planes.items()}
-    most = max(COLOURS, key=excess.__getitem__)
-    coloured = excess[most] > _COLOURED * max(map(_height, planes.values()))
-    return most if coloured else "green"  # of which sensors have the most pixels
+    heights = {name: _heights(plane) for name, plane in planes.items()}
+    grey = sum(heights.values()) / np.float32(3.0)
+    excess = {name: 1.5 * (height - grey) for name, height in heights.items()}
+    most = {name: float(np.percentile(each, _PART)) for name, each in excess.items()}
+    laser = max(COLOURS, key=most.__getitem__)
+    if most[laser] < _COLOURED * max(float(np.percentile(h, _PART)) for h in heights.values()):
+        return "green"  # of which sensors have the most pixels
+    coloured = (excess[laser] >= 0.5 * most[laser]).astype(np.uint8)
+    near = cv2.dilate(coloured, np.ones((_RIM_PX, _RIM_PX), np.uint8)) > 0
+    return max(COLOURS, key=lambda name: float(np.percentile(heights[name][near], _CORE)))
 
 
-def _height(plane: NDArray[np.float32]) -> float:
-    """How far a line stands out of what is around it."""
+def _heights(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How far each pixel stands out of what is around it, as a line does."""
     line, around = (cv2.GaussianBlur(plane, (0, 0), sigma) for sigma in (_LINE_PX, _AROUND_PX))
-    return float(np.percentile(line - around, _PART))
+    return line - around

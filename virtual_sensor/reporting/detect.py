@@ -212,13 +212,14 @@ def table(summary: Summary, page: bool = False) -> TextTable:
         more = {
             "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
             "size": unbroken(f"{image.columns} x {image.rows} px"),
+            "centres": _centres(image.statuses, page),
             "others": _most(others, len(others) if page else 2),
         }
         rows.append(plain(image) | more)
     columns = [
         Column("name", "image"),
         Column("size"),
-        Column("centres", shape="{}"),
+        Column("centres"),
         Column("median_sigma_px", "sigma in px", nothing="none"),
         Column("median_width_px", "width in px", "{:.2f}", nothing="none"),
         Column("others", "without a centre"),
@@ -227,6 +228,14 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     if not page:
         columns = [each for each in columns if each.name not in _ON_PAGES]
     return text_table(rows, columns, caption=f"{described(summary.settings)}; medians")
+
+
+def _centres(statuses: dict[str, int], page: bool) -> str:
+    """How many, and on a page how many of them are clipped or corrected."""
+    numbers = {name: statuses[name] for name in FOUND_NAMES if name in statuses}
+    said = [f"{n} {_words(name)}" for name, n in numbers.items() if name != FOUND_NAMES[0]]
+    of_them = f" ({', '.join(map(unbroken, said))})" if said and page else ""
+    return f"{sum(numbers.values())}{of_them}"
 
 
 def skipped(summary: Summary) -> TextTable:
@@ -276,7 +285,7 @@ def lead(summary: Summary) -> str:
     """What a reader wants to know first: how many centres there are, how good, and why not more."""
     images = summary.images.values()
     reasons = sum((Counter(each.statuses) for each in images), Counter[str]())
-    lines = reasons.total()
+    totals, lines = reasons.copy(), reasons.total()
     for name in FOUND_NAMES:
         reasons.pop(name, None)
     why = _most(reasons, 3)
@@ -287,11 +296,14 @@ def lead(summary: Summary) -> str:
     sigma = np.array([each.median_sigma_px for each in images])
     known = sigma[np.isfinite(sigma)]
     error = f", with a predicted error of {np.median(known):.2g} px (median)" if known.size else ""
-    of = "" if summary.settings.detector == STEGER else f" of {lines} {summary.settings.along}"
+    searched = " or ".join(sorted({each.along for each in images if each.along}))
+    of = f" of {lines} {searched}" if searched else ""
     if summary.settings.peaks > 1:
         of = f" of {lines} peaks at most"
+    hard = [f"{totals[name]} {_words(name)}" for name in FOUND_NAMES[1:] if totals[name]]
+    of_them = f" ({' and '.join(hard)})" if hard else ""
     missing = f" Without a centre: {why}." if why else ""
-    return f"{counted(summary.centres, 'line centre')}{of}{error}.{missing}{left}"
+    return f"{counted(summary.centres, 'line centre')}{of_them}{of}{error}.{missing}{left}"
 
 
 def draw(found: Detected, name: str, settings: Settings) -> Picture:
@@ -357,6 +369,8 @@ class _View:
         self.limits = (-0.5, (height if self.upright else width) - 0.5)
         self.label = "v in px" if self.upright else "u in px"
         self.good = self.pixel[np.isfinite(self.pixel[..., 0])]
+        ghost = line.status == Status.GHOST
+        self.ghosts = np.stack([line.column[ghost], line.row[ghost]], axis=-1)
 
     def along(self) -> tuple[float, Window]:
         """By how much the image is stretched across the line to fill a panel, and which part."""
@@ -408,7 +422,11 @@ class _View:
                 )
             else:
                 axes.plot(*centres.T, ".", ms=2.0, **dots)
-        if len(self.pixel) > 1:
+        inside = ((self.ghosts > (left, top)) & (self.ghosts < (right, bottom))).all(axis=1)
+        if inside.any():
+            ghosts = {"color": colour("ghost"), "label": "ghosts"}
+            axes.plot(*self.ghosts[inside].T, "x", ms=5.0 if close else 2.0, mew=0.6, **ghosts)
+        if len(self.pixel) > 1 or inside.any():
             axes.figure.legend(loc="outside lower center", ncols=5, markerscale=1 if close else 5)
 
 

@@ -108,7 +108,9 @@ class CentreTable(Table):
     Attributes
     ----------
     peak : ndarray of int or None
-        0 is the highest; None where only one is sought.
+        0 is the line; None where only one is sought.
+    found : ndarray of int
+        1 where there is a centre of the line; 0 where it is missing, or a ghost's.
     column_px, row_px : ndarray
         (u, v), integers at pixel centres; nothing where there is no centre; of
         a "ghost", where that light is.
@@ -127,6 +129,7 @@ class CentreTable(Table):
     """
 
     peak: NDArray[np.intp] | None
+    found: NDArray[np.uint8]
     column_px: Array
     row_px: Array
     sigma_px: Array
@@ -143,6 +146,7 @@ class CentreTable(Table):
         peaks = line.status.shape[0] if line.status.ndim > 1 else None
         return cls(
             peak=None if peaks is None else np.repeat(np.arange(peaks), line.status.shape[1]),
+            found=np.ravel(line.found).astype(np.uint8),
             column_px=np.ravel(line.column),
             row_px=np.ravel(line.row),
             sigma_px=np.ravel(line.sigma),
@@ -165,6 +169,8 @@ class ImageSummary(Record):
         Its path.
     columns, rows : int
         Of the image.
+    along : str or None
+        What was searched, "columns" or "rows"; None of lines of any direction.
     centres : int
         That were found.
     median_sigma_px : float
@@ -180,6 +186,7 @@ class ImageSummary(Record):
     file: Path
     columns: int
     rows: int
+    along: str | None
     centres: int
     median_sigma_px: float
     median_width_px: float
@@ -231,6 +238,7 @@ class Detected(Displayed):
             file=self.path,
             columns=self.image.shape[1],
             rows=self.image.shape[0],
+            along=_along(self.line),
             centres=int(found.sum()),
             median_sigma_px=_median(self.line.sigma[found]),
             median_width_px=_median(self.line.width[found]),
@@ -359,6 +367,12 @@ def _lies_across(image: NDArray, line: LineCentres, other: Settings) -> bool:
     """Whether few columns show a line, found or clipped, but with other settings twice as many."""
     here = _share(line)
     return here < _FEW and _share(other.centres(image)) > max(2.0 * here, _SOME)
+
+
+def _along(line: LineCentres) -> str | None:
+    """What was searched for a line that lies flat, or stands; None of one of any direction."""
+    along, count = line.searched
+    return along if count else None
 
 
 def _share(line: LineCentres) -> float:
