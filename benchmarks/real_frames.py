@@ -197,9 +197,10 @@ class Score:
 
 
 def score(found: Detected, frame: Frame, references: Sequence[tuple[Array, Array]]) -> Score:
-    """Centres held against the references; of several peaks the nearest one counts."""
+    """Centres held against the references; of several peaks the nearest, be it called a ghost."""
     line = found.line if frame.along == "columns" else found.line.transposed
-    rows = np.atleast_2d(np.where(found.line.found, line.row, np.nan))
+    counts = line.found if frame.peaks == 1 else np.isfinite(line.row)
+    rows = np.atleast_2d(np.where(counts, line.row, np.nan))
     ranks = np.atleast_2d(found.line.status)
     errors, statuses = [], []
     for columns, places in references:
@@ -211,14 +212,14 @@ def score(found: Detected, frame: Frame, references: Sequence[tuple[Array, Array
         statuses.append(np.take_along_axis(ranks[:, at], nearest[None], 0)[0])
     error, there = np.concatenate(errors), np.isfinite(np.concatenate(errors))
     near = np.abs(error) <= NEAR_PX
-    counts = {s.name.lower(): n for s, n in Status.counts(np.concatenate(statuses)).items()}
+    ends = {s.name.lower(): n for s, n in Status.counts(np.concatenate(statuses)).items()}
     return Score(
         error.size,
         float(there.mean()),
         float(near.mean()),
         float((np.abs(error[there]) > GROSS_PX).mean()) if there.any() else np.nan,
         float(np.sqrt(np.mean(error[near] ** 2))) if near.any() else np.nan,
-        counts,
+        ends,
     )
 
 

@@ -98,20 +98,25 @@ def test_exr_frames_of_ours_give_points_by_the_calibration_beside_them(
 def test_a_folder_is_taken_whole_and_peaks_and_detectors_are_passed_on(
     tmp_path, undrawn, unpainted_test
 ):
-    """Two lines that stand upright in two images, found by rows, two peaks each."""
+    """Two lines that stand upright in two images, found by rows, two peaks each.
+
+    The lower one is none of the path's, but for who takes the highest peaks.
+    """
     both = line_image(ROW, 2.0, 200.0) + line_image(np.full(90, 52.0), 2.0, 90.0)
     for name in ("a.png", "b.png"):
         cv2.imwrite(str(tmp_path / name), both.T.astype(np.uint8))
     (tmp_path / "notes.txt").write_text("no image")
-    ended = run(
-        tmp_path, "--along", "rows", "--peaks", 2, "--detector", "fir8", "-o", tmp_path / "out"
-    )
-    assert ended.exit_code == 0, ended.output
-    found = [
-        r for r in rows(tmp_path / "out" / "b.csv") if r["peak"] == "1" and r["status"] == "ok"
-    ]
-    assert len(found) > 80
-    np.testing.assert_allclose([float(row["column_px"]) for row in found], 52.0, atol=0.1)
+    asked = ("--along", "rows", "--peaks", 2, "--detector", "fir8")
+    for choose, status in (("highest", "ok"), ("path", "ghost")):
+        ended = run(tmp_path / "b.png", *asked, "--choose", choose, "-o", tmp_path / choose)
+        assert ended.exit_code == 0, ended.output
+        found = [
+            r for r in rows(tmp_path / choose / "b.csv") if r["peak"] == "1" and r["column_px"]
+        ]
+        assert len(found) > 80
+        assert {row["status"] for row in found} == {status}
+        np.testing.assert_allclose([float(row["column_px"]) for row in found], 52.0, atol=0.1)
+    ended = run(tmp_path, *asked, "-o", tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Line centres in 2 images" in page
     assert "fir8, along rows, peaks 2" in page

@@ -41,8 +41,18 @@ def detect(
         str, typer.Option(help="columns, where the line lies flat, or rows, where it stands.")
     ] = "columns",
     peaks: Annotated[
-        int, typer.Option(min=1, help="Peaks that are sought in each column, the highest first.")
+        int,
+        typer.Option(
+            min=1, help="Peaks that are sought in each column: the line, then ghosts of it."
+        ),
     ] = 1,
+    choose: Annotated[
+        str,
+        typer.Option(
+            help="What is the line, of several peaks: path, which continues best from column to"
+            " column, or highest."
+        ),
+    ] = "path",
     bits: Annotated[
         int | None,
         typer.Option(min=1, max=16, help="Of the camera, where the file has more: 12, say."),
@@ -112,7 +122,7 @@ def detect(
     if bits is not None and saturation is not None:
         raise InputError("--bits and --saturation: choose one of them")
     settings = Settings(
-        *(detector, along, peaks, channel, wavelength, bits, saturation, noise, gain),
+        *(detector, along, peaks, choose, channel, wavelength, bits, saturation, noise, gain),
         min_amplitude=min_amplitude,
         max_width_px=max_width,
     )

@@ -38,7 +38,9 @@ class Settings(Record):
     along : str
         "columns", which the line crosses where it lies flat, or "rows".
     peaks : int
-        Sought in each column or row, the highest first.
+        Sought in each column or row, the line first.
+    choose : str
+        What is the line, of several peaks: "path", which continues best, or "highest".
     channel : str or None
         Of a colour image; None: that of the wavelength, or the one in which the line stands out.
     wavelength_nm : float or None
@@ -60,6 +62,7 @@ class Settings(Record):
     detector: str = "gaussian"
     along: str = "columns"
     peaks: int = 1
+    choose: str = "path"
     channel: str | None = None
     wavelength_nm: float | None = None
     bits: int | None = None
@@ -93,6 +96,7 @@ class Settings(Record):
             self.detector,
             along=self.along,
             peaks=self.peaks,
+            choose=self.choose,
             saturation=self.saturation,
             noise=self.noise,
             gain=self.gain,
