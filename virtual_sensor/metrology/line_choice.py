@@ -33,7 +33,7 @@ _JOINED = 0.05  # columns' worth, at the least, of what continues the line
 _CUTS = 8  # columns: so long is what cuts another where it ends
 _END = 12  # columns in which a tracklet's end shows where it leads
 _SHARED = 0.2  # of the shorter of two: in so many columns may two tracklets of the line lie
-_SPECK, _SMALL = 4, 0.05  # columns, and of the line's: what is no longer, and apart, is no line
+_SPECK, _SPECKS = 8, 0.1  # columns, and of the line's: where all that is so short are so few
 _COHERENT = 0.5  # of the columns with peaks lie on the line, or there is none to speak of
 _NEAR, _MERGED = 101, 2.0  # columns, and their usual width: what is so broad is not the line alone
 _MOST = 1500  # tracklets
@@ -47,6 +47,16 @@ class Choice(NamedTuple):
 
     line: Mask
     ghost: Mask
+
+
+class _Sorted(NamedTuple):
+    """What counts of L peaks, by column and row: see `Peaks`."""
+
+    column: Index
+    peak: Index
+    row: Array
+    sigma: Array
+    amplitude: Array
 
 
 class _Tracklets(NamedTuple):
@@ -82,7 +92,6 @@ def with_line_first(
     if _is_clear(peaks, same_height):
         return peaks, np.zeros(peaks.row.size, bool)
     at = more(max(count, CANDIDATES))
-    at = at.take(np.lexsort((at.peak, at.column)))
     line, ghost = _choose(at)
     order = np.lexsort((-at.amplitude, ~line, at.column))
     at, line, ghost = at.take(order), line[order], ghost[order]
@@ -136,27 +145,29 @@ def _first_of_column(column: Index) -> Mask:
     return np.diff(column, prepend=-1) != 0
 
 
-def _choose(at: Peaks) -> Choice:
-    """The choice among peaks that are sorted by column and row."""
+def _choose(peaks: Peaks) -> Choice:
+    order = np.lexsort((peaks.peak, peaks.column))
+    at = _Sorted._make(getattr(peaks, name)[order] for name in _Sorted._fields)
     merit = _merit(at)
-    links = _links(at)
-    label = _labels(links)
-    links = _cut(at, links, label)
-    label = _labels(links)
+    label = _labels(_links(at))
     tracklets = _tracklets(at, merit, label)
     on_path, line_of = _best_path(tracklets)
-    return _judged(at, merit, label, tracklets, on_path, line_of)
+    choice = Choice(*np.zeros((2, order.size), bool))
+    for values, part in zip(
+        choice, _judged(at, merit, label, tracklets, on_path, line_of), strict=True
+    ):
+        values[order] = part
+    return choice
 
 
-def _highest(at: Peaks, value: Array) -> Mask:
+def _highest(at: _Sorted, value: Array) -> Mask:
     """Which peak of each column has the highest value; none where it is not finite."""
-    best = np.lexsort((-value, at.column))[_first_of_column(at.column)]
-    mask = np.zeros(at.row.size, bool)
-    mask[best] = np.isfinite(value[best])
-    return mask
+    first = _first_of_column(at.column)
+    highest = np.maximum.reduceat(value, np.flatnonzero(first))[np.cumsum(first) - 1]
+    return (value == highest) & np.isfinite(value)
 
 
-def _merit(at: Peaks) -> Array:
+def _merit(at: _Sorted) -> Array:
     """What each peak speaks for a line, in columns: up to 1 - LEAST; below 0 it speaks against."""
     highest = _highest(at, at.amplitude)
     height = at.amplitude / np.median(at.amplitude[highest])
@@ -164,7 +175,7 @@ def _merit(at: Peaks) -> Array:
     return height / (height + FAINT) / np.maximum(broad, 1.0) - LEAST
 
 
-def _nearest(at: Peaks, step: int) -> Index:
+def _nearest(at: _Sorted, step: int) -> Index:
     """The peak in the next column that is nearest to each, or in the last; -1: none in reach."""
     span = float(np.ptp(at.peak)) + 1.0
     place = at.column * (4.0 * span) + (at.peak - at.peak.min())
@@ -178,11 +189,24 @@ def _nearest(at: Peaks, step: int) -> Index:
     return np.where(away[which] <= _reach(at.sigma, at.sigma[nearest]), nearest, -1)
 
 
-def _links(at: Peaks) -> Index:
-    """The peak in the next column that goes on with each one's line; -1: none."""
+def _links(at: _Sorted) -> Index:
+    """The peak in the next column that goes on with each one's line; -1: none.
+
+    None either beside the end of a long tracklet.
+    """
     after, before = _nearest(at, 1), _nearest(at, -1)
-    agreed = before[after] == np.arange(at.row.size)
-    return np.where((after >= 0) & agreed, after, -1)
+    agreed = (after >= 0) & (before[after] == np.arange(after.size))
+    links = np.where(agreed, after, -1)
+    label = _labels(links)
+    long = np.bincount(label)[label] >= _CUTS
+    first = np.ones(links.size, bool)
+    first[links[agreed]] = False
+    ends, starts = (after >= 0) & ~agreed & long, (before >= 0) & first & long
+    met = np.zeros(links.size, bool)
+    met[after[ends]] = True
+    links[agreed & met[after]] = -1
+    links[before[starts]] = -1
+    return links
 
 
 def _labels(links: Index) -> Index:
@@ -196,20 +220,7 @@ def _labels(links: Index) -> Index:
         first = further
 
 
-def _cut(at: Peaks, links: Index, label: Index) -> Index:
-    """Those links that no longer tracklet ends beside."""
-    long = np.bincount(label)[label] >= _CUTS
-    linked = np.zeros(links.size, bool)
-    linked[links[links >= 0]] = True
-    beside = _nearest(at, 1)
-    met = beside[(links < 0) & long & (beside >= 0)]
-    left = _nearest(at, -1)[~linked & long]
-    links = np.where(np.isin(links, met), -1, links)
-    links[left[left >= 0]] = -1
-    return links
-
-
-def _tracklets(at: Peaks, merit: Array, label: Index) -> _Tracklets:
+def _tracklets(at: _Sorted, merit: Array, label: Index) -> _Tracklets:
     order = np.argsort(label, kind="stable")
     count = np.bincount(label)
     start = np.cumsum(count) - count
@@ -285,7 +296,7 @@ def _break(of: _Tracklets, i: Index, j: int, missing: Array) -> tuple[Array, Arr
 
 
 def _judged(
-    at: Peaks, merit: Array, label: Index, of: _Tracklets, on_path: Mask, line_of: Index
+    at: _Sorted, merit: Array, label: Index, of: _Tracklets, on_path: Mask, line_of: Index
 ) -> Choice:
     peaks = np.arange(at.row.size)
     line = _highest(at, np.where(on_path[label], merit, -np.inf))
@@ -304,20 +315,24 @@ def _judged(
     rival = np.zeros(of.columns.size)
     np.maximum.at(rival, label[covered], totals[line_of[label[beside[covered]]]])
     as_good = (shared > 0) & (own >= AS_GOOD * lines) & (of.merit >= AS_GOOD * rival)
-    ghost = (shared > _SHARED * of.columns) | (of.merit < 0.0)
-    ghost |= of.columns <= min(_SPECK, _SMALL * int(line.sum()))
+    specks = ~on_path & (of.columns <= _SPECK)
+    few = of.columns[specks & (shared == 0)].sum() <= _SPECKS * line.sum()
+    ghost = (shared > _SHARED * of.columns) | (of.merit < 0.0) | (specks & few)
     ghost &= ~as_good & ~on_path
     left_over = ~ghost & ~as_good & ~on_path
     line |= _highest(at, np.where(left_over[label] & ~covered, at.amplitude, -np.inf))
-    blobs = np.flatnonzero(line)[_merged(at.take(line))]
+    blobs = np.flatnonzero(line)[_merged(_Sorted._make(values[line] for values in at))]
     line[blobs] = False
     ghosts = ghost[label]
     ghosts[blobs] = True
     return Choice(line, ghosts)
 
 
-def _merged(line: Peaks) -> Mask:
+def _merged(line: _Sorted) -> Mask:
     """Which peaks of a line are much broader than those near them, and off them: others' light."""
+    broad = line.sigma > _MERGED * np.median(line.sigma)
+    if not broad.any():
+        return broad
     width = median_filter(line.sigma, _NEAR, mode="nearest")
     place = median_filter(line.peak, _NEAR, mode="nearest")
     return (line.sigma > _MERGED * width) & (np.abs(line.row - place) > width)

@@ -38,6 +38,7 @@ from virtual_sensor.metrology.line_profiles import (
     Profile,
     by_width,
     checked_image,
+    coarse_search,
     find_peaks,
     grey_value_facts,
     linear_of,
@@ -204,7 +205,7 @@ def _columnwise(
     saturation: float,
     max_sigma: float,
 ) -> LineCentres:
-    search = partial(find_peaks, filled, noise.dark, min_amplitude, max_sigma)
+    search = partial(find_peaks, coarse_search(filled, noise.dark, min_amplitude), max_sigma)
     peaks, ghosts = search(count), np.zeros((count, seen.size), bool)
     if path:
         peaks, ghost = with_line_first(peaks, count, SAME_HEIGHT, search)

@@ -207,20 +207,26 @@ def noise_beside(image: NDArray, given: float | None = None) -> Array:
     return noise[np.arange(width) * blocks // width]
 
 
-def find_peaks(
-    image: NDArray, noise: Array, min_amplitude: float, max_sigma: float, count: int = 1
-) -> Peaks:
-    """Find the `count` highest peaks of each column in a smoothed copy, and their half widths.
+class Coarse(NamedTuple):
+    """An image (H, W) smoothed along its columns, and what stands out in these: (W,) each."""
 
-    `noise` (W,) is that of the columns beside the line.
+    smooth: NDArray
+    peak: Index  # the highest row
+    background: Array
+    level: Array  # of the unlit rows
+    lowest: Array  # height above the background from which on a peak is one
+
+
+def coarse_search(image: NDArray, noise: Array, min_amplitude: float) -> Coarse:
+    """Where an image's columns are highest, and by how much a line stands out of their noise (W,).
+
+    The noise is that beside the line.
     """
     depth = cv2.CV_64F if image.dtype == np.float64 else cv2.CV_32F
     smooth = cv2.sepFilter2D(image, depth, np.ones(1), _KERNEL, borderType=cv2.BORDER_REFLECT_101)
 
     peak = cv2.reduceArgMax(smooth, 0)[0].astype(int)  # NumPy's takes three times as long
-    column = np.arange(peak.size)
-    rank = np.zeros_like(peak)
-    top = smooth[peak, column].astype(float)
+    top = smooth[peak, np.arange(peak.size)].astype(float)
     # Smoothed rows next to each other are alike.
     sparse = np.ascontiguousarray(smooth[:: max(len(smooth) // 128, 2)].T)
     quartile = sparse.shape[1] // 4
@@ -232,15 +238,22 @@ def find_peaks(
         16.0 * np.finfo(smooth.dtype).eps * np.abs([top, background]).max(),  # rounding
     )
     lowest = np.maximum(lowest, SIGNIFICANCE * smoothed_noise(noise) + level - background)
+    return Coarse(smooth, peak, background, level, lowest)
+
+
+def find_peaks(coarse: Coarse, max_sigma: float, count: int = 1) -> Peaks:
+    """Find the `count` highest peaks of each column, and their half widths."""
+    smooth, peak, background, level, lowest = coarse
+    column = np.arange(peak.size)
+    rank = np.zeros_like(peak)
     if count > 1:
         column, peak, rank = _ranked(smooth, background + lowest, lowest, count)
         background = background[column]
-        contrast = smooth[peak, column] - background
+    contrast = smooth[peak, column].astype(float) - background
 
     lit = contrast > lowest[column]
-    column, peak, rank, contrast, background = (
-        values[lit] for values in (column, peak, rank, contrast, background)
-    )
+    column, peak, rank = (values[lit] for values in (column, peak, rank))
+    contrast, background = contrast[lit], background[lit]
     half = background + contrast / 2.0
     to_half = np.sqrt(2.0 * np.log(2.0))  # half width at half height in sigma
     farthest = int(2.0 * to_half * np.hypot(max_sigma, SMOOTHING_PX)) + 2
@@ -267,30 +280,71 @@ def _ranked(
     smooth: NDArray, height: Array, prominence: Array, count: int
 ) -> tuple[Index, Index, Index]:
     """Columns, rows and ranks of the `count` highest local maxima of each column, as (L,) each."""
-    from scipy import signal  # imports half of SciPy, and most lines are single
-
-    rows = len(smooth) + 2  # between two columns, pixels that are lower than all
-    line = np.pad(smooth.T, ((0, 0), (1, 1)), constant_values=smooth.min() - 1.0).ravel()
-    least = (np.repeat(values, rows) for values in (height, prominence))
-    found, about = signal.find_peaks(line, height=next(least), prominence=next(least))
-    column, peak = np.divmod(found, rows)
-    own = _PROMINENCE * (about["peak_heights"] - height[column] + prominence[column])
-    stands_out = about["prominences"] > own
-    column, peak, tops = (a[stands_out] for a in (column, peak, about["peak_heights"]))
+    crest = cv2.dilate(smooth, np.ones((3, 1), np.uint8)) == smooth
+    crest &= smooth > height.astype(smooth.dtype)
+    row, column = np.divmod(np.flatnonzero(crest), smooth.shape[1])
+    order = np.argsort(column, kind="stable")
+    row, column = row[order], column[order]
+    begins = np.flatnonzero((np.diff(column, prepend=-1) != 0) | (np.diff(row, prepend=-2) != 1))
+    ends = np.append(begins[1:], row.size)[: begins.size] - 1  # of plateaus
+    column, peak = column[begins], (row[begins] + row[ends]) // 2
+    tops = smooth[peak, column].astype(float)
+    stands = _prominence(smooth, column, peak, tops)
+    own = _PROMINENCE * (tops - height[column] + prominence[column])
+    stands_out = stands > np.maximum(own, prominence[column])
+    column, peak, tops = (a[stands_out] for a in (column, peak, tops))
     order = np.lexsort((-tops, column))
-    column, peak = column[order], peak[order] - 1
+    column, peak = column[order], peak[order]
     rank = np.arange(column.size) - np.searchsorted(column, column)
     few = rank < count
     return column[few], peak[few], rank[few]
 
 
+def _prominence(smooth: NDArray, column: Index, peak: Index, tops: Array) -> Array:
+    """By how much maxima (L,) rise above the valleys to higher ones of their columns.
+
+    They are sorted by column and row.  Infinity for the highest of a column.
+    """
+    base = np.full(tops.size, -np.inf)
+    among = np.flatnonzero(np.bincount(column)[column] > 1)
+    if not among.size:
+        return tops - base
+    column, peak, height = column[among], peak[among], tops[among]
+    first, last = peak.min(), peak.max()
+    columns, number = np.unique(column, return_inverse=True)
+    upright = np.ascontiguousarray(smooth[first : last + 1, columns].T)
+    # The valley behind each; behind the last of a column it counts for none.
+    valley = np.minimum.reduceat(upright.ravel(), number * upright.shape[1] + peak - first)
+    for sign in (1, -1):
+        here = np.arange(among.size)
+        lowest = np.full(among.size, np.inf)
+        for away in range(1, among.size):
+            other = here - sign * away
+            inside = (other >= 0) & (other < among.size)
+            here, other = here[inside], other[inside]
+            same = column[other] == column[here]
+            here, other = here[same], other[same]
+            if not here.size:
+                break
+            lowest[here] = np.minimum(lowest[here], valley[other if sign > 0 else other - 1])
+            higher = height[other] > height[here]
+            found = here[higher]
+            base[among[found]] = np.maximum(base[among[found]], lowest[found])
+            here = here[~higher]
+    return tops - base
+
+
 def _next_height(smooth: NDArray, column: Index, peak: Index, up: Index, down: Index) -> Array:
-    """Highest value of each column beside its peak; overwrites the peaks in `smooth`."""
+    """Highest value of each column beside its peak."""
     half_width = max(up.max(initial=1), down.max(initial=1))
     rows = peak + np.arange(1 - half_width, half_width)[:, None]
     own = (rows > peak - up) & (rows < peak + down) & (rows >= 0) & (rows < len(smooth))
-    smooth[np.where(own, rows, peak), column] = -np.inf
-    return smooth.max(axis=0)[column]
+    at = np.where(own, rows, peak), column
+    hidden = smooth[at]
+    smooth[at] = -np.inf
+    highest: Array = smooth.max(axis=0)[column]
+    smooth[at] = hidden
+    return highest
 
 
 def _rows_to(
