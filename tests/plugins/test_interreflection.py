@@ -42,6 +42,8 @@ CORNER = f"""<scene version="3.0.0">
     <shape type="rectangle"><transform name="to_world"><scale value="15"/>
         <rotate x="1" angle="-90"/><translate z="15"/></transform><ref id="grey"/></shape>
 </scene>"""
+METAL = """<bsdf type="roughconductor" id="grey"><float name="alpha" value="0.3"/>
+    <string name="distribution" value="ggx"/></bsdf>"""
 GREY = '<bsdf type="diffuse" id="grey"><float name="reflectance" value="0.5"/></bsdf>'
 
 
@@ -113,3 +115,62 @@ def test_a_depth_that_cannot_be_is_refused(corner):
             corner(depth=value)
     with pytest.raises(vs.InputError, match="'indirect_samples' must be a whole number from 1"):
         corner(samples=0)
+
+
+def blocks(images):
+    """Sums over squares of 8 pixels: (N, 36) of images (N, H, W)."""
+    parts = images.reshape(len(images), SIZE // 8, 8, SIZE // 8, 8)
+    return parts.sum((2, 4)).reshape(len(images), -1)
+
+
+def test_metal_walls_shine_as_by_mitsubas_path(corner):
+    """`path` finds a wide stripe by chance alone, and shades it by the laser's own emitter.
+
+    The first bounce, and the first two, agree within the noise in each of 36 squares.
+    """
+    scene = corner(METAL, radius=2.0)
+    own = np.array([indirect(scene, seed, max_depth=4)[:, 0] for seed in range(8)])
+    for bounces in (1, 2):
+        path = mi.load_dict({"type": "path", "max_depth": bounces + 2, "rr_depth": 99})
+        stock = [
+            np.array(mi.render(scene.mitsuba, integrator=path, spp=64, seed=seed))[:, :, 0]
+            for seed in range(8)
+        ]
+        one, other = blocks(own[:, :bounces].sum(axis=1)), blocks(np.array(stock))
+        noise = np.hypot(one.std(axis=0, ddof=1), other.std(axis=0, ddof=1)) / len(stock) ** 0.5
+        z = (one.mean(axis=0) - other.mean(axis=0)) / noise
+        assert np.abs(z).max() < 5.0
+        assert abs(z.mean()) < 0.5
+        assert 0.6 < z.std() < 1.6
+        assert abs(one.sum() / other.sum() - 1.0) < 0.03
+
+
+SPHERE = """<scene version="3.0.0">
+    <integrator type="refractive"/>
+    <sensor type="perspective"><float name="fov" value="30"/>
+        <transform name="to_world">
+            <lookat origin="0, 60, 0" target="0, -100, 0" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="32"/>
+            <string name="pixel_format" value="luminance"/><rfilter type="box"/></film>
+        <sampler type="independent"/>
+    </sensor>
+    <emitter type="laser_line" id="laser">
+        <float name="length" value="40"/><float name="radius" value="3"/>
+        <float name="power" value="0.1"/><float name="distance" value="150"/>
+        <transform name="to_world"><lookat origin="0, 0, 50" target="0, 0, -100" up="1, 0, 0"/>
+        </transform>
+    </emitter>
+    <shape type="sphere"><float name="radius" value="100"/>
+        <boolean name="flip_normals" value="true"/>
+        <bsdf type="diffuse"><float name="reflectance" value="0.8"/></bsdf></shape>
+</scene>"""
+
+
+def test_each_bounce_in_an_integrating_sphere_has_its_albedo_more(tmp_path):
+    """In a sphere every place sheds as much light on every other: L = albedo^(b+1) P / (pi A)."""
+    path = tmp_path / "sphere.xml"
+    path.write_text(SPHERE, encoding="utf-8")
+    light = indirect(vs.load_scene(path), max_depth=5, indirect_samples=16)[:, 0]
+    bounce = np.arange(1, 4)
+    expected = 0.8 ** (bounce + 1) * 0.1 / (np.pi * 4.0 * np.pi * 100.0**2)
+    np.testing.assert_allclose(light.mean(axis=(1, 2)), expected, rtol=5e-3)
