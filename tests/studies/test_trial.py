@@ -105,7 +105,7 @@ def test_what_a_users_detector_does_is_counted():
     assert found.outlier_share == pytest.approx(0.1)
     assert found.lost_share == pytest.approx(0.2)
     assert np.isnan(found.predicted_px)
-    assert found.wrong_share == pytest.approx(0.1)  # it predicts no error: 0.5 px
+    assert found.wrong_share == pytest.approx(0.1)  # it predicts no error: the line's width
 
 
 def test_phases_show_the_published_bias():
@@ -200,9 +200,7 @@ def hard():
 
 
 PROMISE_TOO_MUCH = {
-    "ambient frame": {"steger"},
     "edged frame": {"steger"},
-    "speckled frame": {"gaussian", "max_likelihood", "steger"},
     "spattered frame": {"steger"},
 }
 """Detectors whose centres are wrong by more than they say, in hard frames of a kind."""

@@ -48,6 +48,7 @@ from virtual_sensor.metrology.line_profiles import (
 )
 from virtual_sensor.metrology.line_shapes import Shapes, shapes
 from virtual_sensor.metrology.ridges import ridges
+from virtual_sensor.metrology.scatter import with_scatter
 
 ALONG = ("columns", "rows")
 CHOICES = ("path", "highest")
@@ -239,6 +240,7 @@ def _columnwise(
         found, status = found[:, 0], status[0]
     row, error, width, amplitude, background = found
     error[_known_by_chance(error, is_found(status))] = np.nan
+    error = with_scatter(error, width, is_found(status), noise.known)
     column, along = np.broadcast_to(np.arange(seen.size), status.shape), np.full(status.shape, 90.0)
     return LineCentres(column, row, error, width, amplitude, background, along, status)
 

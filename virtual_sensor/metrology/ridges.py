@@ -37,6 +37,7 @@ from virtual_sensor.metrology.line_profiles import (
     Noise,
 )
 from virtual_sensor.metrology.ridge_profiles import across, along_lines
+from virtual_sensor.metrology.scatter import with_scatter_of_ridge
 
 FIRST_SCALE_PX = 1.5  # at which lines are sought, and their widths
 LEAST_SCALE_PX, MOST_SCALE_PX = 1.0, 8.0
@@ -123,6 +124,7 @@ def ridges(
     good = np.flatnonzero(is_found(status))
     if good.size:
         good = good[along_lines(pixel[good], image.shape)]
+        found[1, good] = with_scatter_of_ridge(*found[1:3, good], dark.known)
         status[good] = across(grey, pixel[good], found[:, good], dark, max_sigma)
         status[good[among_cuts(status[None, good], found[None, 2, good])[0]]] = Status.CUT
     found[3:5] *= unit

@@ -69,7 +69,7 @@ _HOW = (
     " uneven, on a plate in patches. Sparks of spatter are up to three times the line's height.",
     f"A detector breaks the rule where more than {MOST_WRONG:.0%} of a line's columns have a centre"
     f" that counts as found and is off by more than {WRONG_SIGMAS:g} of the sigmas that it predicts"
-    f" (and 0.02 px; {OUTLIER_PX:g} px where it predicts none).",
+    " (and 0.02 px; the line's width where it predicts none), or that is of no line.",
 )
 _SECTIONS = {
     "speed": (

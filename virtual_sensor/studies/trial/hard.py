@@ -18,7 +18,7 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.imaging.plate import plate_scenes
 from virtual_sensor.imaging.render import Frame, render, render_frame
 from virtual_sensor.imaging.scene import load_scene
-from virtual_sensor.imaging.speckle import Aperture, speckled
+from virtual_sensor.imaging.speckle import Aperture, broad_line_noise_px, speckled
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import TrueLine
 from virtual_sensor.poses import Pose
@@ -60,7 +60,7 @@ _PLATE_MM, _TEXELS = (48.0, 14.0), (4096, 1024)
 _LEAN_DEG = 1.5
 _EDGES = 6  # that run slowly through the line, each from this many sigma below it to as many above
 _EDGE_REACH = 4.0
-_PATCHES, _MOTTLED = 6.0, 0.1  # 128ths of the plate, and the contrast: what ambient light shows
+_PATCHES, _MOTTLED = 6.0, 0.05  # 128ths of the plate, and the contrast: what ambient light shows
 _BRIGHT_GRAINS = 3.0  # times the mean: how much darker a frame with speckle is exposed
 _POLARISATIONS = 2
 _SHOWN_PX = 150, 60  # columns and rows of a sample
@@ -161,8 +161,11 @@ class Bench:
         light, truth = self.light(condition, rng)
         camera = condition.camera
         grey = recorded(light / camera.quantum_efficiency, camera, rng)
-        unknown = np.full(grey.shape[1], np.nan)
-        return TrialImage(grey, truth, unknown, known_of(condition))
+        bound_px = np.full(grey.shape[1], np.nan)
+        if condition.kind == "speckled frame":  # not of a single column's likelihood, but of grains
+            aperture = Aperture(condition.amount, polarisations=_POLARISATIONS)
+            bound_px[:] = broad_line_noise_px(aperture, condition.width_px)
+        return TrialImage(grey, truth, bound_px, known_of(condition))
 
     def light(self, condition: Condition, rng: np.random.Generator) -> tuple[Array, TrueLine]:
         """Electrons, on average, of each pixel, and the line's truth."""

@@ -140,7 +140,8 @@ class TrialImage(Displayed):
     grey : ndarray of uint16 of shape (H, W)
     truth : TrueLine
     bound_px : ndarray of shape (W,)
-        Cramer-Rao bound of each column's centre; NaN where noise is not all.
+        Cramer-Rao bound of each column's centre, in hard frames with speckle what grains make of
+        it; NaN where noise is not all.
     options : dict
         What `line_centres` is to know of the camera: noise, gain, saturation.
     """
