@@ -124,7 +124,7 @@ def ridges(
     good = np.flatnonzero(is_found(status))
     if good.size:
         good = good[along_lines(pixel[good], image.shape)]
-        found[1, good] = with_scatter_of_ridge(*found[1:3, good], dark.known)
+        found[1, good] = with_scatter_of_ridge(found[1, good], found[2, good], noise.known)
         status[good] = across(grey, pixel[good], found[:, good], dark, max_sigma)
         status[good[among_cuts(status[None, good], found[None, 2, good])[0]]] = Status.CUT
     found[3:5] *= unit
