@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from virtual_sensor.errors import InputError
 from virtual_sensor.files import scratch_folder
 from virtual_sensor.imaging.scene import Scene
-from virtual_sensor.imaging.scene_file import read_scene_file
+from virtual_sensor.imaging.scene_file import MATERIAL, read_scene_file
 from virtual_sensor.poses import Pose
 
 _WHITE = 65535
@@ -115,7 +115,7 @@ def plate_scenes(
     root = ElementTree.fromstring(text)
     for shape in root.findall("shape"):
         root.remove(shape)
-    if root.find("include") is not None:
+    if any(each.get("filename") != MATERIAL for each in root.iter("include")):
         raise InputError(
             f"{scene.path}: has an <include>, and the part may stand there; put its elements into"
             " the scene file"
