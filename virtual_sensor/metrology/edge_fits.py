@@ -22,7 +22,7 @@ OWN = 5  # parameters of each column: level, log height, row, log width, edge
 LEVEL, HEIGHT, ROW, WIDTH, EDGE = range(OWN)
 RATIO, BLUR = range(2)  # logarithms that all columns share
 
-_WIDTH_WALK = 0.002  # of the log width from column to column
+_ALIKE = 0.002  # change of the log width from column to column
 _STRAIGHT_PX = 0.3  # change of the edge's slope from column to column, at first
 _EVEN = 0.05  # change of the log height from column to column, at first
 _LEAST_BLUR_PX = 0.15
@@ -43,10 +43,19 @@ class Window(NamedTuple):
 
 
 class Smooth(NamedTuple):
-    """What changes from column to column: the edge's slope in px, and the log height."""
+    """What changes from column to column: the edge's slope in px, log height and log width."""
 
     straight_px: float = _STRAIGHT_PX
     even: float = _EVEN
+    alike: float = _ALIKE
+
+    def over(self, step: float) -> "Smooth":
+        """Of columns that are so far apart: of the slope, it is the integral that changes."""
+        wider = np.sqrt(step)
+        return Smooth(self.straight_px * step * wider, self.even * wider, self.alike * wider)
+
+
+_AT_FIRST = Smooth()
 
 
 class EdgeFit(NamedTuple):
@@ -67,8 +76,9 @@ class EdgeFit(NamedTuple):
 
 
 def modelled(rows: Index, own: Array, shared: Array) -> tuple[Array, Array, Array]:
-    """Signal (n, L) above the level, its derivatives by the columns' own parameters (5, n, L), and
-    by the shared ones (2, n, L).
+    """Signal (n, L) above the level, and its derivatives by own and shared parameters.
+
+    They are (5, n, L), and (2, n, L).
     """
     _, height, row, log_width, edge = own
     ratio, blur = shared
@@ -98,7 +108,7 @@ def modelled(rows: Index, own: Array, shared: Array) -> tuple[Array, Array, Arra
 
 
 def fit_edge(
-    window: Window, own: Array, shared: Array, variance: Array, smooth: Smooth = Smooth()
+    window: Window, own: Array, shared: Array, variance: Array, smooth: Smooth = _AT_FIRST
 ) -> EdgeFit:
     """Fit from a first guess of the parameters, with a variance (n, L) of each pixel."""
     weight = window.use / variance
@@ -163,7 +173,7 @@ def _prior(count: int, smooth: Smooth) -> Array:
     band = np.zeros((_BAND, count, OWN))  # [k, u]: of parameters of column u and earlier ones
     loose = np.array([1e-12, 1e-4, 1e-6, 1e-4, 1e-8])
     band[-1] += loose
-    for which, change in ((WIDTH, _WIDTH_WALK), (HEIGHT, smooth.even)):
+    for which, change in ((WIDTH, smooth.alike), (HEIGHT, smooth.even)):
         band[-1, 1:, which] += change**-2
         band[-1, :-1, which] += change**-2
         band[-1 - OWN, 1:, which] -= change**-2
@@ -177,7 +187,7 @@ def _prior(count: int, smooth: Smooth) -> Array:
 
 def _walked(own: Array, smooth: Smooth) -> float:
     changes = (
-        np.diff(own[WIDTH]) / _WIDTH_WALK,
+        np.diff(own[WIDTH]) / smooth.alike,
         np.diff(own[HEIGHT]) / smooth.even,
         np.diff(own[EDGE], 2) / smooth.straight_px,
     )

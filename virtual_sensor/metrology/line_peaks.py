@@ -47,6 +47,7 @@ from virtual_sensor.metrology.line_profiles import (
     window,
 )
 from virtual_sensor.metrology.line_shapes import Shapes, shapes
+from virtual_sensor.metrology.reflectance_edges import Line, correct_edges
 from virtual_sensor.metrology.ridges import ridges
 from virtual_sensor.metrology.scatter import with_scatter
 
@@ -216,6 +217,9 @@ def _columnwise(
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
     status[:, ~seen] = Status.BAD_PIXELS
     status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)
+    lines = np.full((len(Line._fields), count, seen.size), np.nan)
+    uneven = np.zeros(status.shape)
+    lines[:, peaks.rank, peaks.column] = peaks.row, peaks.sigma, peaks.amplitude, peaks.background
     peaks = peaks.take(status[peaks.rank, peaks.column] == Status.OK)
 
     found = np.full((len(Profile._fields), count, seen.size), np.nan)
@@ -227,6 +231,19 @@ def _columnwise(
             image, profile, noise, Shapes._make((group, *(part[chosen] for part in shape[1:])))
         )
         found[:, group.rank, group.column] = profile
+    at = shape.peaks
+    lines[:, at.rank, at.column] = at.row, at.sigma, at.amplitude, at.background
+    uneven[at.rank, at.column] = shape.uneven
+    for rank in range(count):
+        correct_edges(
+            image,
+            Line(*lines[:, rank]),
+            uneven[rank],
+            status[rank],
+            found[:, rank],
+            noise,
+            saturation,
+        )
 
     there = is_found(status) | (status == Status.CUT)
     found[:, ~there] = np.nan

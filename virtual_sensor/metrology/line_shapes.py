@@ -45,6 +45,9 @@ _NARROWEST_PX = 0.35
 _EXCESS = 1.5  # times the given variance: from there on the residuals' is used
 _MOST_EXCESS = 1e6
 _GRAINY = 1.5  # shapes that scatter by so much more than the residuals say
+_BLOCK = 16  # columns whose mean misfit is compared with the noise, and four times as many
+_LOPSIDED = 0.004  # of the height: lopsided misfit of a block's mean that shifts a centre,
+_CERTAIN = 6.0  # and times the variance that the noise makes
 _RIDGE = 1e-12  # no normal matrix is singular
 
 
@@ -53,7 +56,9 @@ class Shapes(NamedTuple):
 
     `stepped`: because the level below them differs from side to side.  `sharp`: what is left
     beside the Gaussian is one abrupt change, as where an edge cuts the line; `noisy`: how large a
-    part of the rest is noise.
+    part of the rest is noise.  `uneven`: rms of the lopsided misfit that neighbours have in
+    common, relative to the height, 0 where there is none: that of an edge of the reflectance hides
+    in the noise of each.
     """
 
     peaks: Peaks
@@ -62,6 +67,7 @@ class Shapes(NamedTuple):
     stepped: NDArray[np.bool_]
     sharp: NDArray[np.bool_]
     noisy: Array
+    uneven: Array
 
 
 class _Design(NamedTuple):
@@ -128,8 +134,8 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
             found[:, going[chosen]] = _stepped(near, gaussian, here.take(chosen), max_sigma)
         row, sigma = found[:2, going]
         going = going[np.hypot(row - here.row, sigma - here.sigma) > _CLOSE * here.sigma]
-    residual, tests, errors, spread, expected, abrupt = (
-        np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1, 1)
+    residual, tests, errors, spread, expected, abrupt, uneven = (
+        np.empty((n, at.row.size)) for n in (1, 3, 3, 3, 1, 1, 1)
     )
     at = _moved(at, found)
     for chosen, half in _groups(at.sigma):
@@ -137,7 +143,8 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
         near = _near(image, here, half)
         gaussian = np.einsum("lin,ln->il", near.design("gaussian"), near.values)
         judged = _judged(near, gaussian, here, noise)
-        for values, part in zip((residual, tests, errors, expected, abrupt), judged, strict=True):
+        of_each = residual, tests, errors, expected, abrupt, uneven
+        for values, part in zip(of_each, judged, strict=True):
             values[:, chosen] = part
         spread[:, chosen] = near.design("spread").T
         found[:, chosen] = _stepped(near, gaussian, here, max_sigma)
@@ -174,7 +181,7 @@ def shapes(image: NDArray, at: Peaks, noise: Noise, max_sigma: float) -> Shapes:
         residual=residual[0], noise=local, excess=excess**2, speckle=speckle
     )
     stepped = np.abs(step) > np.abs(skew)  # twice it, where a step of the level makes both
-    return Shapes(at, leans, flat > flat_limit, stepped, sharp & ~stepped, noisy)
+    return Shapes(at, leans, flat > flat_limit, stepped, sharp & ~stepped, noisy, uneven[0])
 
 
 def _scatter(shape: Array) -> Array:
@@ -235,11 +242,11 @@ def _stepped(near: "_Near", gaussian: Array, at: Peaks, max_sigma: float) -> Arr
 
 def _judged(
     near: "_Near", gaussian: Array, at: Peaks, noise: Noise
-) -> tuple[Array, Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array, Array]:
     """Misfit of the fits (4, L); skewness, flatness and step (3, L), and their noise (3, L).
 
     And the misfit (L,) that the noise makes which was given, infinity if none was; and which part
-    of the misfit's changes from row to row lies in two of them.
+    of the misfit's changes from row to row lies in two of them; and where neighbours' is lopsided.
     """
     taper, basis, tests = near.design("taper"), near.design("basis"), near.design("tests")
     beyond = np.einsum("lin,ln->il", tests, near.values)
@@ -266,7 +273,32 @@ def _judged(
     change *= pair  # less of the window's ends, where there are but few of these
     most = (change[:, 1:] + change[:, :-1]).max(axis=1)
     abrupt = most / np.maximum(change.sum(axis=1), np.finfo(np.float32).tiny)
-    return residual, shape, np.sqrt(errors) / height, expected, abrupt
+    uneven = _uneven(taper * misfit, height)
+    return residual, shape, np.sqrt(errors) / height, expected, abrupt, uneven
+
+
+def _uneven(misfit: Single, height: Single) -> Array:
+    """Lopsided part (L,) of the mean misfit (L, n) of neighbours, where it is not by chance."""
+    count, rows = misfit.shape
+    blocks = count // _BLOCK
+    if not blocks:
+        return np.zeros(count)
+    half = rows // 2
+    odd = misfit[:, :half] - misfit[:, : -half - 1 : -1]
+    parts = odd[: blocks * _BLOCK].reshape(blocks, _BLOCK, half)
+    mean = parts.mean(axis=1)
+    square = np.einsum("bki,bki->b", parts, parts) / _BLOCK
+    noise = (square - np.einsum("bi,bi->b", mean, mean)) / (_BLOCK - 1)
+    tops = height[: blocks * _BLOCK].reshape(blocks, _BLOCK).mean(axis=1)
+    found = np.zeros(blocks)
+    for several in (1, 4):
+        wide = uniform_filter1d(mean, several, axis=0, mode="nearest")
+        power = np.einsum("bi,bi->b", wide, wide)
+        chance = uniform_filter1d(noise, several, mode="nearest") / several
+        share = np.sqrt(power / (2.0 * rows)) / tops
+        certain = (share > _LOPSIDED) & (power > _CERTAIN * chance)
+        found = np.maximum(found, np.where(certain, share, 0.0))
+    return np.pad(np.repeat(found, _BLOCK), (0, count - blocks * _BLOCK), mode="edge")
 
 
 def _groups(sigma: Array) -> list[tuple[Index, int]]:

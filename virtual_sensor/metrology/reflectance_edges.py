@@ -40,18 +40,33 @@ from virtual_sensor.metrology.line_profiles import QUARTILE, Array, Index, Noise
 Mask = NDArray[np.bool_]
 
 _DOUBTED = (Status.SKEWED, Status.CUT, Status.DOUBLED, Status.POOR_FIT)
+_MENDED = (Status.OK, *_DOUBTED, Status.TOO_NARROW, Status.NO_PEAK)
 _GAP = 12  # columns between two of one edge
 _FEWEST = 12  # columns that show an edge
-_MARGIN = 32  # columns beside them, and half of their number
+_MARGIN, _MOST_MARGIN = 48, 300  # columns beside them, to which their number is added; at most
 _LOST = 8  # columns without a line end it
 _REACH = 4.2  # sigma of the pixels that count
 _NEAR = 3.5  # sigma: an edge so near shifts the centre
-_RATIOS = (1.4, 2.0, 3.0, 5.0, 9.0, 16.0)
-_ROW_STEPS = np.arange(-2.0, 2.01, 0.4)  # sigma
+_FIRST_BLUR = 0.25  # sigma
+_CHANGE = 2.0  # cost of a change by a sigma from place to place
+_RATIOS = (1.25, 1.6, 2.2, 3.0, 5.0, 9.0, 16.0)
+_ROW_STEPS = np.arange(-2.0, 2.01, 0.5)  # sigma
 _EDGE_STEPS = np.arange(-3.0, 3.01, 0.5)
-_NODES = 64  # places along the edge at which it is sought first
+_NODES, _SEVERAL = 64, 3  # places along the edge at which it is sought first, columns of each
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
-_ROUGH = 0.03  # of the height: noise that is added at first, so that no fit is caught
+_SMOOTH, _ROUGH = (
+    0.01,
+    0.03,
+)  # of the height: noise that is added at first, so that no fit is caught
+_PERHAPS = 1.3  # times as much is left by a first fit in some columns
+_ROUNDS = 2  # of fits with the noise that the last one shows
+_ENOUGH_CLEAN = 16  # columns that show the line's own width
+_MIDDLE = 0.7  # of the columns near an edge: those that show what it is
+_AS_GOOD, _BETTER = 1.12, 0.9  # what is left, over that of other models; without clean columns
+_CLEAR = 15.0  # what is gained, in columns' square roots
+_DOUBT = 5.0  # widths by which a centre may be off, for each lopsided misfit
+_WORST = 0.7  # widths: no larger error is a centre's
+_LIKELY = 2.5  # times the expected misfit: of neighbours that are no edge
 _BROADEST_BLUR = 0.8  # sigma
 
 
@@ -64,34 +79,48 @@ class Line(NamedTuple):
     level: Array
 
 
-def corrected(
-    image: NDArray, line: Line, uneven: Mask, status: Index, noise: Noise, saturation: float
-) -> tuple[Array, Index]:
-    """Profiles (5, W), as of a detector, and the status where an edge was corrected.
+def correct_edges(
+    image: NDArray,
+    line: Line,
+    uneven: Array,
+    status: Index,
+    profile: Array,
+    noise: Noise,
+    saturation: float,
+) -> None:
+    """Correct the profiles (5, W) of a detector, and their status (W,), where an edge shifts them.
 
-    Elsewhere they are NaN, and the status is as given.
+    What is uneven and no edge, as far as can be told, gets a larger standard deviation.
 
     Parameters
     ----------
     image : ndarray of shape (H, W)
     line : Line
         The peaks as they were found.
-    uneven : ndarray of bool of shape (W,)
-        Where neighbours share a lopsided misfit.
+    uneven : ndarray of shape (W,)
+        Lopsided misfit that neighbours share, relative to the height; 0 where there is none.
     status : ndarray of shape (W,)
+    profile : ndarray of shape (5, W)
+        As in `Profile`.
     """
-    found = np.full((5, status.size), np.nan)
-    status = status.copy()
     for first, last in _segments(line, uneven, status):
         part = slice(first, last)
         own = Line._make(values[part] for values in line)
-        _segment(image, first, own, uneven[part], status[part], found[:, part], noise, saturation)
-    return found, status
+        near, found = _segment(image, first, own, uneven[part], status[part], noise, saturation)
+        good = near & np.isin(status[part], _MENDED) & (found[1] < _WORST * found[2])
+        status[part] = np.where(good, Status.CORRECTED, status[part])
+        profile[:, part] = np.where(good, found, profile[:, part])
+        lost = near & ~good & (status[part] == Status.OK)
+        status[part] = np.where(lost, Status.SKEWED, status[part])
+    doubtful = (status == Status.OK) & (uneven > 0.0)
+    if doubtful.any():
+        off = _DOUBT * uneven * profile[2]
+        profile[1] = np.where(doubtful, np.hypot(profile[1], off), profile[1])
 
 
-def _segments(line: Line, uneven: Mask, status: Index) -> list[tuple[int, int]]:
+def _segments(line: Line, uneven: Array, status: Index) -> list[tuple[int, int]]:
     """Runs of columns that an edge may be in, with some beside them."""
-    doubted = uneven | np.isin(status, _DOUBTED)
+    doubted = (uneven > 0.0) | np.isin(status, _DOUBTED)
     closed = binary_closing(np.pad(doubted, _GAP), np.ones(_GAP))[_GAP:-_GAP] | doubted
     runs, _ = label(closed)
     whole = np.arange(1, runs.max() + 1)
@@ -103,13 +132,12 @@ def _segments(line: Line, uneven: Mask, status: Index) -> list[tuple[int, int]]:
         columns = np.flatnonzero(runs == each)
         if doubted[columns].sum() < _FEWEST:
             continue
-        margin = _MARGIN + columns.size // 2
+        margin = min(_MARGIN + columns.size, _MOST_MARGIN)
         inside = np.flatnonzero(parts == parts[columns[columns.size // 2]])
         first = max(columns[0] - margin, inside[0])
         last = min(columns[-1] + margin, inside[-1]) + 1
-        if result and first < result[-1][1]:  # two edges are apart, or one
-            middle = (first + result[-1][1]) // 2
-            result[-1], first = (result[-1][0], middle), middle
+        if result and first < result[-1][1]:  # one edge, whose effect vanishes in between
+            first = result.pop()[0]
         result.append((first, last))
     return result
 
@@ -118,34 +146,129 @@ def _segment(
     image: NDArray,
     first: int,
     line: Line,
-    uneven: Mask,
+    uneven: Array,
     status: Index,
-    found: Array,
     noise: Noise,
     saturation: float,
-) -> None:
-    count = line.row.size
-    clean = (status == Status.OK) & ~uneven & np.isfinite(line.width)
+) -> tuple[Mask, Array]:
+    """In which columns an edge lies, and the profiles (5, L) that are corrected for it."""
+    clean = (status == Status.OK) & (uneven == 0.0) & np.isfinite(line.width)
+    column = np.arange(first, first + line.row.size)
     row, width = _guessed(line, clean)
-    window = _window(image, first, row, width, saturation)
-    column = np.arange(first, first + count)
-    variance = _first_variance(window, line, clean, noise, column)
-    rough = variance + (_ROUGH * np.nanmax(line.height)) ** 2
-    starts = _sought(window, row, width, rough, _unevenness(line))
-    fits = [fit_edge(window, own, shared, rough) for own, shared in starts]
-    fit = min(fits, key=lambda fit: fit.cost)
-    for straight_px in (None, None):
+    none = np.zeros(column.size, bool), np.full((5, column.size), np.nan)
+    some = np.unique(np.linspace(0, column.size - 1, _SEVERAL * _NODES).round().astype(int))
+    trials = []
+    for broader in (1.0,) if clean.sum() > _ENOUGH_CLEAN else (1.0, 1.3, 1.7):
+        window = _window(image, first + some, row[some], broader * width[some], saturation)
+        thin = Line._make(values[some] for values in line)
+        fit = _first_fit(window, row[some], broader * width[some], thin, noise, first + some)
+        trials.append((fit, window, broader))
+    fit, window, broader = min(trials, key=lambda trial: _misfit(*trial[:2]).mean())
+    if not _is_edge(window, fit, thin, clean[some], _PERHAPS):
+        return none
+    window = _window(image, column, row, broader * width, saturation)
+    own = np.stack([np.interp(column - first, some, values) for values in fit.own])
+    shared, smooth = fit.shared, _smoothness(fit, column.size / some.size)
+    variance = _first_variance(window, line, noise, column)
+    for _ in range(_ROUNDS):
+        fit = fit_edge(window, own, shared, variance, smooth)
+        own, shared, smooth = fit.own, fit.shared, _smoothness(fit)
         variance = _noise_of(window, fit, noise, column)
-        fit = fit_edge(window, fit.own, fit.shared, variance, _smoothness(fit))
-    global LAST
-    LAST = fit, window
-    row, width, edge = fit.own[ROW], np.exp(fit.own[WIDTH]), fit.own[EDGE]
-    near = np.abs(edge - row) < _NEAR * width
+    fit = fit_edge(window, own, shared, variance, smooth)
+    near = _near(fit, 1.0)
+    if not _is_edge(window, fit, line, clean):
+        return none
+    own, (ratio, blur) = fit.own, fit.shared
+    below = ndtr((own[ROW] - own[EDGE]) / np.exp(blur))
+    reflected = np.exp(-0.5 * ratio) + (np.exp(0.5 * ratio) - np.exp(-0.5 * ratio)) * below
     error = fit.row_error * _underestimated(window, fit)
-    half = 0.5 * np.abs(fit.shared[RATIO])
-    height = np.exp(fit.own[HEIGHT] + half)
-    found[:, near] = np.stack([row, error, width, height, fit.own[LEVEL]])[:, near]
-    status[near] = 13
+    height = np.exp(own[HEIGHT]) * reflected
+    return near, np.stack([own[ROW], error, np.exp(own[WIDTH]), height, own[LEVEL]])
+
+
+def _near(fit: EdgeFit, share: float) -> Mask:
+    """Columns (L,) in which the edge is so near that it shifts the centre."""
+    width = np.hypot(np.exp(fit.own[WIDTH]), np.exp(fit.shared[BLUR]))
+    near: Mask = np.abs(fit.own[EDGE] - fit.own[ROW]) < share * _NEAR * width
+    return near
+
+
+def _first_fit(
+    window: Window, row: Array, width: Array, line: Line, noise: Noise, column: Index
+) -> EdgeFit:
+    """The fit in some columns that is best of some first guesses."""
+    height, step = np.nanmax(line.height), np.ptp(column) / max(column.size - 1, 1)
+    smooth = Smooth().over(step)
+    variance = _first_variance(window, line, noise, column)
+    starts = _sought(window, row, width, variance + (_SMOOTH * height) ** 2, _unevenness(line))
+    rough = variance + (_ROUGH * height) ** 2
+    fits = (fit_edge(window, *start, rough, smooth) for start in starts)
+    fit = min(fits, key=lambda fit: fit.cost)
+    return fit_edge(window, fit.own, fit.shared, _noise_of(window, fit, noise, column), smooth)
+
+
+def _misfit(fit: EdgeFit, window: Window) -> Array:
+    """Mean square of what is left in each column (L,)."""
+    return (window.use * fit.residual**2).sum(axis=0) / np.maximum(window.use.sum(axis=0), 1)
+
+
+def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: float = 1.0) -> bool:
+    """Whether this is an edge, and no second line, cut line or skewed one."""
+    ratio, blur = np.abs(fit.shared[RATIO]), np.exp(fit.shared[BLUR])
+    width = np.exp(fit.own[WIDTH])
+    near = _near(fit, _MIDDLE)
+    if not (
+        near.sum() >= _FEWEST / _SEVERAL
+        and np.log(_LEAST_RATIO) < ratio < np.log(_MOST_RATIO)
+        and fit.ratio_error < 0.3 * ratio
+        and blur < _BROADEST_BLUR * np.median(width)
+    ):
+        return False
+    part = Window._make(values[:, near] for values in window)
+    weight = part.use / fit.variance[:, near]
+    at = np.where(np.isfinite(line.row), line.row, fit.own[ROW])[near]
+    broad = np.where(np.isfinite(line.width), line.width, width)[near]
+    pixels = part.use.sum()
+    left = (weight * fit.residual[:, near] ** 2).sum() / (pixels - 4.2 * near.sum())
+    gaussian, *others = _alternatives(part, weight, at, broad, fit.own[ROW, near], width[near])
+    limit = _AS_GOOD if clean.sum() > _ENOUGH_CLEAN else _BETTER
+    gained = gaussian * (pixels - 4.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
+    return bool(left < loosely * limit * min(others) and gained > _CLEAR * np.sqrt(near.sum()))
+
+
+def _alternatives(
+    window: Window, weight: Array, row: Array, width: Array, own_row: Array, own_width: Array
+) -> tuple[float, float, float]:
+    """What a Gaussian leaves for each degree of freedom, a skewed and flat one, and two lines."""
+    z = (window.rows - row) / width
+    gaussian = np.exp(-0.5 * z**2)
+    one = np.ones_like(z)
+    powers = [one, gaussian, z * gaussian, (z**2 - 1.0) * gaussian]
+    hermite = [*powers, (z**3 - 3.0 * z) * gaussian, (z**4 - 6.0 * z**2 + 3.0) * gaussian]
+    lines = np.full(row.size, np.inf)
+    for moved in (-0.7, 0.0, 0.7):
+        x = (window.rows - own_row) / own_width - moved
+        first = np.exp(-0.5 * x**2)
+        for apart in (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0):
+            second = np.exp(-0.5 * (x - apart) ** 2)
+            both = [one, first, x * first, second, (x - apart) * second]
+            lines = np.minimum(lines, _left(window, weight, both))
+    count = window.use.sum()
+    parts = (_left(window, weight, powers), 4), (_left(window, weight, hermite), 6), (lines, 6)
+    plain, skewed, two = (each.sum() / (count - free * row.size) for each, free in parts)
+    return float(plain), float(skewed), float(two)
+
+
+def _left(window: Window, weight: Array, basis: list[Array]) -> Array:
+    """Weighted squares (L,) that are left by a linear fit of each column."""
+    terms = np.stack(basis)
+    weighted = weight * terms
+    normal = np.einsum("inl,jnl->lij", weighted, terms)
+    normal += 1e-9 * np.einsum("lii->l", normal)[:, None, None] * np.eye(len(basis))
+    right = np.einsum("inl,nl->li", weighted, window.values)
+    solved = np.linalg.solve(normal, right[..., None])[..., 0]
+    left: Array = (weight * (window.values - np.einsum("li,inl->nl", solved, terms)) ** 2).sum(0)
+    return left
 
 
 def _guessed(line: Line, clean: Mask) -> tuple[Array, Array]:
@@ -162,18 +285,15 @@ def _guessed(line: Line, clean: Mask) -> tuple[Array, Array]:
     return row, width
 
 
-def _window(image: NDArray, first: int, row: Array, width: Array, saturation: float) -> Window:
+def _window(image: NDArray, column: Index, row: Array, width: Array, saturation: float) -> Window:
     half = int(np.ceil((_REACH + 1.5) * width.max())) + 1
     rows = np.rint(row).astype(int) + np.arange(-half, half + 1)[:, None]
-    column = np.arange(first, first + row.size)
     values = image[np.clip(rows, 0, len(image) - 1), column].astype(float)
     use = (rows >= 0) & (rows < len(image)) & np.isfinite(values) & (values < saturation)
     return Window(rows, np.where(use, values, 0.0), use)
 
 
-def _first_variance(
-    window: Window, line: Line, clean: Mask, noise: Noise, column: Index
-) -> Array:
+def _first_variance(window: Window, line: Line, noise: Noise, column: Index) -> Array:
     above = np.maximum(window.values - np.nanmedian(line.level), 0.0)
     if noise.known:
         return noise.variance(above, column)
@@ -182,10 +302,10 @@ def _first_variance(
 
 def _unevenness(line: Line) -> float:
     """By which part the height changes by chance between places at which the edge is sought."""
-    step = max(line.row.size // _NODES, 1)
-    height = np.log(line.height[::step])
+    height = np.log(line.height[::_SEVERAL])
     bends = np.abs(np.diff(height[np.isfinite(height)], 2))
-    return float(np.clip(np.median(bends) / (QUARTILE * np.sqrt(6.0)), 0.01, 0.3))
+    change = np.median(bends) / (QUARTILE * np.sqrt(6.0 * _SEVERAL)) if bends.size else 0.0
+    return float(np.clip(change, 0.005, 0.2))
 
 
 def _sought(
@@ -193,24 +313,27 @@ def _sought(
 ) -> list[tuple[Array, Array]]:
     """First guesses of the parameters, of the two most likely ratios, by dynamic programming."""
     count = row.size
-    chosen = np.unique(np.linspace(0, count - 1, 3 * _NODES).round().astype(int))
-    node = np.minimum(np.arange(chosen.size) // max(chosen.size // _NODES, 1), _NODES - 1)
-    rows, values = window.rows[:, chosen], window.values[:, chosen]
-    weight = window.use[:, chosen] / variance[:, chosen]
-    z = (rows - row[chosen]) / width[chosen]
+    node = np.arange(count) // _SEVERAL
+    weight = window.use / variance
+    z = (window.rows - row) / width
     moved, away = (grid.ravel() for grid in np.meshgrid(_ROW_STEPS, _EDGE_STEPS, indexing="ij"))
-    gaussian = np.exp(-0.5 * (z[:, None] - _ROW_STEPS[:, None]) ** 2).repeat(_EDGE_STEPS.size, 1)
-    below = ndtr((z[:, None] - (moved + away)[:, None]) / 0.25)
+    off = z[:, None] - moved[:, None]
+    gaussian = np.exp(-0.5 * off**2)
+    below = ndtr((off - away[:, None]) / _FIRST_BLUR)
     sums = weight.sum(axis=0)
-    centred = values - (weight * values).sum(axis=0) / sums
+    centred = weight * (window.values - (weight * window.values).sum(axis=0) / sums)
     results = []
     for ratio in (*_RATIOS, *(1.0 / each for each in _RATIOS)):
         template = gaussian * (ratio**-0.5 + (ratio**0.5 - ratio**-0.5) * below)
-        template -= (np.einsum("nl,nsl->sl", weight, template) / sums)[None]
-        power = np.einsum("nl,nsl,nsl->sl", weight, template, template)
-        match = np.einsum("nl,nsl->sl", weight * centred, template)
-        height = np.maximum(match, 0.0) / power
-        gain = height * match
+        pair = np.stack([template, off * template])  # and its derivative by the row
+        match = np.einsum("nl,insl->isl", centred, pair)
+        pair -= np.einsum("nl,insl->isl", weight / sums, pair)[:, None]
+        (a, b), (_, d) = np.einsum("insl,nl,jnsl->ijsl", pair, weight, pair, optimize=True)
+        height = (d * match[0] - b * match[1]) / (a * d - b * b)
+        shift = (a * match[1] - b * match[0]) / (a * d - b * b)
+        gain = height * match[0] + shift * match[1]
+        possible = (height > 0.0) & (np.abs(shift) < 0.5 * height)
+        gain, height = np.where(possible, gain, 0.0), np.where(possible, height, 0.0)
         gains, heights = np.zeros((2, node[-1] + 1, moved.size))
         np.add.at(gains, node, gain.T)
         np.add.at(heights, node, height.T)
@@ -218,17 +341,15 @@ def _sought(
         path, total = _path(gains, heights / even, moved, away)
         results.append((total, ratio, path, height))
     results.sort(key=lambda each: -each[0])
+    least = 1e-3 * np.nanmax(results[0][3]) + 1e-300
     guesses = []
     for _, ratio, path, height in results[:2]:
-        columns = np.arange(count)
-        places = chosen[np.searchsorted(node, np.arange(node[-1] + 1))]
         own = np.empty((5, count))
-        own[ROW] = row + width * np.interp(columns, places, moved[path])
-        own[EDGE] = own[ROW] + width * np.interp(columns, places, away[path])
+        own[ROW] = row + width * moved[path[node]]
+        own[EDGE] = own[ROW] + width * away[path[node]]
         own[WIDTH] = np.log(width)
-        heights = height[path[node], np.arange(chosen.size)]
-        heights = np.maximum(median_filter(heights, 5), 1e-3 * heights.max() + 1e-300)
-        own[HEIGHT] = np.interp(columns, chosen, np.log(heights))
+        heights = np.maximum(median_filter(height[path[node], np.arange(count)], 5), least)
+        own[HEIGHT] = np.log(heights)
         own[LEVEL] = np.median(window.values[[0, 1, -2, -1]], axis=0)
         shared = np.array([np.log(ratio), np.log(0.25 * np.median(width))])
         guesses.append((own, shared))
@@ -237,8 +358,8 @@ def _sought(
 
 def _path(gains: Array, heights: Array, moved: Array, away: Array) -> tuple[Index, float]:
     """The states of each node (N,) whose sum of gains (N, S), less the changes, is the largest."""
-    changes = ((moved[:, None] - moved) / 0.4) ** 2 + ((away[:, None] - away) / 0.5) ** 2
-    changes = 2.0 * changes
+    changes = (moved[:, None] - moved) ** 2 + (away[:, None] - away) ** 2
+    changes = _CHANGE * changes
     total, back = gains[0], np.zeros(gains.shape, int)
     for number in range(1, len(gains)):
         uneven = (heights[number - 1][:, None] - heights[number]) ** 2
@@ -252,13 +373,17 @@ def _path(gains: Array, heights: Array, moved: Array, away: Array) -> tuple[Inde
     return path, float(total.max())
 
 
-def _smoothness(fit: EdgeFit) -> Smooth:
-    """How much the edge's slope and the height change from column to column: as it was found."""
-    near = np.abs(fit.own[EDGE] - fit.own[ROW]) < 2.0 * np.exp(fit.own[WIDTH])
+def _smoothness(fit: EdgeFit, step: float = 1.0) -> Smooth:
+    """How much the edge's slope and the height change from column to column: as it was found.
+
+    `step`: columns between those of the fit.
+    """
+    near = _near(fit, _MIDDLE)
     bends, changes = np.diff(fit.own[EDGE], 2)[near[1:-1]], np.diff(fit.own[HEIGHT])
     if bends.size < 10:
         return Smooth()
     bend, change = (np.median(np.abs(each)) / QUARTILE for each in (bends, changes))
+    bend, change = bend / step**1.5, change / step**0.5
     return Smooth(float(np.clip(bend, 0.02, 0.5)), float(np.clip(change, 0.002, 0.5)))
 
 
