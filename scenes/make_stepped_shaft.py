@@ -27,25 +27,35 @@ def revolved(outline: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
 
     Returns
     -------
-    vertices : ndarray of shape (V, 6)
-        Position in the world, mm, and unit normal.  Edges are sharp: each straight segment of the
-        outline has vertices of its own.
+    vertices : ndarray of shape (V, 8)
+        Position in the world, mm, unit normal, and texture coordinates (u, v), mm: u round the
+        shaft from its top line, which is the lay of a turned surface; v is x on cylinders, and
+        goes on along the outline on steps.  Edges are sharp: each straight segment of the outline
+        has vertices of its own.  The seam lies at the bottom line.
     faces : ndarray of shape (F, 3)
         Triangles, anticlockwise seen from outside.
     """
-    angle = 2.0 * np.pi * np.arange(FACETS) / FACETS
+    angle = 2.0 * np.pi * np.append(np.arange(FACETS), FACETS // 2) / FACETS
     around = np.column_stack([0.0 * angle, np.sin(angle), np.cos(angle)])
+    angle[FACETS // 2 + 1 :] -= 2.0 * np.pi
     here = np.arange(FACETS)
     there = (here + 1) % FACETS
+    here[FACETS // 2] = FACETS  # the seam's other side
     vertices: list[NDArray[np.float64]] = []
     faces: list[NDArray[np.int64]] = []
     for start, end in pairwise(outline):
-        first = len(vertices) * 2 * FACETS
-        along, outward = (end - start) / np.linalg.norm(end - start)
+        first = len(vertices) * 2 * len(angle)
+        length, middle = np.linalg.norm(end - start), (start[1] + end[1]) / 2.0
+        along, outward = (end - start) / length
         normals = along * around - [outward, 0.0, 0.0]
         rings = [[x, 0.0, AXIS_Z_MM] + r * around for x, r in (start, end)]
-        vertices.append(np.hstack([np.vstack(rings), np.vstack([normals, normals])]))
-        a, b, c, d = here, there, here + FACETS, there + FACETS
+        texture = [
+            np.column_stack([middle * angle, np.full_like(angle, v)])
+            for v in (start[0], start[0] + length)
+        ]
+        rows = [np.hstack(each) for each in zip(rings, [normals, normals], texture, strict=True)]
+        vertices.append(np.vstack(rows))
+        a, b, c, d = here, there, here + len(angle), there + len(angle)
         if start[1] > 0.0:
             faces.append(first + np.column_stack([a, c, b]))
         if end[1] > 0.0:

@@ -28,12 +28,14 @@ def extruded(outline: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray
     -------
     vertices : ndarray of shape (V, 8)
         Position in the world, mm, unit normal, and texture coordinates (u, v), mm: u along x,
-        which is the lay of the surface, v along the outline.  Edges are sharp.
+        which is the lay of the surface, v along the outline from the groove's root.  Edges are
+        sharp.
     faces : ndarray of shape (F, 3)
         Triangles, anticlockwise seen from outside.
     """
     ends = np.array([-LENGTH_MM / 2.0, LENGTH_MM / 2.0])
-    vertices, faces, along = [], [], 0.0
+    to_root = np.linalg.norm(np.diff(outline[:3], axis=0), axis=1).sum()
+    vertices, faces, along = [], [], -float(to_root)
     for start, end in pairwise(outline):
         length = float(np.linalg.norm(end - start))
         normal = [0.0, (end - start)[1] / length, -(end - start)[0] / length]

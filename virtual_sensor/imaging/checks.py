@@ -42,6 +42,11 @@ FOCUS_TOLD_PX = 5.0
 FACETS_LIE = "the part's facets lie"
 """How the note of facets begins."""
 
+FAINT = 1e-3
+"""Of the brightest point of a line: what sends less is lost in a camera of 10 to 12 bits."""
+
+_SAME_MM = 0.1  # float32 and facets apart
+_FAINT_TOLD = 0.1  # of a line: so much of it that is faint is noted
 _CELLS_FAR = 3.0  # diagonals of a cell from the field's solid: there the part stands in the open
 _DULL = 0.2  # reflectance of an oxidised part
 _SPREAD = 9, 7  # columns and rows of a projector's pixels that stand for all
@@ -68,6 +73,56 @@ class LitLine(Displayed):
         y, points = self.y_mm[lit][order], self.points_mm[lit][order]
         middle = [np.interp(0.0, y, each) for each in points.T]
         return np.round(middle, 6) + 0.0  # the rest is rounding
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """What straight light does where a source lights points of the part.
+
+    Attributes
+    ----------
+    interaction : mitsuba.SurfaceInteraction3f
+        Of rays from the camera to the points.
+    reached : ndarray of bool of shape (N,)
+        Whether the camera sees the point.
+    toward, light : ndarray of shape (N, 3)
+        Unit vectors from the camera and from the source to the points.
+    sent : ndarray of shape (N,)
+        Value of the material's BSDF from the light to the camera, times the cosine of the light's
+        incidence.
+    """
+
+    interaction: Any
+    reached: NDArray[np.bool_]
+    toward: Array
+    light: Array
+    sent: Array
+
+    @staticmethod
+    def of(scene: Scene, points_mm: Array, y_mm: Array) -> "SeenSurface":
+        """At points (N, 3) in mm, world frame, that the source lights, at y (N,) of its line."""
+        origin_mm, source = scene.camera.pose.origin_mm, scene.source
+        toward = points_mm - origin_mm
+        distance_mm = np.linalg.norm(toward, axis=1)
+        toward /= distance_mm[:, None]
+        if isinstance(source, Projector):
+            light = points_mm - source.pose.origin_mm
+            light /= np.linalg.norm(light, axis=1, keepdims=True)
+        else:
+            light = source.family.rays(0.0, y_mm)[1]
+        start = mi.Point3f(to_vectors(np.broadcast_to(origin_mm, points_mm.shape)))
+        si = scene.mitsuba.ray_intersect(mi.Ray3f(start, mi.Vector3f(to_vectors(toward))))
+        reached = np.abs(np.array(si.t) - distance_mm) < _SAME_MM
+        back = mi.Vector3f(to_vectors(-light))
+        answer = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(back))
+        sent = np.array(answer).reshape(-1, len(points_mm)).max(axis=0)
+        return SeenSurface(si, reached, toward, light, sent)
+
+    def shape(self, scene: Scene) -> Any:
+        """The first of Mitsuba's shapes on which points are that the camera sees."""
+        seen = self.interaction.shape
+        shapes = scene.mitsuba.shapes()
+        return next(s for s in shapes if np.any(np.array(seen == mi.ShapePtr(s))[self.reached]))
 
 
 def check_scene(scene: Scene, facets: bool = True) -> list[str]:
@@ -126,6 +181,7 @@ def _check_pair(scene: Scene, facets: bool) -> list[str]:
         _check_solid(scene, line)
         found = _check_border(scene, scene.medium, line) if scene.medium else []
         found += _facet_note(scene, line) if facets else []
+    found += _shine_note(scene, line)
     return found + _focus_note(scene, line) + _glow_note(scene, line)
 
 
@@ -146,6 +202,30 @@ def _facet_note(scene: Scene, line: LitLine) -> list[str]:
         f" the curved surface, where the {_light(scene.source).split()[-1]} meets them (estimated"
         " from the angles between them);"
         f" export the part finer, with a chord tolerance of {tolerance_um:.1g} um"
+    ]
+
+
+def _shine_note(scene: Scene, line: LitLine) -> list[str]:
+    """Note how much of a line a smooth metal mirrors past the camera."""
+    shapes = scene.mitsuba.shapes()
+    glossy = int(mi.BSDFFlags.Glossy)
+    if not any(int(shape.bsdf().flags()) & glossy for shape in shapes if shape.bsdf()):
+        return []
+    shown = scene.camera.inside(scene.camera.project(line.points_mm))
+    if not shown.any():
+        return []
+    seen = SeenSurface.of(scene, line.points_mm[shown], line.y_mm[shown])
+    sent = seen.sent[seen.reached]
+    if not np.any(sent > 0.0):  # a black frame, whose cause is told
+        return []
+    dark = np.mean(sent < FAINT * sent.max())
+    if dark < _FAINT_TOLD:
+        return []
+    return [
+        f'<bsdf id="{seen.shape(scene).bsdf().id()}">: where {dark:.0%} of the'
+        f" {_light(scene.source)} falls, the smooth surface mirrors it past the camera: less than"
+        f" {FAINT:g} of the light of the brightest point is left; give a rougher one (roughness),"
+        " or turn the sensor (beta, tilt, alpha)"
     ]
 
 

@@ -3,14 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import to_numpy, to_vectors
+from virtual_sensor.arrays import to_numpy
 from virtual_sensor.engine import mi
-from virtual_sensor.imaging.checks import lit_line
+from virtual_sensor.imaging.checks import SeenSurface, lit_line
 from virtual_sensor.imaging.scene import Scene
 
 Array = NDArray[np.float64]
-
-_SAME_MM = 0.1  # float32 and facets apart
 
 
 def why_dark(scene: Scene) -> str:
@@ -19,14 +17,14 @@ def why_dark(scene: Scene) -> str:
     Straight light is followed from the camera to the laser's line on the part, and what the part
     sends back is asked of its material there.
     """
-    camera, laser = scene.sensor.camera, scene.sensor.laser
+    camera = scene.sensor.camera
     line = lit_line(scene)
     shown = camera.inside(camera.project(line.points_mm))
     points = line.points_mm[shown]
     depth_mm = camera.pose.to_local(points)[:, 2]
     return (
         _clipped(scene, depth_mm)
-        or _unanswered(scene, points, laser.family.rays(0.0, line.y_mm[shown])[1])
+        or _unanswered(scene, points, line.y_mm[shown])
         or _missed(scene, points)
     )
 
@@ -47,32 +45,19 @@ def _clipped(scene: Scene, depth_mm: Array) -> str:
     return ""
 
 
-def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
-    """Why the surface at points of the line reflects no light in some directions."""
-    origin_mm = scene.sensor.camera.pose.origin_mm
-    toward = points_mm - origin_mm
-    distance_mm = np.linalg.norm(toward, axis=1)
-    toward /= distance_mm[:, None]
-    start = mi.Point3f(to_vectors(np.broadcast_to(origin_mm, points_mm.shape)))
-    si = scene.mitsuba.ray_intersect(mi.Ray3f(start, mi.Vector3f(to_vectors(toward))))
-    reached = np.abs(np.array(si.t) - distance_mm) < _SAME_MM
-    if not reached.any():
+def _unanswered(scene: Scene, points_mm: Array, y_mm: Array) -> str:
+    """Why the surface at points of the line, at y along it, sends no light to the camera."""
+    seen = SeenSurface.of(scene, points_mm, y_mm)
+    if not seen.reached.any():
         return (
             "<shape>: something stands between the camera and the laser's line all along; take it"
             " away, or turn the camera (to_world, alpha)"
         )
-    bsdf = si.bsdf()
-    back = mi.Vector3f(to_vectors(-light))
-    answer = bsdf.eval(mi.BSDFContext(), si, si.to_local(back))
-    if np.any(np.array(answer).reshape(-1, len(points_mm))[:, reached] > 0.0):
+    if np.any(seen.sent[seen.reached] > 0.0):
         return ""
-    seen = next(
-        shape
-        for shape in scene.mitsuba.shapes()
-        if np.any(np.array(si.shape == mi.ShapePtr(shape))[reached])
-    )
-    material, part = f'<bsdf id="{seen.bsdf().id()}">', f'<shape id="{seen.id()}">'
-    kinds = np.bitwise_or.reduce(np.array(bsdf.flags())[reached])
+    shape, si, reached = seen.shape(scene), seen.interaction, seen.reached
+    material, part = f'<bsdf id="{shape.bsdf().id()}">', f'<shape id="{shape.id()}">'
+    kinds = np.bitwise_or.reduce(np.array(si.bsdf().flags())[reached])
     if not kinds & int(mi.BSDFFlags.Smooth):
         what = "lets light through" if kinds & int(mi.BSDFFlags.Transmission) else "is a mirror"
         return (
@@ -80,7 +65,7 @@ def _unanswered(scene: Scene, points_mm: Array, light: Array) -> str:
             " rough surface (diffuse, roughconductor)"
         )
     normal, shading = to_numpy(si.n)[reached], to_numpy(si.sh_frame.n)[reached]
-    sides = [np.einsum("ij,ij->i", normal, d[reached]) < 0.0 for d in (toward, light)]
+    sides = [np.einsum("ij,ij->i", normal, d[reached]) < 0.0 for d in (seen.toward, seen.light)]
     if not np.any(sides[0] & sides[1]):
         return (
             f"{part}: camera and laser are not both in front of its faces, which have no back; if"

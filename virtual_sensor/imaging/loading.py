@@ -23,7 +23,7 @@ from virtual_sensor.engine import mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable, scratch_folder, sha256_of
 from virtual_sensor.imaging.expansion import grow
-from virtual_sensor.imaging.materials import name_material
+from virtual_sensor.imaging.materials import goes_by_coordinates, name_material, with_coordinates
 from virtual_sensor.imaging.part_kinds import AS_MESH, EXACT_KINDS, KINDS
 from virtual_sensor.imaging.part_survey import faults
 from virtual_sensor.imaging.parts import Part, read_part
@@ -515,16 +515,34 @@ def _prepare_parts(main: Path, state: Any, temporary: ExitStack) -> list[str]:
             digest = sha256_of(readable(file))
             found, ply = _prepared(file, kind, digest, tuple(to_world.ravel().tolist()))
         notes += found
-        if not ply:
+        mapped = goes_by_coordinates(state, node)
+        if not (ply or mapped):
             continue
         folder = folder or temporary.enter_context(scratch_folder())
-        written = folder / f"{number}.ply"
-        written.write_bytes(ply)
-        if "to_world" in props:
-            del props["to_world"]
-        props.set_plugin_name("ply")
-        props["filename"] = str(written)
+        if ply:
+            _exchange(props, folder / f"{number}.ply", ply)
+        if mapped:
+            mesh = mi.load_dict(
+                {"type": props.plugin_name()}
+                | {name: props[name] for name in ("filename", "to_world") if name in props}
+                | {"face_normals": bool(props.get("face_normals", False))}
+            )
+            if not mesh.has_vertex_texcoords():
+                _exchange(props, folder / f"{number}_mapped.ply", with_coordinates(mesh))
+                notes.append(
+                    f"{where} has no texture coordinates: its material is laid on along the axes,"
+                    " in mm, the lay of its surface along x"
+                )
     return notes
+
+
+def _exchange(props: mi.Properties, file: Path, ply: bytes) -> None:
+    """Have a shape read another file, in the scene's own place."""
+    file.write_bytes(ply)
+    if "to_world" in props:
+        del props["to_world"]
+    props.set_plugin_name("ply")
+    props["filename"] = str(file)
 
 
 @lru_cache(maxsize=_PARTS_CACHED)  # a sensor that moves has its scene loaded again, its part stays

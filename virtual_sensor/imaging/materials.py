@@ -153,3 +153,51 @@ def name_material(state: Any, file: Path) -> None:
             )
         state.nodes[index].props.set_id(ID)
         state.id_to_index = {**state.id_to_index, ID: index}
+
+
+def goes_by_coordinates(state: Any, shape: Any) -> bool:
+    """Whether the material of a shape has a texture or a lay, which texture coordinates give."""
+    nodes = [each for each in _inner(state, shape) if each.type == mi.ObjectType.BSDF]
+    while nodes:
+        node = nodes.pop()
+        along, across = (node.props.get(name, 0.0) for name in ("alpha_u", "alpha_v"))
+        if along != across or node.props.plugin_name() in ("bitmap", "checkerboard"):
+            return True
+        nodes += _inner(state, node)
+    return False
+
+
+def _inner(state: Any, node: Any) -> list[Any]:
+    """The nodes that a node of a parsed scene holds or refers to."""
+    kinds, props = mi.Properties.Type, node.props
+    places = [
+        props[name].index()
+        if props.type(name) == kinds.ResolvedReference
+        else state.id_to_index.get(props[name].id())
+        for name in props.keys()  # noqa: SIM118
+        if props.type(name) in (kinds.ResolvedReference, kinds.Reference)
+    ]
+    return [state.nodes[place] for place in places if place is not None]
+
+
+def with_coordinates(mesh: mi.Mesh) -> bytes:
+    """A PLY file of a mesh with texture coordinates by box mapping, in mm: u along x, the lay.
+
+    Each triangle has those two axes that lie most in its plane: (x, y), (x, z), or (y, z).
+    """
+    import trimesh  # most scenes have no such part
+
+    held = mi.traverse(mesh)
+    faces = np.array(held["faces"], np.int64)
+    places = np.array(held["vertex_positions"], np.float32).reshape(-1, 3)[faces]
+    a, b, c = places.reshape(-1, 3, 3).transpose(1, 0, 2)
+    steep = np.repeat(np.argmax(np.abs(np.cross(b - a, c - a)), axis=1), 3)
+    x, y, z = places.T
+    normals = None
+    if mesh.has_vertex_normals():
+        normals = np.array(held["vertex_normals"], np.float64).reshape(-1, 3)[faces]
+    split = trimesh.Trimesh(
+        places, np.arange(len(faces)).reshape(-1, 3), vertex_normals=normals, process=False
+    )
+    split.vertex_attributes |= {"u": np.where(steep == 0, y, x), "v": np.where(steep == 2, y, z)}
+    return bytes(split.export(file_type="ply", vertex_normal=normals is not None))
