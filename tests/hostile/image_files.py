@@ -382,7 +382,8 @@ def exrs(draw, picture):
 def others(draw, picture):
     """What has the wrong name, or isn't known."""
     grey = picture.grey(np.uint8, 255)
-    kind = draw(st.sampled_from(("jpg", "jpeg in png", "jpeg in tif", "png in bmp", "npy", "webp")))
+    kinds = ("jpg", "jpeg in png", "jpeg in tif", "png in bmp", "npy", "webp", "pgm", "pgm of 12")
+    kind = draw(st.sampled_from(kinds))
     name = {"jpg": "line.jpg", "jpeg in png": "line.png", "jpeg in tif": "line.tif"}.get(kind)
     if name:
         return Written(name, _cv(".jpg", grey), (grey,), loss=40.0, upright=False, label=kind)
@@ -392,5 +393,10 @@ def others(draw, picture):
         return Written("line.npy", file.getvalue(), (grey,), label=kind)
     if kind == "png in bmp":
         return Written("line.bmp", _cv(".png", grey), (grey,), label=kind)
+    if kind.startswith("pgm"):
+        top, kept = (255, ">u1") if kind == "pgm" else (4095, ">u2")
+        grey = picture.grey(np.uint16, top)
+        data = b"P5 %d %d %d\n" % (*grey.shape[::-1], top) + grey.astype(kept).tobytes()
+        return Written("line.pgm", data, (grey,), plain=True, label=kind)
     data = _pil(Image.fromarray(grey), "WEBP")
     return Written("line.webp", data, (grey,), loss=60.0, upright=False, label=kind)

@@ -83,6 +83,14 @@ def test_the_colour_of_an_image_is_that_of_the_laser_or_of_the_line(tmp_path):
     for nm, name in ((405, "blue"), (450, "blue"), (520, "green"), (532, "green"), (660, "red")):
         assert read_image(tmp_path / "white.png", wavelength_nm=nm).channel == name
     assert read_image(tmp_path / "white.png", "red", wavelength_nm=405).channel == "red"
+    huge = np.full(line.shape, 3e38, np.float32)
+    huge[3, 4:6] = np.nan, np.inf
+    write_exr(tmp_path / "huge.exr", {"R": huge, "G": huge / 2, "B": 0 * picture(255, np.float32)})
+    assert read_image(tmp_path / "huge.exr").channel in ("red", "green")
+    flat = np.zeros((1, 3_000_000, 3), np.uint8)
+    flat[..., 0] = 200
+    cv2.imwrite(str(tmp_path / "flat.ppm"), flat)
+    assert read_image(tmp_path / "flat.ppm").channel == "green"
     with pytest.raises(InputError, match=r"wavelength_nm is 0\.532; give it in nm"):
         read_image(tmp_path / "white.png", wavelength_nm=0.532)
 
