@@ -10,22 +10,29 @@ last one.  So a line may step, break off and come back, and what lies beside it 
 is a ghost, even where it is the brighter.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from virtual_sensor.metrology.line_profiles import Array, Index, Peaks
+from virtual_sensor.metrology.line_profiles import (
+    SMOOTHING_PX,
+    Array,
+    Coarse,
+    Index,
+    Peaks,
+    find_peaks,
+    pixels,
+)
 
 Mask = NDArray[np.bool_]
 
 CANDIDATES = 6  # peaks of a column that may be the line
 BREAK = 4.0  # columns' worth that it costs to go on somewhere else
 FAINT = 0.3  # height, relative to the usual one, that counts half
-LEAST = 0.25  # a column's worth: with less, it rather is no line
-BROAD = 1.5  # times the usual width: broader peaks count less
+LEAST = 0.2  # a column's worth: with less, it rather is no line
+_BESIDE = 3.0  # usual widths from a peak at which it is down to what is beside it
 AS_GOOD = 0.7  # of the line's merit: from there on another is as good
 SAME_LINE = (3.0, 2.0)  # px, and widths: so near lie peaks of one line in adjoining columns
 STEEP = 2.0  # px a column that a line may climb where columns are missing
@@ -72,7 +79,7 @@ class _Tracklets(NamedTuple):
 
 
 def with_line_first(
-    peaks: Peaks, count: int, same_height: float, more: Callable[[int], Peaks]
+    peaks: Peaks, count: int, same_height: float, coarse: Coarse, max_sigma: float
 ) -> tuple[Peaks, Mask]:
     """The `count` peaks of each column that are the line or come next, and which are ghosts: (L,).
 
@@ -86,13 +93,15 @@ def with_line_first(
         1: the line alone, or in columns without one the highest ghost.
     same_height : float
         Relative height from which on a second peak may be the line as well.
-    more : callable
-        Number to as many peaks of each column.
+    coarse : Coarse
+        In which they were found.
+    max_sigma : float
+        Broadest line in px.
     """
     if _is_clear(peaks, same_height):
         return peaks, np.zeros(peaks.row.size, bool)
-    at = more(max(count, CANDIDATES))
-    line, ghost = _choose(at)
+    at = find_peaks(coarse, max_sigma, max(count, CANDIDATES))
+    line, ghost = _choose(at, coarse.smooth)
     order = np.lexsort((-at.amplitude, ~line, at.column))
     at, line, ghost = at.take(order), line[order], ghost[order]
     first = _first_of_column(at.column)
@@ -145,10 +154,10 @@ def _first_of_column(column: Index) -> Mask:
     return np.diff(column, prepend=-1) != 0
 
 
-def _choose(peaks: Peaks) -> Choice:
+def _choose(peaks: Peaks, smooth: NDArray) -> Choice:
     order = np.lexsort((peaks.peak, peaks.column))
     at = _Sorted._make(getattr(peaks, name)[order] for name in _Sorted._fields)
-    merit = _merit(at)
+    merit = _merit(at, smooth)
     label = _labels(_links(at))
     tracklets = _tracklets(at, merit, label)
     on_path, line_of = _best_path(tracklets)
@@ -167,41 +176,53 @@ def _highest(at: _Sorted, value: Array) -> Mask:
     return (value == highest) & np.isfinite(value)
 
 
-def _merit(at: _Sorted) -> Array:
-    """What each peak speaks for a line, in columns: up to 1 - LEAST; below 0 it speaks against."""
-    highest = _highest(at, at.amplitude)
-    height = at.amplitude / np.median(at.amplitude[highest])
-    broad = at.sigma / (BROAD * np.median(at.sigma[highest]))
-    return height / (height + FAINT) / np.maximum(broad, 1.0) - LEAST
+def _merit(at: _Sorted, smooth: NDArray) -> Array:
+    """What each peak speaks for a line, in columns: up to 1 - LEAST; below 0 it speaks against.
+
+    It is the more the higher a peak stands above what is beside it, at a few of the usual widths:
+    of a broad one little.
+    """
+    usual = np.median(at.sigma[_highest(at, at.amplitude)])
+    beside = int(np.ceil(_BESIDE * np.hypot(usual, SMOOTHING_PX)))
+    around = [
+        pixels(smooth, at.peak + away, at.column).astype(float) for away in (-beside, 0, beside)
+    ]
+    height = np.maximum(around[1] - (around[0] + around[2]) / 2.0, 0.0)
+    height /= np.median(height[_highest(at, height)]) or 1.0
+    return height / (height + FAINT) - LEAST
 
 
-def _nearest(at: _Sorted, step: int) -> Index:
-    """The peak in the next column that is nearest to each, or in the last; -1: none in reach."""
+def _nearest(at: _Sorted, step: int) -> tuple[Index, Array, Mask]:
+    """The peak in the next column, or the last, that is nearest to each (L,), and how far it is.
+
+    And whether that is in reach of a line.
+    """
     span = float(np.ptp(at.peak)) + 1.0
     place = at.column * (4.0 * span) + (at.peak - at.peak.min())
     beyond = np.searchsorted(place, place + step * 4.0 * span)
     pair = np.stack([beyond - 1, beyond])
-    inside = np.clip(pair, 0, at.row.size - 1)
+    inside = np.clip(pair, 0, at.peak.size - 1)
     away = 1.0 * np.abs(at.peak[inside] - at.peak)
     away[(inside != pair) | (at.column[inside] != at.column + step)] = np.inf
-    which = away.argmin(axis=0), np.arange(at.row.size)
-    nearest = inside[which]
-    return np.where(away[which] <= _reach(at.sigma, at.sigma[nearest]), nearest, -1)
+    which = away.argmin(axis=0), np.arange(at.peak.size)
+    nearest, away = inside[which], away[which]
+    return nearest, away, away <= _reach(at.sigma, at.sigma[nearest])
 
 
 def _links(at: _Sorted) -> Index:
     """The peak in the next column that goes on with each one's line; -1: none.
 
-    None either beside the end of a long tracklet.
+    None either beside the end of a long tracklet, where two may merge.
     """
-    after, before = _nearest(at, 1), _nearest(at, -1)
-    agreed = (after >= 0) & (before[after] == np.arange(after.size))
+    (after, ahead, near), (before, behind, _) = _nearest(at, 1), _nearest(at, -1)
+    agreed = near & (before[after] == np.arange(after.size))
     links = np.where(agreed, after, -1)
     label = _labels(links)
     long = np.bincount(label)[label] >= _CUTS
     first = np.ones(links.size, bool)
     first[links[agreed]] = False
-    ends, starts = (after >= 0) & ~agreed & long, (before >= 0) & first & long
+    ends = ~agreed & long & (ahead <= SAME_LINE[0] + SAME_LINE[1] * at.sigma)
+    starts = first & long & (behind <= SAME_LINE[0] + SAME_LINE[1] * at.sigma)
     met = np.zeros(links.size, bool)
     met[after[ends]] = True
     links[agreed & met[after]] = -1

@@ -7,7 +7,6 @@ filter cannot shift it.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -207,10 +206,10 @@ def _columnwise(
     saturation: float,
     max_sigma: float,
 ) -> LineCentres:
-    search = partial(find_peaks, coarse_search(filled, noise.dark, min_amplitude), max_sigma)
-    peaks, ghosts = search(count), np.zeros((count, seen.size), bool)
+    coarse = coarse_search(filled, noise.dark, min_amplitude)
+    peaks, ghosts = find_peaks(coarse, max_sigma, count), np.zeros((count, seen.size), bool)
     if path:
-        peaks, ghost = with_line_first(peaks, count, SAME_HEIGHT, search)
+        peaks, ghost = with_line_first(peaks, count, SAME_HEIGHT, coarse, max_sigma)
         ghosts[peaks.rank, peaks.column] = ghost
     if count > 1:  # neighbours of one line beside each other
         peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))
