@@ -26,6 +26,7 @@ PANELS = {
     "correction": "failing_corrections",
     "fringes": "failing_fringes",
     "camera": "failing_cameras",
+    "bounces": "failing_bounces",
     "lines": "failing_lines",
 }
 

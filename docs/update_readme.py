@@ -52,7 +52,16 @@ def main(
         )
         shutil.copy(charted / "chart.png", PICTURES / "speed_accuracy.png")
         # Each panel alone can be read on a phone.
-        for panel in ("rays", "frames", "search", "correction", "fringes", "camera", "lines"):
+        for panel in (
+            "rays",
+            "frames",
+            "search",
+            "correction",
+            "fringes",
+            "camera",
+            "bounces",
+            "lines",
+        ):
             shutil.copy(charted / f"{panel}.png", PICTURES / f"speed_accuracy_{panel}.png")
     if peers:
         replace(

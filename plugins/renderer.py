@@ -400,10 +400,12 @@ class Prepared:
         seed: int,
         progress: Callable[[float], None] | None = None,
         moments: bool = False,
+        of_lit: bool = False,
     ) -> dict[str, NDArray[np.float32]]:
         """Light of the sources by reflections between surfaces, apart from direct light.
 
         Its pixels have samples of their own, few of them: it changes less from place to place.
+        With `of_lit` those alone have it that are lit.
 
         Returns
         -------
@@ -433,7 +435,8 @@ class Prepared:
         )
         for number, (straight, lit) in enumerate(sights):
             place = {"through": straight.view} if points else {}
-            self._expose_reflected(exposure, reflected, straight, lit, number, **place)
+            pixels = lit.index if of_lit else None
+            self._expose_reflected(exposure, reflected, straight, lit, pixels, number, **place)
         images = exposure.images().reshape(shape)
         return {name: images[:, i] for i, name in enumerate(names)}
 
@@ -457,10 +460,11 @@ class Prepared:
         reflected: Reflected,
         straight: StraightSight,
         lit: LitPixels,
+        pixels: NDArray[np.uint32] | None,
         stream: int,
         **place: Any,
     ) -> None:
-        """Expose all pixels to the sources' reflected light."""
+        """Expose pixels, or all, to the sources' reflected light."""
         arrangement, view = self.arrangement, straight.view
         film, _ = self._film_of(straight, lit)
         marched = replace(arrangement.marched, sources=())
@@ -472,8 +476,8 @@ class Prepared:
             si, _, valid = arrangement.met_by(marched.hits(ray))
             return si, valid
 
-        tiles, pixels = tiles_of(view.width, view.height)
-        seen, valid = met(view.centres(pixels), in_own_memory(pixels, mi.UInt32))
+        tiles, probes = tiles_of(view.width, view.height)
+        seen, valid = met(view.centres(probes), in_own_memory(probes, mi.UInt32))
         dr.eval(seen, valid)
         choices = reflected.choices(seen, valid, tiles, exposure.sampler.clone())
         across, width = (dr.opaque(mi.UInt32, n) for n in (tiles[1], view.width))
@@ -483,7 +487,7 @@ class Prepared:
             tile = pixel // width // TILE_PX * across + pixel % width // TILE_PX
             return reflected.radiances(si, valid, choices, tile, exposure.sampler), valid
 
-        exposure.add(None, by_reflections, _LANES["reflected"], stream, **place)
+        exposure.add(pixels, by_reflections, _LANES["reflected"], stream, **place)
 
     def _expose_pupil(
         self, exposure: Exposure, others: bool, fluxes: Mapping[str, Fluxes]

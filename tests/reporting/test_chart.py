@@ -287,7 +287,7 @@ def test_an_unknown_panel_ends_the_command(tmp_path):
     status, out, err = command("chart", "--panel", "wheels", "-o", tmp_path / "c")
     assert (status, out) == (2, "")
     assert (
-        "--panel wheels: the chart has rays, frames, search, correction, fringes, camera, lines"
-        in err
+        "--panel wheels: the chart has rays, frames, search, correction, fringes, camera, bounces,"
+        " lines" in err
     )
     assert list(tmp_path.iterdir()) == []

@@ -196,7 +196,7 @@ def test_an_unknown_panel_is_refused_with_all_names():
     """Rationale: who mistypes a name wants to see the right ones, before minutes of measuring."""
     with pytest.raises(
         InputError,
-        match="wheels: the chart has rays, frames, search, correction, fringes, camera, lines",
+        match="wheels: the chart has rays, frames, search, correction, fringes, camera, bounces, l",
     ):
         chart(["rays", "wheels"])
 

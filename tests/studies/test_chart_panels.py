@@ -8,7 +8,7 @@ from artificial import line_image
 
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.drawn_lines import line_shares
-from virtual_sensor.studies.chart import cameras, corrections, detectors, fringes, searches
+from virtual_sensor.studies.chart import bounces, cameras, corrections, detectors, fringes, searches
 from virtual_sensor.studies.chart.benchmark import measure_all
 
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood")
@@ -88,6 +88,16 @@ def test_cameras_are_ordered_by_their_sub_pupils_and_by_what_is_recorded():
     assert light["cached_maps", few] > light["cached_maps", many] == light["new_maps", many]
     assert light["marched", few] == pytest.approx(light["cached_maps", few], abs=2e-3)
     assert light["cached_maps", many] < noisy["recorded", many] < 0.3 * speckled["recorded", many]
+
+
+def test_light_that_bounces_is_less_noisy_by_more_points_of_the_stripe():
+    """Direct light alone misses what a shiny groove adds to its own line."""
+    (task,) = bounces.tasks(quick=True)
+    direct, bounced = measure_all("bounces", [task], lambda *now: None, 1)
+    assert (direct.name, bounced.name) == ("direct_light", "bounced")
+    assert bounced.chosen == {"bounces": 1, "indirect_samples": 4}
+    assert direct.failed == bounced.failed == 0
+    assert 0.0 < bounced.rms_px < direct.rms_px
 
 
 def test_detectors_know_their_truth_and_their_bound():

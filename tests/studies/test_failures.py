@@ -22,6 +22,8 @@ SILENT = {  # of these no status can know: the remedy stands beside each
     ("fringes", "gamma of the projector"),
     ("fringes", "air or part moves between the images"),
     ("camera", "the sensor moves while its shutter rolls"),
+    ("bounces", "too few points of the stripe"),
+    ("bounces", "too few bounces"),
 }
 WRONG_BEFORE_REPORTED = {  # and these are reported only of larger amounts
     "turned back by total reflection",  # within a micrometre of the field's border

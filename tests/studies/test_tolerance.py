@@ -83,6 +83,19 @@ def test_of_a_lens_the_sub_pupils_are_chosen():
     assert largest_error(line_of(chosen, column, fine.spp), truth) < 0.01
 
 
+@pytest.mark.slow
+def test_where_light_bounces_the_points_of_the_stripe_are_chosen():
+    """Of a shiny groove; direct light alone has none.  The line is judged where it stands out."""
+    film = {"width": 512, "height": 512, "line_radius": 0.4, "material": "ground_steel"}
+    steel = load_scene("v_groove", **film, max_depth=3)
+    coarse, fine = (choose(steel, px) for px in (0.5, 0.05))
+    assert 0 < coarse.indirect_samples < fine.indirect_samples
+    assert f"by {fine.indirect_samples} points of the stripe" in " ".join(fine.why)
+    assert f", {fine.indirect_samples} indirect samples: about" in str(fine)
+    assert configured(steel, fine).indirect_samples == fine.indirect_samples
+    assert choose(load_scene("v_groove", **film), 0.5).indirect_samples == 0
+
+
 def test_a_weak_field_needs_no_bent_rays(weak, weak_px):
     """Rationale: the line moves by less than is asked for; to bend its light is wasted work."""
     configuration = choose(weak, 1.3 * weak_px)

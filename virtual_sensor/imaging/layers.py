@@ -23,6 +23,8 @@ Image = NDArray[np.float32]
 VISIBLE = 0.01
 """Of the line's peak in a column: a ghost that is as bright counts among those that are seen."""
 
+_CLEAR = 2.0
+
 
 class GhostStatus(StatusEnum):
     """Whether a source lights a pixel by so many reflections."""
@@ -148,6 +150,12 @@ class GhostColumns(Table):
         seen = self.over_line[self.seen]
         most = f"up to {seen.max():.2g} of the line" if seen.size else ""
         return listed(f"ghosts in {seen.size} of {self.column.size} columns", most)
+
+
+def stands_out(direct: Image, indirect: Image) -> NDArray[np.bool_]:
+    """Columns (W,) whose line is twice as bright as what is reflected there: images (H, W)."""
+    clear: NDArray[np.bool_] = direct.max(axis=0) > _CLEAR * indirect.max(axis=0)
+    return clear
 
 
 def ghost_columns(direct: Image, indirect: Image) -> GhostColumns:

@@ -365,9 +365,12 @@ def bounces_of(prepared: Prepared) -> int:
     return prepared.arrangement.max_depth - DIRECT
 
 
-def bounced_light(prepared: Prepared, seed: int) -> Image:
-    """The radiance (H, W) of the sources' light that is reflected in between."""
-    by_source = list(prepared.indirect(seed).values())
+def bounced_light(prepared: Prepared, seed: int, of_lit: bool = False) -> Image:
+    """The radiance (H, W) of the sources' light that is reflected in between.
+
+    With `of_lit` in pixels alone that sources light.
+    """
+    by_source = list(prepared.indirect(seed, of_lit=of_lit).values())
     light: Image = np.sum([each[:, 0].sum(axis=0) for each in by_source], axis=0)
     return light
 
@@ -406,11 +409,22 @@ def light_of_sources(
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
-    """Radiance (H, W) of the pixels that sources light in some columns; zero in all others."""
+    """Radiance (H, W) of the direct light of pixels that sources light in some columns.
+
+    Zero in all others.
+    """
     scene, samples, seed = checked("render_columns", scene, spp, seed)
     with ONE_FRAME:
         exposure, _ = prepared_for(scene, column).exposed(samples, seed, others=False)
         return exposure.images()[0]
+
+
+def indirect_columns(scene: Scene, column: Columns, indirect_samples: int, seed: int = 0) -> Image:
+    """Likewise of the light that bounces, by so many points of the lit stripe a sample."""
+    with ONE_FRAME:
+        prepared = prepared_for(scene, column)
+        given = replace(prepared.arrangement, indirect_samples=indirect_samples)
+        return bounced_light(replace(prepared, arrangement=given), seed, of_lit=True)
 
 
 def render_uncached(scene: Scene, spp: int | None = None) -> Image:

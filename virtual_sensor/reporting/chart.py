@@ -45,6 +45,7 @@ TITLES = {
     "correction": "Correction",
     "fringes": "Fringes",
     "camera": "Cameras with a lens",
+    "bounces": "Light that bounces",
     "lines": "Line detectors",
 }
 _JOBS = {
@@ -54,6 +55,7 @@ _JOBS = {
     "correction": "Corrected points",
     "fringes": "Decoded pixels",
     "camera": "Frames through a lens",
+    "bounces": "Frames of a shiny groove",
     "lines": "Line centres",
 }
 ITEMS = {
@@ -63,6 +65,7 @@ ITEMS = {
     "correction": "point",
     "fringes": "pixel",
     "camera": "frame",
+    "bounces": "frame",
     "lines": "column",
 }
 _METHODS = {
@@ -71,6 +74,7 @@ _METHODS = {
     "sharma": "Sharma",
     "dopri5": "Dormand-Prince 5(4)",
     "direct": "Mitsuba's direct",
+    "bounced": "with reflections",
     "paper": "paper's search",
     "newton_along_line": "Newton along the line",
     "newton_by_ray": "Newton ray by ray",
@@ -97,6 +101,8 @@ _METHODS = {
 _SETTINGS: dict[str, Callable[[Any], str]] = {
     "samples_per_pixel": lambda number: f"{counted(number, 'sample')} per pixel",
     "sub_pupils": lambda number: counted(number, "sub-pupil"),
+    "bounces": lambda number: counted(number, "bounce"),
+    "indirect_samples": lambda number: f"{counted(number, 'point')} of the stripe",
     "images": lambda number: counted(number, "image"),
     "steps": "{} steps".format,
     "periods_px": lambda text: f"periods of {text.replace(',', ', ')} px",

@@ -7,6 +7,8 @@ each by a few rays or a few columns of the very scene:
 * the march's step: bent rays by this step beside those by a quarter of the finest;
 * the tables: their own estimate;
 * samples: line centres of some columns by so many samples, beside those by many;
+* light that bounces, where the scene has it: its noise in the line's centres, by so many points of
+  the lit stripe for each sample;
 * the lens, where there is one: the same by so many sub-pupils, and so many samples of a pixel
   through each.  Its blur is never left out: it makes the line's width, and so its noise.
 """
@@ -20,7 +22,8 @@ from numpy.typing import NDArray
 
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.checks import check_scene
-from virtual_sensor.imaging.render import lit_pixels, render_columns
+from virtual_sensor.imaging.layers import stands_out
+from virtual_sensor.imaging.render import DIRECT, indirect_columns, lit_pixels, render_columns
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.metrology.centres import LineCentres
 from virtual_sensor.metrology.line_peaks import line_centres
@@ -41,7 +44,11 @@ SAMPLES = (1, 4, 9, 16, 36)
 SUB_PUPILS = ((4, 1), (9, 1), (16, 1), (16, 4), (36, 4))
 """Sub-pupils of a lens that are tried, and samples of a pixel through each, fewest first."""
 
+INDIRECT_SAMPLES = (1, 4, 16, 64)
+"""Points of the lit stripe for each sample of light that bounces that are tried, fewest first."""
+
 _MANY_SAMPLES = 100
+_MANY_FRAMES = 8  # by the most points of the stripe
 _MANY_SUB_PUPILS = 64, 4
 _RAYS = 33  # along the line
 _GROUPS = 16  # of columns, the line's ends among them
@@ -67,6 +74,8 @@ class Configuration(Record):
         Tolerance of the ray maps.
     sub_pupils : int
         Of the lens; 0 where the camera is a pinhole.
+    indirect_samples : int
+        Points of the lit stripe for each sample of light that bounces; 0 of direct light alone.
     estimate_px : dict
         The parts of its estimated error.
     why : list of str
@@ -78,6 +87,7 @@ class Configuration(Record):
     spp: int
     table_px: float
     sub_pupils: int
+    indirect_samples: int
     estimate_px: dict[str, float]
     why: list[str]
 
@@ -89,13 +99,13 @@ class Configuration(Record):
     @property
     def parameters(self) -> dict[str, str]:
         """The scene's parameters that choose it."""
-        lens = {"sub_pupils": str(self.sub_pupils)} if self.sub_pupils else {}
+        also = {"sub_pupils": self.sub_pupils, "indirect_samples": self.indirect_samples}
         return {
             "transport": self.transport,
             "step": f"{self.step_mm:g}",
             "spp": str(self.spp),
             "tolerance": f"{self.table_px:g}",
-            **lens,
+            **{name: str(number) for name, number in also.items() if number},
         }
 
     def knowing(self, words: str, estimate_px: Mapping[str, float] | None = None) -> Self:
@@ -108,7 +118,8 @@ class Configuration(Record):
         step = f", step {self.step_mm:g} mm" if self.transport != "straight" else ""
         maps = f", tolerance {self.table_px:.2g} px" if self.transport == "tabulated" else ""
         lens = f", {self.sub_pupils} sub-pupils" if self.sub_pupils else ""
-        settings = f"transport {self.transport}{step}{maps}, spp {self.spp}{lens}"
+        stripe = f", {self.indirect_samples} indirect samples" if self.indirect_samples else ""
+        settings = f"transport {self.transport}{step}{maps}, spp {self.spp}{lens}{stripe}"
         return f"{settings}: about {self.error_px:.2g} px ({parts})"
 
 
@@ -142,7 +153,7 @@ def choose(scene: Scene, tolerance_px: float) -> Configuration:
     column = groups(whole, np.linspace(0.0, 1.0, _GROUPS))
     step_mm = scene.transport.march.step_mm
     sub_pupils, spp = _tried(scene)[-1]
-    found = Configuration("straight", step_mm, spp, tolerance_px, sub_pupils, {}, [])
+    found = Configuration("straight", step_mm, spp, tolerance_px, sub_pupils, 0, {}, [])
     if scene.field is None:
         found = found.knowing("no field: light runs straight")
     else:
@@ -158,7 +169,8 @@ def choose(scene: Scene, tolerance_px: float) -> Configuration:
     if found.error_px > tolerance_px:
         raise InputError(
             f"tolerance {tolerance_px:g} px: the best that was found is {found}; ask for more, or"
-            f" set method, step{', sub_pupils' if found.sub_pupils else ''} and spp (-D) yourself"
+            f" set method, step{', sub_pupils' if found.sub_pupils else ''}"
+            f"{', max_depth' if found.indirect_samples else ''} and spp (-D) yourself"
         )
     return found
 
@@ -312,7 +324,32 @@ def _with_samples(
     by = f"{sub_pupils} sub-pupils and {samples}" if sub_pupils else samples
     words = f"an error of {error:.2g} px by {by}"
     part = {"lens" if sub_pupils else "samples": error}
-    return replace(found, spp=spp, sub_pupils=sub_pupils).knowing(words, part)
+    found = replace(found, spp=spp, sub_pupils=sub_pupils).knowing(words, part)
+    if scene.max_depth == DIRECT or found.error_px > tolerance_px:
+        return found
+    return _with_indirect_samples(through(scene, sub_pupils), found, tolerance_px, column)
+
+
+def _with_indirect_samples(
+    scene: Scene, found: Configuration, tolerance_px: float, column: Index
+) -> Configuration:
+    """The configuration with the fewest points of the stripe that keep what is left.
+
+    In columns whose line stands out of the light that bounces.
+    """
+    direct = render_columns(scene, column, found.spp)
+    most = INDIRECT_SAMPLES[-1]
+    many = [indirect_columns(scene, column, most, 1 + seed) for seed in range(_MANY_FRAMES)]
+    mean = np.mean(many, axis=0)
+    clear = stands_out(direct, mean)
+    best = TrueLine.of_rows(np.where(clear, line_centres(direct + mean).row, np.nan))
+    for number in INDIRECT_SAMPLES:
+        noisy = direct + indirect_columns(scene, column, number)
+        error = largest_error(line_centres(noisy), best)
+        if error <= tolerance_px - found.error_px:
+            break
+    words = f"light that bounces errs by {error:.2g} px by {number} points of the stripe a sample"
+    return replace(found, indirect_samples=number).knowing(words, {"light that bounces": error})
 
 
 def _tried(scene: Scene) -> list[tuple[int, int]]:

@@ -116,7 +116,7 @@ class Measured(Record):
     Attributes
     ----------
     panel : str
-        "rays", "frames", "search", "correction", "fringes", "camera" or "lines".
+        "rays", "frames", "search", "correction", "fringes", "camera", "bounces" or "lines".
     task : str
         What was done: errors of one task compare, those of others do not.
     name : str

@@ -64,6 +64,7 @@ PANELS = {
     "correction": Panel("corrections", 0.1),
     "fringes": Panel("fringes", 0.1),
     "camera": Panel("cameras", 0.15),
+    "bounces": Panel("bounces", 0.15),
     "lines": Panel("detectors", 0.03),
 }
 

@@ -30,7 +30,7 @@ class Failures(Table):
     ----------
     panel : sequence of str
         Panel of the chart whose methods they are: rays, frames, search, correction, fringes,
-        camera or lines.
+        camera, bounces or lines.
     trouble : sequence of str
         What is made worse.
     method : sequence of str
