@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from virtual_sensor_scenes.make_v_groove import extruded, profile
+from virtual_sensor_scenes import make_bearing_ring as bearing_ring
+from virtual_sensor_scenes import make_v_groove as v_groove
 
 import virtual_sensor as vs
 from virtual_sensor.engine import mi
@@ -184,30 +185,46 @@ def test_a_mirroring_metal_is_told():
         assert len(notes) == told
 
 
-def test_v_groove_is_closed_and_what_its_script_makes():
-    """Each edge has two triangles that run along it in opposite directions; walls at 45 degrees."""
-    vertices, faces = extruded(profile())
-    _, same = np.unique(vertices[:, :3], axis=0, return_inverse=True)
+@pytest.mark.parametrize(
+    ("mesh", "name", "volume"),
+    [
+        (v_groove.extruded(v_groove.profile()), "v_groove", 80.0 * (60.0 * 12.0 - 8.0**2)),
+        (bearing_ring.revolved(), "bearing_ring", 20_327.7),
+    ],
+)
+def test_meshes_are_closed_and_what_their_scripts_make(mesh, name, volume):
+    """Each edge has two triangles that run along it in opposite directions, normals outward.
+
+    The ring's volume is that of Pappus, less that of its coarse facets.
+    """
+    vertices, faces = mesh
+    _, same = np.unique(np.round(vertices[:, :3], 4), axis=0, return_inverse=True)
     corners = same.ravel()[faces]
     edges = np.concatenate([corners[:, [i, (i + 1) % 3]] for i in range(3)])
     there = set(map(tuple, edges.tolist()))
     assert len(there) == len(edges)
     assert there == {(end, start) for start, end in there}
     a, b, c = (vertices[faces[:, i], :3].astype(float) for i in range(3))
-    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
-    assert volume == pytest.approx(80.0 * (60.0 * 12.0 - 8.0**2))
-    file = shipped_scenes() / "meshes" / "v_groove.ply"
-    mesh = mi.traverse(mi.load_dict({"type": "ply", "filename": str(file)}))
-    np.testing.assert_array_equal(np.ravel(mesh["faces"]), faces.ravel())
-    np.testing.assert_array_equal(np.reshape(mesh["vertex_positions"], (-1, 3)), vertices[:, :3])
-    np.testing.assert_array_equal(np.reshape(mesh["vertex_texcoords"], (-1, 2)), vertices[:, 6:])
+    outward = np.cross(b - a, c - a)
+    assert np.all(np.einsum("ij,ij->i", outward, vertices[faces[:, 0], 3:6]) > 0.0)
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0 == pytest.approx(volume, rel=1e-3)
+    file = shipped_scenes() / "meshes" / f"{name}.ply"
+    held = mi.traverse(mi.load_dict({"type": "ply", "filename": str(file)}))
+    np.testing.assert_array_equal(np.ravel(held["faces"]), faces.ravel())
+    for part, columns in (("positions", slice(3)), ("texcoords", slice(6, 8))):
+        values = np.reshape(held[f"vertex_{part}"], (len(vertices), -1))
+        np.testing.assert_allclose(values, vertices[:, columns], atol=1e-5)
 
 
-def test_both_walls_of_the_groove_are_seen():
-    """The whole line, on walls at 45 degrees and on the plates beside them."""
-    scene = vs.load_scene("v_groove", **SMALL)
-    assert scene.notes == ()
-    found = vs.ray_search(scene, y := np.linspace(-10.9, 10.9, 41), "newton")
-    assert np.all(found.status == vs.SearchStatus.FOUND)
-    z = np.minimum(np.abs(y) - 8.0, 0.0)
-    np.testing.assert_allclose(found.laser_point_mm[:, 2], z, atol=1e-4)
+def test_the_line_is_seen_all_along_groove_and_raceway():
+    """On walls at 45 degrees and the plates beside them; on a circle and its shoulders."""
+    y = np.linspace(-10.9, 10.9, 41)
+    middle = 27.0 + 6.6 - 30.0  # of the raceway's circle, in z
+    raceway = middle - np.sqrt(np.maximum(6.6**2 - y**2, middle**2))
+    for name, z in (("v_groove", np.minimum(np.abs(y) - 8.0, 0.0)), ("bearing_ring", raceway)):
+        scene = vs.load_scene(name, **SMALL)
+        assert scene.notes == ()
+        on = np.abs(y) < (8.9 if name == "bearing_ring" else 11.0)
+        found = vs.ray_search(scene, y[on], "newton")
+        assert np.all(found.status == vs.SearchStatus.FOUND)
+        np.testing.assert_allclose(found.laser_point_mm[:, 2], z[on], atol=1e-3)

@@ -37,7 +37,7 @@ def correct(
         typer.Option(
             help="In which it was measured, by default the one that the folders name; a file, or"
             " one that is installed: hot_cylinder, cold_cylinder, stepped_shaft,"
-            " v_groove."
+            " v_groove, bearing_ring."
         ),
     ] = None,
     define: shared.Definitions = None,

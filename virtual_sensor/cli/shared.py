@@ -46,7 +46,7 @@ SceneArgument = Annotated[
         metavar="SCENE",
         callback=there,
         help="A scene file, or one that is installed: hot_cylinder, cold_cylinder, stepped_shaft,"
-        " v_groove.",
+        " v_groove, bearing_ring.",
     ),
 ]
 Definitions = Annotated[
