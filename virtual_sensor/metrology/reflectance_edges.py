@@ -19,7 +19,7 @@ from scipy.ndimage import (
     uniform_filter1d,
 )
 from scipy.optimize import nnls
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.edge_fits import (
@@ -39,8 +39,9 @@ from virtual_sensor.metrology.line_profiles import QUARTILE, Array, Index, Noise
 
 Mask = NDArray[np.bool_]
 
-_DOUBTED = (Status.SKEWED, Status.CUT, Status.DOUBLED, Status.POOR_FIT)
-_MENDED = (Status.OK, *_DOUBTED, Status.TOO_NARROW, Status.NO_PEAK)
+_DOUBTED = (Status.SKEWED, Status.CUT, Status.DOUBLED)
+_MENDED = (Status.OK, *_DOUBTED, Status.POOR_FIT, Status.TOO_NARROW, Status.NO_PEAK)
+_BROADEST_PX = 16.0  # sigma: over a broader line no edge is sought
 _GAP = 12  # columns between two of one edge
 _FEWEST = 12  # columns that show an edge
 _MARGIN, _MOST_MARGIN = 48, 300  # columns beside them, to which their number is added; at most
@@ -48,25 +49,25 @@ _LOST = 8  # columns without a line end it
 _REACH = 4.2  # sigma of the pixels that count
 _NEAR = 3.5  # sigma: an edge so near shifts the centre
 _FIRST_BLUR = 0.25  # sigma
+_LEVELS = 1.2  # times as bright on one side of an edge that crosses the line
+_STILL = 5  # columns
 _CHANGE = 2.0  # cost of a change by a sigma from place to place
 _RATIOS = (1.25, 1.6, 2.2, 3.0, 5.0, 9.0, 16.0)
 _ROW_STEPS = np.arange(-2.0, 2.01, 0.5)  # sigma
 _EDGE_STEPS = np.arange(-3.0, 3.01, 0.5)
 _NODES, _SEVERAL = 64, 3  # places along the edge at which it is sought first, columns of each
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
-_SMOOTH, _ROUGH = (
-    0.01,
-    0.03,
-)  # of the height: noise that is added at first, so that no fit is caught
+# Noise that is added at first, of the height, so that no fit is caught.
+_SMOOTH, _ROUGH = 0.01, 0.03
 _PERHAPS = 1.3  # times as much is left by a first fit in some columns
 _ROUNDS = 2  # of fits with the noise that the last one shows
 _ENOUGH_CLEAN = 16  # columns that show the line's own width
 _MIDDLE = 0.7  # of the columns near an edge: those that show what it is
 _AS_GOOD, _BETTER = 1.12, 0.9  # what is left, over that of other models; without clean columns
-_CLEAR = 15.0  # what is gained, in columns' square roots
+_USUAL = 1.4  # times the misfit of the columns beside it
+_CLEAR = 6.0  # what is gained, in columns' square roots
 _DOUBT = 5.0  # widths by which a centre may be off, for each lopsided misfit
 _WORST = 0.7  # widths: no larger error is a centre's
-_LIKELY = 2.5  # times the expected misfit: of neighbours that are no edge
 _BROADEST_BLUR = 0.8  # sigma
 
 
@@ -121,6 +122,9 @@ def correct_edges(
 def _segments(line: Line, uneven: Array, status: Index) -> list[tuple[int, int]]:
     """Runs of columns that an edge may be in, with some beside them."""
     doubted = (uneven > 0.0) | np.isin(status, _DOUBTED)
+    doubted &= ~(line.width > _BROADEST_PX)
+    if doubted.sum() < _FEWEST:
+        return []  # as of most lines
     closed = binary_closing(np.pad(doubted, _GAP), np.ones(_GAP))[_GAP:-_GAP] | doubted
     runs, _ = label(closed)
     whole = np.arange(1, runs.max() + 1)
@@ -133,7 +137,10 @@ def _segments(line: Line, uneven: Array, status: Index) -> list[tuple[int, int]]
         if doubted[columns].sum() < _FEWEST:
             continue
         margin = min(_MARGIN + columns.size, _MOST_MARGIN)
-        inside = np.flatnonzero(parts == parts[columns[columns.size // 2]])
+        lines = parts[columns][parts[columns] > 0]
+        if not lines.size:
+            continue
+        inside = np.flatnonzero(parts == lines[lines.size // 2])
         first = max(columns[0] - margin, inside[0])
         last = min(columns[-1] + margin, inside[-1]) + 1
         if result and first < result[-1][1]:  # one edge, whose effect vanishes in between
@@ -201,6 +208,7 @@ def _first_fit(
     smooth = Smooth().over(step)
     variance = _first_variance(window, line, noise, column)
     starts = _sought(window, row, width, variance + (_SMOOTH * height) ** 2, _unevenness(line))
+    starts += _by_levels(window, width, line)
     rough = variance + (_ROUGH * height) ** 2
     fits = (fit_edge(window, *start, rough, smooth) for start in starts)
     fit = min(fits, key=lambda fit: fit.cost)
@@ -231,15 +239,22 @@ def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: flo
     pixels = part.use.sum()
     left = (weight * fit.residual[:, near] ** 2).sum() / (pixels - 4.2 * near.sum())
     gaussian, *others = _alternatives(part, weight, at, broad, fit.own[ROW, near], width[near])
+    aside = ~_near(fit, 1.0)
+    beside = (window.use * fit.residual**2 / fit.variance)[:, aside].sum()
+    usual = max(beside / max(window.use[:, aside].sum() - 4.0 * aside.sum(), 1.0), 1.0)
     limit = _AS_GOOD if clean.sum() > _ENOUGH_CLEAN else _BETTER
-    gained = gaussian * (pixels - 4.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
-    return bool(left < loosely * limit * min(others) and gained > _CLEAR * np.sqrt(near.sum()))
+    gained = gaussian * (pixels - 3.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
+    limit = loosely * min(limit * min(others), _USUAL * usual)
+    return bool(left < limit and gained > _CLEAR * np.sqrt(near.sum()))
 
 
 def _alternatives(
     window: Window, weight: Array, row: Array, width: Array, own_row: Array, own_width: Array
 ) -> tuple[float, float, float]:
-    """What a Gaussian leaves for each degree of freedom, a skewed and flat one, and two lines."""
+    """What a Gaussian of the line's own width leaves, a skewed and flat one, and two lines.
+
+    Of each degree of freedom.
+    """
     z = (window.rows - row) / width
     gaussian = np.exp(-0.5 * z**2)
     one = np.ones_like(z)
@@ -254,7 +269,13 @@ def _alternatives(
             both = [one, first, x * first, second, (x - apart) * second]
             lines = np.minimum(lines, _left(window, weight, both))
     count = window.use.sum()
-    parts = (_left(window, weight, powers), 4), (_left(window, weight, hermite), 6), (lines, 6)
+    x = (window.rows - row) / own_width
+    narrow = np.exp(-0.5 * x**2)
+    parts = (
+        (_left(window, weight, [one, narrow, x * narrow]), 3),
+        (_left(window, weight, hermite), 6),
+        (lines, 7),
+    )
     plain, skewed, two = (each.sum() / (count - free * row.size) for each, free in parts)
     return float(plain), float(skewed), float(two)
 
@@ -319,24 +340,31 @@ def _sought(
     moved, away = (grid.ravel() for grid in np.meshgrid(_ROW_STEPS, _EDGE_STEPS, indexing="ij"))
     off = z[:, None] - moved[:, None]
     gaussian = np.exp(-0.5 * off**2)
-    below = ndtr((off - away[:, None]) / _FIRST_BLUR)
-    sums = weight.sum(axis=0)
-    centred = weight * (window.values - (weight * window.values).sum(axis=0) / sums)
+    bright = gaussian * ndtr((off - away[:, None]) / _FIRST_BLUR)
+    # The line, its bright side, and the derivatives by the row: every ratio is made of them.
+    basis = np.stack([gaussian, bright, off * gaussian, off * bright], dtype=np.float32)
+    share = np.sqrt(weight).astype(np.float32)
+    mean = np.einsum("nl,insl->isl", (weight / weight.sum(axis=0)).astype(np.float32), basis)
+    basis = ((basis - mean[:, None]) * share[:, None]).transpose(3, 2, 0, 1)
+    level = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
+    seen = (share * (window.values - level)).astype(np.float32).T
+    matches = (basis @ seen[:, None, :, None])[..., 0].astype(float)  # (L, S, 4)
+    squares = (basis @ basis.swapaxes(2, 3)).astype(float)  # (L, S, 4, 4)
+    members = np.bincount(node)[:, None]
     results = []
     for ratio in (*_RATIOS, *(1.0 / each for each in _RATIOS)):
-        template = gaussian * (ratio**-0.5 + (ratio**0.5 - ratio**-0.5) * below)
-        pair = np.stack([template, off * template])  # and its derivative by the row
-        match = np.einsum("nl,insl->isl", centred, pair)
-        pair -= np.einsum("nl,insl->isl", weight / sums, pair)[:, None]
-        (a, b), (_, d) = np.einsum("insl,nl,jnsl->ijsl", pair, weight, pair, optimize=True)
+        mix = np.zeros((2, 4))
+        mix[[0, 1], [0, 2]], mix[[0, 1], [1, 3]] = ratio**-0.5, ratio**0.5 - ratio**-0.5
+        match = np.moveaxis(matches @ mix.T, -1, 0)
+        (a, b), (_, d) = np.moveaxis(mix @ squares @ mix.T, (-2, -1), (0, 1))
         height = (d * match[0] - b * match[1]) / (a * d - b * b)
         shift = (a * match[1] - b * match[0]) / (a * d - b * b)
         gain = height * match[0] + shift * match[1]
         possible = (height > 0.0) & (np.abs(shift) < 0.5 * height)
         gain, height = np.where(possible, gain, 0.0), np.where(possible, height, 0.0)
         gains, heights = np.zeros((2, node[-1] + 1, moved.size))
-        np.add.at(gains, node, gain.T)
-        np.add.at(heights, node, height.T)
+        np.add.at(gains, node, gain)
+        np.add.at(heights, node, height / members[node])
         heights = np.log(np.maximum(heights, 1e-9 * heights.max() + 1e-300))
         path, total = _path(gains, heights / even, moved, away)
         results.append((total, ratio, path, height))
@@ -348,11 +376,44 @@ def _sought(
         own[ROW] = row + width * moved[path[node]]
         own[EDGE] = own[ROW] + width * away[path[node]]
         own[WIDTH] = np.log(width)
-        heights = np.maximum(median_filter(height[path[node], np.arange(count)], 5), least)
+        heights = np.maximum(median_filter(height[np.arange(count), path[node]], 5), least)
         own[HEIGHT] = np.log(heights)
         own[LEVEL] = np.median(window.values[[0, 1, -2, -1]], axis=0)
         shared = np.array([np.log(ratio), np.log(0.25 * np.median(width))])
         guesses.append((own, shared))
+    return guesses
+
+
+def _by_levels(window: Window, width: Array, line: Line) -> list[tuple[Array, Array]]:
+    """First guesses where an edge crosses the line, which is brighter before it than behind it.
+
+    The light of each column says how much of the line is on the bright side, which is the one or
+    the other; and by how much its centroid is off.
+    """
+    columns = np.arange(line.row.size)
+    there = np.isfinite(line.row)
+    row, light = (
+        median_filter(np.interp(columns, columns[there], values[there]), _STILL, mode="nearest")
+        for values in (line.row, line.height * line.width)
+    )
+    few = max(columns.size // 10, 1)
+    before, behind = np.median(light[:few]), np.median(light[-few:])
+    bright, dark = max(before, behind), min(before, behind)
+    if not dark * _LEVELS < bright:
+        return []
+    share = np.clip((light - dark) / (bright - dark), 1e-3, 1.0 - 1e-3)
+    away = ndtri(share)
+    shift = (bright - dark) * np.exp(-0.5 * away**2) / np.sqrt(2.0 * np.pi) / light
+    guesses = []
+    for sign in (1.0, -1.0):  # the bright side is below, or above
+        own = np.empty((5, columns.size))
+        own[ROW] = row - sign * shift * width
+        own[EDGE] = own[ROW] - sign * away * width
+        own[WIDTH] = np.log(width)
+        own[HEIGHT] = np.log(np.sqrt(bright * dark) / np.median(width))
+        own[LEVEL] = np.median(window.values[[0, 1, -2, -1]], axis=0)
+        blur = np.log(_FIRST_BLUR * np.median(width))
+        guesses.append((own, np.array([sign * np.log(bright / dark), blur])))
     return guesses
 
 
