@@ -38,9 +38,9 @@ TROUBLES: list[tuple[str, Sequence[float], str, Draw]] = [
     ),
     (
         "line saturated",
-        (0.0, 0.02, 0.1, 0.3, 0.6),
-        "of its height clipped",
-        lambda share, v: lines(v, amplitude=0.95 if share == 0.0 else 1.0 / (1.0 - share)),
+        (0.95, 1.02, 2.0, 4.0, 8.0, 16.0, 64.0, 256.0),
+        "times the saturation",
+        lambda times, v: lines(v, amplitude=times),
     ),
     (
         "line broken",

@@ -266,7 +266,7 @@ def test_what_a_camera_knows_need_not_be_said_again():
     np.testing.assert_array_equal(known.sigma, told.sigma)
     assert np.median(np.abs(known.sigma / line_centres(grey).sigma - 1.0)) > 0.01
     clipped = grey_values(image, sensor, peak_e=9000.0)
-    assert np.all(line_centres(clipped, sensor=sensor).status == Status.SATURATED)
+    assert np.all(line_centres(clipped, sensor=sensor).status == Status.CLIPPED)
 
 
 def test_frames_of_a_sequence_are_exposed_alike_and_have_noise_of_their_own():

@@ -109,7 +109,7 @@ def test_detection_heeds_what_the_file_says(tmp_path):
     image = vs.read_image(path)
     told = vs.line_centres(grey, "max_likelihood", sensor=SENSOR)
     assert vs.line_centres(image, "max_likelihood") == told
-    assert {*np.unique(told.status)} == {vs.Status.OK, vs.Status.SATURATED}
+    assert {*np.unique(told.status)} == {vs.Status.OK, vs.Status.CLIPPED}
     write_beside(path, {"seed": 1})
     [found] = detect([path], Settings("max_likelihood"))
     assert found.line == told

@@ -375,7 +375,7 @@ def test_grey_values_beyond_a_knee_are_stretched_back_in_proportion_to_the_light
     np.testing.assert_array_equal(plain.without_knee(grey), grey)
 
 
-def test_columns_that_a_knee_leaves_saturated_have_that_status(tmp_path):
+def test_columns_that_a_knee_leaves_clipped_have_that_status(tmp_path):
     """Rationale: single and double precision parted the image from its saturation: DOUBLED."""
     rows = np.arange(64)[:, None] - np.linspace(30.0, 33.0, 40)
     for black in (4.0, 5.0, 6.0, 7.0):
@@ -388,7 +388,7 @@ def test_columns_that_a_knee_leaves_saturated_have_that_status(tmp_path):
             vs.read_image(tmp_path / "shot.png"),
         ):
             line = vs.line_centres(shot)
-            assert np.all(line.status == vs.Status.SATURATED), line
+            assert np.all(line.status == vs.Status.CLIPPED), line
 
 
 def test_a_line_that_a_knee_flattens_is_found_as_wide_as_it_is(scene, frame):

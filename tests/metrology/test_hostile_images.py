@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from virtual_sensor.errors import InputError
-from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import NAMES
 from virtual_sensor.metrology.line_peaks import line_centres
 
@@ -75,7 +74,7 @@ def check(number):
         assert picture.ndim != 2 or 0 in picture.shape or picture.dtype not in DTYPES[:4]
         return "refused"
     height, width = picture.shape
-    good = found.status == Status.OK
+    good = found.found
     for place, size in ((found.row, height), (found.column, width)):
         assert np.all((place[good] >= -0.5) & (place[good] <= size - 0.5))
     assert not np.any(np.isfinite(found.pixel[~good]))

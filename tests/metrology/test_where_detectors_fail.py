@@ -18,8 +18,8 @@ TROUBLES = {  # from none to much, and an image of lines at rows (W,) with so mu
         lambda sigma, row: line_image(row, sigma) / line_image(row, sigma).max(),
     ),
     "line saturated": (
-        (0.0, 0.02, 0.1, 0.3, 0.6),
-        lambda share, row: line_image(row, SIGMA, 1.0 / (1.0 - share) if share else 0.95),
+        (0.95, 1.02, 2.0, 8.0, 64.0),
+        lambda times, row: line_image(row, SIGMA, times),
     ),
     "line broken": (
         (0, 1, 3, 10),
@@ -40,7 +40,7 @@ TROUBLES = {  # from none to much, and an image of lines at rows (W,) with so mu
 }
 TOLD = {
     "line thinner than a pixel": {Status.TOO_NARROW, Status.POOR_FIT},
-    "line saturated": {Status.SATURATED},
+    "line saturated": {Status.CLIPPED},
     "line broken": {Status.NO_PEAK, Status.LINE_END},
     "line cut by an edge": {
         Status.CUT,
@@ -116,6 +116,8 @@ def test_each_trouble_has_a_status_and_hides_no_wrong_centre(methods):
                 assert statuses(line) <= allowed | {Status.LINE_END}, case
                 if amount == amounts[0]:
                     assert np.all(found), case
+                elif what == "line saturated":
+                    assert np.all(line.found), case
                 elif amount == amounts[-1]:
                     broken = what == "line broken"
                     expected = broken & (np.arange(300) % 20 >= 10)

@@ -293,7 +293,7 @@ def test_no_saturation_beyond_what_a_file_can_hold(tmp_path, undrawn, unpainted_
     ):
         ended = run(tmp_path / "a.png", option, value, "-o", tmp_path / option)
         summary = json.loads((tmp_path / option / "summary.json").read_text())
-        assert summary["images"]["a"]["statuses"] == {"saturated": 90}
+        assert summary["images"]["a"]["statuses"] == {"clipped": 90}
         assert says in ended.output
     for option in ("saturation", "noise", "gain", "min-amplitude", "max-width"):
         ended = run(tmp_path / "a.png", f"--{option}", "nan", "-o", tmp_path / "nan")

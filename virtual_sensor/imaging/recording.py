@@ -702,7 +702,7 @@ def _doubts(shot: RecordedFrame, automatic: bool) -> list[str]:
             if automatic
             else "expose for a shorter time, or leave it to auto"
         )
-        notes.append(f"{which} lit columns are saturated: their line has no centre; {shorter}")
+        notes.append(f"{which} lit columns are saturated: their centres are less sure; {shorter}")
     brightest = max(float(shot.grey[lit].max()) - shot.sensor.black_level, 0.0)
     if brightest < 6.0 * shot.sensor.grey_noise:
         longer = (

@@ -26,8 +26,8 @@ class Status(StatusEnum):
     )
     SATURATED = (
         2,
-        "Pixels of the line are clipped: expose less, or state the grey value at which the camera "
-        "clips (saturation).",
+        "Pixels of the line are clipped, and what is left of it shows no centre: expose less, or "
+        "state the grey value at which the camera clips (saturation).",
     )
     TOO_NARROW = (
         3,

@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.metrology.centres import LineCentres, Status, is_found, is_measured
+from virtual_sensor.metrology.clipped_fits import fit_clipped
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
     NAMES,
@@ -215,11 +216,12 @@ def _columnwise(
         peaks = peaks.take(np.lexsort((peaks.column, peaks.rank)))
     status = np.full((count, seen.size), Status.NO_PEAK, np.uint8)
     status[:, ~seen] = Status.BAD_PIXELS
-    status[peaks.rank, peaks.column] = _screen(image, peaks, saturation, max_sigma)
+    screened = _screen(image, peaks, saturation, max_sigma)
+    status[peaks.rank, peaks.column] = screened
     lines = np.full((len(Line._fields), count, seen.size), np.nan)
     uneven = np.zeros(status.shape)
     lines[:, peaks.rank, peaks.column] = peaks.row, peaks.sigma, peaks.amplitude, peaks.background
-    peaks = peaks.take(status[peaks.rank, peaks.column] == Status.OK)
+    clipped, peaks = (peaks.take(screened == each) for each in (Status.SATURATED, Status.OK))
 
     found = np.full((len(Profile._fields), count, seen.size), np.nan)
     shape = shapes(filled, peaks, noise, max_sigma)
@@ -243,11 +245,17 @@ def _columnwise(
             noise,
             saturation,
         )
+    uncertain = found[1].copy()  # by how much the amplitude may change from column to column
+    if clipped.row.size:
+        profile, verdict, height_error = fit_clipped(filled, clipped, noise, saturation, max_sigma)
+        status[clipped.rank, clipped.column] = verdict
+        found[:, clipped.rank, clipped.column] = profile
+        uncertain[clipped.rank, clipped.column] = height_error * profile.sigma
 
     there = is_found(status) | (status == Status.CUT)
     found[:, ~there] = np.nan
     row, error, width, amplitude, _ = found
-    ends = line_ends((status != Status.NO_PEAK) & seen, row, error, width, amplitude)
+    ends = line_ends((status != Status.NO_PEAK) & seen, row, uncertain, width, amplitude)
     status[ends & there] = Status.LINE_END
     status[among_cuts(status, width)] = Status.CUT
     status[ghosts & is_found(status)] = Status.GHOST
@@ -283,7 +291,7 @@ def _screen(image: NDArray, at: Peaks, saturation: float, max_sigma: float) -> I
         bad[:, some] = (near & wrong).any(axis=1)
     reasons = {
         Status.BAD_PIXELS: bad[0],
-        Status.SATURATED: bad[1],
+        Status.SATURATED: bad[1] & (at.second <= SAME_HEIGHT),
         Status.AT_BORDER: (at.peak == 0) | (at.peak == len(image) - 1),
         Status.POOR_FIT: at.sigma > max_sigma,
         Status.DOUBLED: at.second > SAME_HEIGHT,

@@ -1,0 +1,122 @@
+"""Clipped lines: their centres, and what is said of them, against images of known truth."""
+
+import numpy as np
+import pytest
+from artificial import line_image
+
+import virtual_sensor as vs
+from virtual_sensor.metrology.detectors import COLUMNWISE
+
+WELL = 10_000.0
+CAMERA = vs.ImageSensor(
+    quantum_efficiency=1.0, gain=0.4, dark_noise_e=3.0, full_well_e=WELL, black_level=50.0,
+    dsnu_e=0.0, prnu=0.0,
+)  # fmt: skip
+
+
+def recorded(row, sigma, times, height=72, seed=5):
+    """A line that would make so many times what the well holds, on a little light."""
+    electrons = 20.0 + line_image(row, sigma, times * WELL, height=height)
+    return vs.grey_values(electrons, CAMERA, seed)
+
+
+def rows_of(count, phase=None, seed=3):
+    """Rows at any sub-pixel place, or at one."""
+    rng = np.random.default_rng(seed)
+    whole = 36.0 + np.rint(3.0 * np.sin(np.arange(count) / 100.0))
+    return whole + (rng.uniform(-0.5, 0.5, count) if phase is None else phase)
+
+
+def check(line, row, most_px=0.05, share=0.95):
+    """Nearly all centres are there, so near, and as sure as they say."""
+    assert line.found.mean() >= share
+    assert {*line.status[line.found]} <= {vs.Status.OK, vs.Status.CLIPPED}
+    error = (line.row - row)[line.found]
+    rms = np.sqrt(np.mean(error**2))
+    assert rms <= most_px
+    assert 0.8 <= np.sqrt(np.mean(line.sigma[line.found] ** 2)) / rms <= 1.25
+    assert np.mean(np.abs(error) > 6.0 * line.sigma[line.found]) < 0.001
+    assert abs(error.mean()) < 4.0 * rms / np.sqrt(error.size)
+
+
+@pytest.mark.parametrize("sigma", [1.5, 2.0, 3.0])
+def test_a_clipped_lines_centre_is_found_and_its_error_predicted(sigma):
+    """Rationale: the accuracy that is asked for, whether or not the camera's noise is known."""
+    row = rows_of(600)
+    for times in (1.1, 2.0, 8.0, 16.0):
+        image = recorded(row, sigma, times)
+        for facts in ({"sensor": CAMERA}, {"saturation": CAMERA.saturation}):
+            line = vs.line_centres(image, **facts)
+            check(line, row, most_px=0.012)
+            np.testing.assert_allclose(np.median(line.width), sigma, rtol=0.01)
+
+
+def test_symmetric_and_lopsided_clipping_alike():
+    """Rationale: a plateau is lopsided about most centres; its middle is off by half a pixel."""
+    for phase in (0.0, 0.25, 0.5):
+        row = rows_of(400, phase)
+        for sigma in (1.5, 3.0):
+            check(vs.line_centres(recorded(row, sigma, 8.0), sensor=CAMERA), row, most_px=0.012)
+
+
+def test_whatever_the_detector_and_along_rows_and_as_a_second_peak():
+    row = rows_of(200)
+    image = recorded(row, 2.0, 6.0)
+    first = vs.line_centres(image, sensor=CAMERA)
+    for method in COLUMNWISE:
+        line = vs.line_centres(image, method, sensor=CAMERA)
+        np.testing.assert_array_equal(line.row, first.row, err_msg=method)
+    turned = vs.line_centres(np.ascontiguousarray(image.T), along="rows", sensor=CAMERA)
+    np.testing.assert_array_equal(turned.column, first.row)
+    both = 20.0 + line_image(row, 2.0, 6.0 * WELL, height=144)
+    both += line_image(row + 60.0, 2.0, 0.5 * WELL, height=144)
+    two = vs.line_centres(vs.grey_values(both, CAMERA, 1), sensor=CAMERA, peaks=2)
+    assert {*two.status[0]} == {vs.Status.CLIPPED}
+    assert {*two.status[1]} == {vs.Status.GHOST}  # the line is the clipped one
+    for line, truth in ((0, row), (1, row + 60.0)):
+        assert np.sqrt(np.mean((two.row[line] - truth) ** 2)) < 0.02
+
+
+def test_a_lopsided_profile_says_so_by_its_sigma():
+    """Rationale: only flanks are seen, and where their widths differ the centre is unsure."""
+    row = rows_of(400)
+    pixel = np.arange(72.0)[:, None]
+    for more in (1.05, 1.1):
+        width = np.where(pixel > row, 2.0 * more, 2.0 / more)
+        electrons = 20.0 + 8.0 * WELL * np.exp(-0.5 * ((pixel - row) / width) ** 2)
+        line = vs.line_centres(vs.grey_values(electrons, CAMERA, 2), sensor=CAMERA)
+        assert line.found.mean() > 0.95
+        error = np.abs(line.row - row)[line.found]
+        assert np.median(error) > 0.05
+        assert np.mean(error > 3.0 * line.sigma[line.found]) < 0.05
+
+
+def test_at_the_border_and_where_only_one_flank_is_seen():
+    rows = np.linspace(-6.0, 14.0, 200)
+    line = vs.line_centres(recorded(rows, 2.0, 8.0), sensor=CAMERA)
+    assert not line.found[rows < 2.0].any()
+    assert {*line.status[rows < 2.0]} <= {vs.Status.AT_BORDER, vs.Status.SATURATED}
+    seen = rows > 6.0
+    assert np.all(line.found[seen])
+    good = line.found
+    assert np.all(np.abs(line.row - rows)[good] < 6.0 * line.sigma[good] + 0.01)
+
+
+def test_glare_that_fills_the_image_stays_saturated():
+    line = vs.line_centres(np.full((40, 30), 255, np.uint8))
+    assert not line.found.any()
+    wide = np.full((40, 30), 20, np.uint8)
+    wide[:30] = 255
+    assert not vs.line_centres(wide).found.any()
+
+
+def test_lines_without_clipped_pixels_are_as_before():
+    """Rationale: one clipped column changes no other."""
+    row = rows_of(120)
+    image = recorded(row, 2.0, 0.6)
+    before = vs.line_centres(image, sensor=CAMERA)
+    image[:, 60] = recorded(row, 2.0, 5.0)[:, 60]
+    after = vs.line_centres(image, sensor=CAMERA)
+    others = np.abs(np.arange(120) - 60) > 40
+    assert after.status[60] == vs.Status.CLIPPED
+    np.testing.assert_array_equal(after.row[others], before.row[others])
