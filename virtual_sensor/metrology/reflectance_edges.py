@@ -459,6 +459,7 @@ def _noise_of(window: Window, fit: EdgeFit, noise: Noise, column: Index) -> Arra
     if noise.known:
         given = noise.variance(signal, np.broadcast_to(column, window.use.shape)[window.use])
         own = np.array([given[part].mean() for part in groups])
+        own = np.maximum(own, 1e-12 * power.max() + 1e-300)
         speckle = max(nnls((level**2 / own)[:, None], np.maximum(power / own - 1.0, 0.0))[0][0], 0)
         return noise.variance(fit.signal, column) + speckle * fit.signal**2
     scale = np.maximum(power, 1e-12 * power.max() + 1e-300)

@@ -41,7 +41,7 @@ def with_scatter(sigma: Array, width: Array, found: NDArray[np.bool_], known: bo
     if sigma.ndim > 1:
         each = zip(sigma, width, found, strict=True)
         return np.stack([with_scatter(*line, known) for line in each])
-    there = np.flatnonzero(found & np.isfinite(sigma))
+    there = np.flatnonzero(found & np.isfinite(sigma) & np.isfinite(width))
     if there.size < _FEWEST or not _may_be_grainy(width[there]):
         return sigma
     middle, away = _scatter(width[there])
