@@ -99,3 +99,21 @@ def test_of_two_lines_as_good_as_each_other_none_is_chosen():
     assert np.all(line_centres(image, peaks=2).status == Status.OK)
     fainter = line_centres(drawn((LINE, 2.0, 1.0), (150.0, 2.0, 0.4)), peaks=2)
     assert np.all(fainter.status[1] == Status.GHOST)
+
+
+def test_how_a_line_lies_is_seen():
+    """Flat, steep or broken; at 45 degrees it is read in columns, as where nothing shows."""
+    u = np.arange(150)
+    for slope, better in ((0.0, "columns"), (0.7, "columns"), (1.0, "columns"), (1.6, "rows")):
+        image = line_image(20.0 + slope * u, 2.0 * np.hypot(1.0, slope), 1.0, height=280)
+        image += np.random.default_rng(0).normal(0.0, 0.01, image.shape)
+        image[:, 70:80] = 0.0
+        for picture, said in ((image, better), (image.T, "columns")):
+            if picture is not image and slope < 0.9:
+                said = "rows"
+            found = line_centres(picture, along="auto")
+            assert found.searched[0] == said, slope
+            given = line_centres(picture, along=said)
+            np.testing.assert_array_equal(found.status, given.status)
+    for nothing in (np.zeros((3, 4)), np.full((5, 1), np.nan), np.zeros((30, 40), np.uint8)):
+        assert line_centres(nothing, along="auto").searched[0] == "columns"

@@ -38,8 +38,12 @@ def detect(
         ),
     ] = "gaussian",
     along: Annotated[
-        str, typer.Option(help="columns, where the line lies flat, or rows, where it stands.")
-    ] = "columns",
+        str,
+        typer.Option(
+            help="columns, where the line lies flat, rows, where it stands, or auto: which of them"
+            " show more of it."
+        ),
+    ] = "auto",
     peaks: Annotated[
         int,
         typer.Option(

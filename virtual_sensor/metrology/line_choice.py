@@ -22,7 +22,9 @@ from virtual_sensor.metrology.line_profiles import (
     Coarse,
     Index,
     Peaks,
+    coarse_search,
     find_peaks,
+    noise_beside,
     pixels,
 )
 
@@ -34,6 +36,7 @@ FAINT = 0.3  # height, relative to the usual one, that counts half
 LEAST = 0.2  # a column's worth: with less, it rather is no line
 _BESIDE = 3.0  # usual widths from a peak at which it is down to what is beside it
 AS_GOOD = 0.7  # of the line's merit: from there on another is as good
+STANDS = 1.2  # times what columns show of a line: from there on it is read in rows
 SAME_LINE = (3.0, 2.0)  # px, and widths: so near lie peaks of one line in adjoining columns
 STEEP = 2.0  # px a column that a line may climb where columns are missing
 _JOINED = 0.05  # columns' worth, at the least, of what continues the line
@@ -44,6 +47,7 @@ _SPECK, _SPECKS = 8, 0.1  # columns, and of the line's: where all that is so sho
 _COHERENT = 0.5  # of the columns with peaks lie on the line, or there is none to speak of
 _NEAR, _MERGED = 101, 2.0  # columns, and their usual width: what is so broad is not the line alone
 _MOST = 1500  # tracklets
+_WIDEST_PX = 32.0  # peaks, where it is asked how the line lies
 
 
 class Choice(NamedTuple):
@@ -144,6 +148,29 @@ def _is_clear(peaks: Peaks, same_height: float) -> bool:
     return bool(near.all())
 
 
+def lies_along_rows(image: NDArray, noise: float | None, min_amplitude: float) -> bool:
+    """Whether an image (H, W) shows more of a line row by row than column by column.
+
+    That is, the line stands, and crosses rows: as many of these show a narrow peak that goes on in
+    the next one.  Of a line at 45 degrees both show as much: it is read in columns.
+    """
+    found = []
+    for turned in (image, np.ascontiguousarray(image.T)):
+        coarse = coarse_search(turned, noise_beside(turned, noise), min_amplitude)
+        found.append((coarse.smooth, find_peaks(coarse, _WIDEST_PX)))
+    widths = [float(np.median(peaks.sigma)) for _, peaks in found if peaks.sigma.size]
+    heights = []
+    for smooth, peaks in found:
+        height = _above_beside(peaks, smooth, min(widths, default=1.0))
+        goes_on = (np.diff(peaks.column) == 1) & (
+            np.abs(np.diff(peaks.peak)) <= _reach(peaks.sigma[1:], peaks.sigma[:-1])
+        )
+        heights.append(height[1:][goes_on])
+    usual = np.median(np.concatenate(heights)) if any(each.size for each in heights) else 0.0
+    columns, rows = (np.sum(each / (each + FAINT * usual)) if usual else 0.0 for each in heights)
+    return bool(rows > STANDS * columns)
+
+
 def _reach(one: Array, other: Array, missing: Index | int = 0) -> Array:
     """How far peaks of such widths in one line are apart, with so many columns between them."""
     return SAME_LINE[0] + SAME_LINE[1] * np.minimum(one, other) + STEEP * missing
@@ -182,14 +209,19 @@ def _merit(at: _Sorted, smooth: NDArray) -> Array:
     It is the more the higher a peak stands above what is beside it, at a few of the usual widths:
     of a broad one little.
     """
-    usual = np.median(at.sigma[_highest(at, at.amplitude)])
-    beside = int(np.ceil(_BESIDE * np.hypot(usual, SMOOTHING_PX)))
-    around = [
-        pixels(smooth, at.peak + away, at.column).astype(float) for away in (-beside, 0, beside)
-    ]
-    height = np.maximum(around[1] - (around[0] + around[2]) / 2.0, 0.0)
+    usual = float(np.median(at.sigma[_highest(at, at.amplitude)]))
+    height = _above_beside(at, smooth, usual)
     height /= np.median(height[_highest(at, height)]) or 1.0
     return height / (height + FAINT) - LEAST
+
+
+def _above_beside(at: "_Sorted | Peaks", smooth: NDArray, width: float) -> Array:
+    """Height of peaks above what is beside them, at a few widths: of a slope none."""
+    beside = int(np.ceil(_BESIDE * np.hypot(width, SMOOTHING_PX)))
+    before, top, behind = (
+        pixels(smooth, at.peak + away, at.column).astype(float) for away in (-beside, 0, beside)
+    )
+    return np.maximum(top - (before + behind) / 2.0, 0.0)
 
 
 def _nearest(at: _Sorted, step: int) -> tuple[Index, Array, Mask]:

@@ -26,7 +26,7 @@ from virtual_sensor.metrology.detectors import (
     by_foreign,
     find_detector,
 )
-from virtual_sensor.metrology.line_choice import with_line_first
+from virtual_sensor.metrology.line_choice import lies_along_rows, with_line_first
 from virtual_sensor.metrology.line_ends import among_cuts, line_ends
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
@@ -51,7 +51,7 @@ from virtual_sensor.metrology.reflectance_edges import Line, correct_edges
 from virtual_sensor.metrology.ridges import ridges
 from virtual_sensor.metrology.scatter import with_scatter
 
-ALONG = ("columns", "rows")
+ALONG = ("columns", "rows", "auto")
 CHOICES = ("path", "highest")
 
 MOST_PEAKS = 100  # of a column
@@ -94,8 +94,9 @@ def line_centres(
         `noise` and `gain`).  In closed form: "log_parabola" (three-point Gaussian), "parabola",
         "linear_interpolation", "centre_of_gravity", "fir4" and "fir8" (Blais and Rioux).
         "steger" finds ridges of any direction.  Or a user's own: see `metrology.detectors`.
-    along : {"columns", "rows"}
-        Whether the line crosses each column (it lies flat in the image), or each row.
+    along : {"columns", "rows", "auto"}
+        Whether the line crosses each column (it lies flat in the image), or each row; "auto": which
+        of them show more of it.
     peaks : int
         So many are sought in each column, up to 100.  With more than one the arrays have shape
         (peaks, W): the line comes first, then the highest of the rest, which are GHOST unless they
@@ -153,6 +154,8 @@ def line_centres(
     gain, noise = gain or told.get("gain", 0.0), told.get("noise") if noise is None else noise
     if noise is not None:
         noise = number_within("line_centres: noise", noise, 0.0, LARGEST, "grey values >= 0")
+    if along == "auto":
+        along = ALONG[method != STEGER and lies_along_rows(image, noise, min_amplitude)]
     if along == "rows":
         image = np.ascontiguousarray(image.T)
 

@@ -251,7 +251,8 @@ def described(settings: Settings) -> str:
         for name, value in plain(settings).items()
         if name not in ("detector", "along") and value != usual[name]
     ]
-    along = [] if settings.detector == STEGER else [f"along {settings.along}"]
+    chosen = settings.detector != STEGER and settings.along != usual["along"]
+    along = [f"along {settings.along}"] if chosen else []
     return ", ".join([settings.detector, *along, *said])
 
 

@@ -18,7 +18,7 @@ from virtual_sensor.imaging.image_files import Image, read_image
 from virtual_sensor.metrology.calibration import Calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import STEGER
-from virtual_sensor.metrology.line_peaks import ALONG, line_centres
+from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.records import Record, Table, counts_of, status_names
 
@@ -36,7 +36,8 @@ class Settings(Record):
     detector : str
         Its name.
     along : str
-        "columns", which the line crosses where it lies flat, or "rows".
+        "columns", which the line crosses where it lies flat, "rows", or "auto": which show more of
+        it.
     peaks : int
         Sought in each column or row, the line first.
     choose : str
@@ -60,7 +61,7 @@ class Settings(Record):
     """
 
     detector: str = "gaussian"
-    along: str = "columns"
+    along: str = "auto"
     peaks: int = 1
     choose: str = "path"
     channel: str | None = None
@@ -347,9 +348,12 @@ def _detected(
     began = time.perf_counter()
     line = here.centres(straight.pixels)
     time_s = time.perf_counter() - began
-    other = next(along for along in ALONG if along != here.along)
-    across = replace(here, along=other)
-    if here.detector != STEGER and _lies_across(straight.pixels, line, across):
+    other = {"columns": "rows", "rows": "columns"}.get(here.along)
+    if (
+        other
+        and here.detector != STEGER
+        and _lies_across(straight.pixels, line, replace(here, along=other))
+    ):
         remarks.append(f"shows its line along the {other}: give --along {other}.")
     points = triangulate(calibration, line.pixel) if calibration else None
     return Detected(path, read.pixels, line, points, time_s, tuple(remarks))
