@@ -7,6 +7,8 @@ import pytest
 
 import virtual_sensor as vs
 from virtual_sensor.imaging.recording import sensor_of
+from virtual_sensor.imaging.scene import scene_parameters
+from virtual_sensor.imaging.scene_file import shipped_scenes
 from virtual_sensor.imaging.self_lighting import self_lighting
 from virtual_sensor.imaging.speckle import Aperture
 from virtual_sensor.studies.ghosts import bounces, ghost_facts
@@ -20,6 +22,25 @@ def groove(**parameters):
     return vs.load_scene("v_groove", **(FILM | STEEL | {"max_depth": 3} | parameters))
 
 
+LAMP = """<emitter type="point"><point name="position" x="0" y="0" z="200"/>
+    <spectrum name="intensity" value="100"/></emitter>"""
+SECOND = """<emitter type="laser_line" id="blue"><float name="length" value="10"/>
+    <float name="radius" value="0.5"/><float name="power" value="0.1"/>
+    <float name="distance" value="300"/><transform name="to_world">
+    <lookat origin="-160, 0, 250" target="6, 0, 0" up="0, 1, 0"/></transform></emitter>"""
+
+
+def of_groove(folder, emitter):
+    """The groove with another emitter."""
+    path = groove().path
+    text = path.read_text(encoding="utf-8").replace("</scene>", f"{emitter}</scene>")
+    for name in ("meshes", "materials"):
+        text = text.replace(f"{name}/", f"{path.parent}/{name}/")
+    edited = folder / "edited.xml"
+    edited.write_text(text, encoding="utf-8")
+    return vs.load_scene(edited, **FILM, **STEEL, max_depth=3)
+
+
 @pytest.fixture(scope="module")
 def scene():
     return groove()
@@ -28,6 +49,12 @@ def scene():
 @pytest.fixture(scope="module")
 def frame(scene):
     return vs.render_frame(scene)
+
+
+def test_each_scene_that_comes_with_the_program_has_the_parameters():
+    """Rationale: `-D max_depth=3` is the same word for all of them."""
+    for path in shipped_scenes().glob("*.xml"):
+        assert {"max_depth", "indirect_samples"} <= scene_parameters(path, {}).keys(), path.name
 
 
 def test_layers_add_up_and_direct_light_is_that_of_a_frame_without(scene, frame):
@@ -58,18 +85,25 @@ def test_a_ghost_is_of_the_ray_that_makes_it():
     assert np.nanmax(frame.ghosts.spread["laser"]) < 2.0 * radius_mm
 
 
+def test_ghosts_of_two_lasers_are_told_apart(tmp_path):
+    """Each laser's are those of a scene in which it is alone; the layer holds both."""
+    scene = of_groove(tmp_path, SECOND)
+    both = vs.render_frame(scene)
+    alone = [vs.render_frame(scene, source=name) for name in scene.sources]
+    for frame, name in zip(alone, scene.sources, strict=True):
+        ours = both.ghosts.radiance[name][0].sum()
+        assert ours == pytest.approx(frame.indirect.sum(), rel=0.05)
+        s = both.ghost_coordinates(1, name)[..., 0]
+        assert np.nanmax(np.abs(s)) < 2.7 * FILM["line_radius"]
+    total = sum(each.indirect.sum() for each in alone)
+    assert both.indirect.sum() == pytest.approx(total, rel=0.05)
+    with pytest.raises(vs.InputError, match="laser, blue"):
+        both.ghost_coordinates(1)
+
+
 def test_light_of_lamps_stays_apart_from_light_that_bounces(tmp_path):
     """A lamp lights all of the part: the background holds it, the direct layer none."""
-    text = groove().path.read_text(encoding="utf-8")
-    folder = groove().path.parent
-    text = text.replace("meshes/", f"{folder}/meshes/").replace(
-        "materials/", f"{folder}/materials/"
-    )
-    lamp = '<emitter type="point"><point name="position" x="0" y="0" z="200"/>'
-    lamp += '<spectrum name="intensity" value="100"/></emitter>'
-    path = tmp_path / "lamp.xml"
-    path.write_text(text.replace("</scene>", f"{lamp}</scene>"), encoding="utf-8")
-    lit = vs.render_frame(vs.load_scene(path, **FILM, **STEEL, max_depth=3))
+    lit = vs.render_frame(of_groove(tmp_path, LAMP))
     dark = vs.render_frame(groove())
     assert lit.background.mean() > 0.1 * dark.direct.max()
     np.testing.assert_allclose(lit.direct, dark.direct, atol=1e-5 * lit.radiance.max())

@@ -75,19 +75,15 @@ class GhostTruth(Displayed):
         flat = {name: each.reshape(*each.shape[:2], -1) for name, each in moments.items()}
         lit = [np.any(each[:, 0] > 0.0, axis=0) for each in flat.values()]
         index = np.flatnonzero(np.any(lit, axis=0)) if lit else np.zeros(0, np.intp)
-        radiance, mean, spread, status = {}, {}, {}, {}
-        for name, each in flat.items():
-            power, *sums = np.moveaxis(each[:, :, index].astype(np.float64), 1, 0)
-            shines = power > 0.0
-            with np.errstate(divide="ignore", invalid="ignore"):
-                s, t, ss, tt = (np.where(shines, total / power, np.nan) for total in sums)
-            middle = np.stack([s, t], axis=-1)
-            variance = np.stack([ss, tt], axis=-1) - middle**2
-            radiance[name] = power.astype(np.float32)
-            mean[name] = middle.astype(np.float32)
-            spread[name] = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-            status[name] = np.where(shines, GhostStatus.LIT, GhostStatus.DARK).astype(np.uint8)
-        return GhostTruth(index.astype(np.uint32), radiance, mean, spread, status)
+        found: dict[str, list[Any]] = {
+            name: [_ghost(bounce[:, index].astype(np.float64)) for bounce in each]
+            for name, each in flat.items()
+        }
+        parts: Any = (
+            {name: np.stack([each[part] for each in bounces]) for name, bounces in found.items()}
+            for part in range(4)
+        )
+        return GhostTruth(index.astype(np.uint32), *parts)
 
     @property
     def bounces(self) -> int:
@@ -115,6 +111,22 @@ class GhostTruth(Displayed):
                     found[f"{stem}_{letter}_spread"] = self.spread[name][bounce, :, axis]
                 found[f"{stem}_status"] = status_names(status[bounce], GhostStatus)
         return found
+
+
+def _ghost(moments: Array) -> tuple[Image, Image, Image, NDArray[np.uint8]]:
+    """Radiance, mean, spread and status of pixels by their five moments (5, N)."""
+    power, *sums = moments
+    shines = power > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t, ss, tt = (np.where(shines, total / power, np.nan) for total in sums)
+    middle = np.stack([s, t], axis=-1)
+    variance = np.stack([ss, tt], axis=-1) - middle**2
+    spread = np.sqrt(np.maximum(variance, 0.0))
+    status = np.where(shines, GhostStatus.LIT, GhostStatus.DARK)
+    kinds = np.float32, np.float32, np.float32, np.uint8
+    each = zip((power, middle, spread, status), kinds, strict=True)
+    radiance, mean, deviation, judged = (values.astype(kind) for values, kind in each)
+    return radiance, mean, deviation, judged
 
 
 @dataclass(frozen=True, eq=False)
