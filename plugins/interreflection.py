@@ -509,7 +509,7 @@ class Reflected:
     ) -> None:
         """Add light of points of a generation."""
         points = self.stripe.generations[generation]
-        draws = sampler.next_2d(), sampler.next_1d()
+        draws = (sampler.next_1d() for _ in range(3))  # each even over a pixel's samples
         value, index = self.connected(points, generation, joint, *draws)
         s, t = (dr.gather(mi.Float, each, index) for each in (points.s, points.t))
         self._put(layers, bounce, index // (_BINS * _IN_BIN), through * value, s, t)
@@ -551,16 +551,17 @@ class Reflected:
                 layers[first + i] = layers[first + i] + own * times
 
     def connected(
-        self, points: Points, generation: int, joint: _Joint, draw: Any, among: Any
+        self, points: Points, generation: int, joint: _Joint, bins: Any, within: Any, among: Any
     ) -> tuple[Any, Any]:
         """Light by one of some points of a generation, drawn by what each makes unshadowed.
 
-        Returns the radiance that leaves the joint, and the point's number.
+        What is left to chance, each from 0 to 1: where the points lie among the bins, and within
+        them, and which of them is drawn.  Returns the radiance that leaves the joint, and the point's number.
         """
 
         def another(j: Any, among: Any, total: Any, score: Any, value: Any, index: Any) -> Any:
-            u = (mi.Float(j) + draw.x) / mi.Float(self._count)
-            v = draw.y + mi.Float(j) * _GOLDEN
+            u = (mi.Float(j) + bins) / mi.Float(self._count)
+            v = within + mi.Float(j) * _GOLDEN
             k, made = self._one(points, generation, joint, u, v)
             grey = _grey(made)
             total = total + grey
