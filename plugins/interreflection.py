@@ -29,7 +29,7 @@ from virtual_sensor.optics.transports import Marched, Tracer, opaque
 
 Array = NDArray[np.float64]
 
-INDIRECT_SAMPLES = 4
+INDIRECT_SAMPLES = 8
 """Points of the lit stripe for each sample of a pixel's indirect light, by default."""
 
 TILE_PX = 8
@@ -556,7 +556,8 @@ class Reflected:
         """Light by one of some points of a generation, drawn by what each makes unshadowed.
 
         What is left to chance, each from 0 to 1: where the points lie among the bins, and within
-        them, and which of them is drawn.  Returns the radiance that leaves the joint, and the point's number.
+        them, and which of them is drawn.  Returns the radiance that leaves the joint, and the
+        point's number.
         """
 
         def another(j: Any, among: Any, total: Any, score: Any, value: Any, index: Any) -> Any:

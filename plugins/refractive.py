@@ -53,7 +53,7 @@ class Refractive(mi.SamplingIntegrator):
     precision         "single"    "single" or "double"
     max_depth         2           Segments of light's path: 2 is direct light; 3 has one reflection
                                   between surfaces, 4 two
-    indirect_samples  4           Points of the lit stripe for each sample of indirect light
+    indirect_samples  8           Points of the lit stripe for each sample of indirect light
     ================  ==========  ==================================================================
 
     Limits: reflected light runs straight from surface to surface, and that of lamps and glow is not

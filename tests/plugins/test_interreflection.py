@@ -97,7 +97,7 @@ def test_two_diffuse_walls_transfer_by_their_form_factor(corner):
     np.testing.assert_allclose(seen, 1.0, atol=0.05)
     s, t = layers[0, 1:3].sum((1, 2)) / radiance.sum()
     assert abs(s) < 0.02
-    assert abs(t) < 0.1
+    assert abs(t) < 0.3
 
 
 def test_mitsubas_render_has_the_reflected_light_too(corner):

@@ -186,7 +186,7 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
         ),
         (
             "indirect_samples",
-            _given(said.indirect_samples, 4),
+            _given(said.indirect_samples, 8),
             "of the lit stripe, for such reflections",
         ),
         ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
