@@ -5,8 +5,9 @@ import pytest
 from artificial import line_image
 
 from virtual_sensor.imaging.speckle import Aperture, speckled
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_peaks import line_centres
-from virtual_sensor.metrology.scatter import with_scatter, with_scatter_of_ridge
+from virtual_sensor.metrology.scatter import is_rough, with_scatter, with_scatter_of_ridge
 
 ROW = 31.7 + 0.01 * np.arange(600)
 
@@ -38,6 +39,15 @@ def test_in_speckle_centres_are_off_by_what_is_predicted():
                 wrong, size = (0.011, 2.0) if options else (0.05, 4.0)
                 assert np.mean(ratio > 6.0) < wrong, (case, np.mean(ratio > 6.0))
                 assert 0.4 < np.median(ratio) / 0.6745 < size, (case, np.median(ratio))
+
+
+def test_grains_are_not_taken_for_edges_of_the_reflectance():
+    """Neighbours share them, and are lopsided alike: half of the columns were "corrected"."""
+    line = line_centres(grainy(16.0), "gaussian", noise=3.0, gain=1.0)
+    assert not np.any(line.status == Status.CORRECTED)
+    assert line.found.mean() > 0.5
+    assert not is_rough(np.full(500, 2.0))
+    assert not is_rough(np.full(500, np.nan))
 
 
 def test_a_good_line_keeps_its_predicted_errors_to_the_bit():

@@ -22,6 +22,22 @@ _OF_USUAL = 0.8  # and none by much less than its neighbours, of noise that is k
 _MORE_OF_RIDGE, _OF_RIDGE_WIDTHS = 2.0, 2.0
 _RIDGE_NEIGHBOURS = 101  # points next to each other share their noise
 _FEWEST = 8  # columns that can tell
+_ROUGH = 0.25  # relative scatter of the widths of a line that is nothing but grains
+
+
+def is_rough(width: Array) -> bool:
+    """Whether a line (W,) is nothing but grains: profiles that neighbours share are of grains too.
+
+    Parameters
+    ----------
+    width : ndarray of shape (W,)
+        Of the Gaussian that fits each column best; NaN where there is none.
+    """
+    known = width[np.isfinite(width)]
+    if known.size < _FEWEST or not _may_be_grainy(known):
+        return False
+    middle, away = _scatter(known)
+    return bool(np.median(away / middle) > _ROUGH)
 
 
 def with_scatter(sigma: Array, width: Array, found: NDArray[np.bool_], known: bool) -> Array:

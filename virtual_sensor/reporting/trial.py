@@ -66,7 +66,9 @@ _HOW = (
     " 10,000 e and read noise of 3 e. The clipped ones are so many times over-exposed. Edges of the"
     " reflectance run through the line slowly, each from four of its standard deviations below it"
     " to as many above, bright above or below. Speckle is of the f-number given. Ambient light is"
-    " uneven, on a plate in patches. Sparks of spatter are up to three times the line's height.",
+    " uneven, on a plate in patches. Ghosts are of a V-groove of ground steel, whose walls reflect"
+    " the line once; its median column's peak lies at a quarter of the full well. Sparks of spatter"
+    " are up to three times the line's height.",
     f"A detector breaks the rule where more than {MOST_WRONG:.0%} of a line's columns have a centre"
     f" that counts as found and is off by more than {WRONG_SIGMAS:g} of the sigmas that it predicts"
     " (and 0.02 px; the line's width where it predicts none), or that is of no line.",

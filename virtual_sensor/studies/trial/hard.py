@@ -1,7 +1,7 @@
 """Hard frames: rendered, with what makes a line hard to find, and so with its truth.
 
 All are of a flat plate in the cylinder's place, leaning a little, so that the line wanders over
-the sub-pixel places of its pixels; but for ghosts, which a V-groove makes.
+the sub-pixel places of its pixels; but for ghosts, which the steel walls of a V-groove make.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ AMOUNTS_TRIED = {
     "speckled frame": (5.6, 16.0),
     "ambient frame": (0.05, 0.5),
     "spattered frame": (10.0, 50.0),
+    "ghostly frame": (0.5, 0.3, 0.2, 0.1),
 }
 QUICK_AMOUNTS = {
     "clipped frame": (8.0,),
@@ -49,6 +50,7 @@ QUICK_AMOUNTS = {
     "speckled frame": (16.0,),
     "ambient frame": (0.5,),
     "spattered frame": (50.0,),
+    "ghostly frame": (0.2,),
 }
 
 _SCENE = "hot_cylinder"
@@ -63,6 +65,10 @@ _EDGE_REACH = 4.0
 _PATCHES, _MOTTLED = 6.0, 0.05  # 128ths of the plate, and the contrast: what ambient light shows
 _BRIGHT_GRAINS = 3.0  # times the mean: how much darker a frame with speckle is exposed
 _POLARISATIONS = 2
+_GROOVE, _GROOVE_SIGMA_PX = "v_groove", 1.2
+_GROOVE_PEAK = 0.25  # of the full well: the median column's; brighter ones may clip
+_LIT = 0.01  # of that peak: what is darker is as if there were no light
+_MARGIN_PX = 32  # rows above and below what is lit
 _SHOWN_PX = 150, 60  # columns and rows of a sample
 
 
@@ -98,14 +104,14 @@ def hard_frames(
 
 def hard_condition(kind: str, amount: float, sensor: str = "") -> Condition:
     """A line whose peak lies at 80 % of what the sensor can tell, or clips as often as asked."""
+    width_px = _GROOVE_SIGMA_PX if kind == "ghostly frame" else _SIGMA_PX
     if sensor:
-        made = Condition.of_sensor(kind, _SIGMA_PX, sensor, None)
+        made = Condition.of_sensor(kind, width_px, sensor, None)
     else:
-        made = Condition.of_peak(kind, _SIGMA_PX, EXPOSED * HARD_WELL_E, HARD_NOISE_E)
-    if kind == "clipped frame":
-        electrons = made.column_electrons * amount / EXPOSED
-        made = replace(made, column_electrons=electrons)
-    return replace(made, amount=amount)
+        made = Condition.of_peak(kind, width_px, EXPOSED * HARD_WELL_E, HARD_NOISE_E)
+    wells = {"clipped frame": amount, "ghostly frame": _GROOVE_PEAK}.get(kind, EXPOSED)
+    electrons = made.column_electrons * wells / EXPOSED
+    return replace(made, column_electrons=electrons, amount=amount)
 
 
 @dataclass(frozen=True)
@@ -158,6 +164,8 @@ class Bench:
 
     def image(self, condition: Condition, rng: np.random.Generator) -> TrialImage:
         """A hard frame as its camera records it."""
+        if condition.kind == "ghostly frame":
+            return groove(condition, self.film_px, rng)
         light, truth = self.light(condition, rng)
         camera = condition.camera
         grey = recorded(light / camera.quantum_efficiency, camera, rng)
@@ -206,6 +214,31 @@ class Bench:
         beyond = across - _EDGE_REACH * (2.0 * place - 1.0) * sigma_mm
         beyond = np.where(part % 2, -beyond, beyond) / (_PLATE_MM[1] / _TEXELS[1])
         return 0.9 * (dark + (1.0 - dark) * np.clip(beyond + 0.5, 0.0, 1.0))
+
+
+def groove(condition: Condition, film_px: int, rng: np.random.Generator) -> TrialImage:
+    """A V-groove of steel, whose walls reflect the line once more."""
+    scene = load_scene(
+        _GROOVE,
+        material="ground_steel",
+        roughness=condition.amount,
+        max_depth=3,
+        width=film_px,
+        height=film_px,
+        line_radius=2.0 * condition.width_px * _FIELD_MM / film_px,
+    )
+    frame = render_frame(scene)
+    direct = frame.radiance if frame.direct is None else frame.direct
+    peak = direct.max(axis=0)
+    usual = float(np.median(peak[peak > _LIT * peak.max()]))
+    lit = np.flatnonzero((frame.radiance > _LIT * usual).any(axis=1))
+    rows = slice(max(int(lit[0]) - _MARGIN_PX, 0), int(lit[-1]) + _MARGIN_PX)
+    electrons = frame.radiance[rows].astype(float) * (condition.peak_electrons / usual)
+    camera = condition.camera
+    grey = recorded(electrons / camera.quantum_efficiency, camera, rng)
+    unknown = np.full(grey.shape[1], np.nan)
+    truth = TrueLine.of_frame(frame).moved(-rows.start)
+    return TrialImage(grey, truth, unknown, known_of(condition))
 
 
 def _mottled(rng: np.random.Generator) -> Array:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from virtual_sensor import interrupts
+from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import FINE_PX, TrueLine, compare_line, rms
 from virtual_sensor.records import Table
-from virtual_sensor.studies.trial.images import Condition, TrialImage, drawn_line
+from virtual_sensor.studies.trial.images import AMOUNTS, Condition, TrialImage, drawn_line
 
 Array = NDArray[np.float64]
 
@@ -25,6 +26,8 @@ WRONG_SIGMAS, MOST_WRONG = 6.0, 0.01
 """No centre that counts as found may be off by more of its own sigmas, but in so many columns."""
 PHASES = np.linspace(-0.5, 0.5, 41)
 _ENDS_PX = 3.5  # columns next to a line's ends are lit in part: their truth is of another place
+_WITH_GHOSTS = ("ghostly frame", "spattered frame")
+_PEAKS, _APART = 3, 4.0  # sought there; line widths from which on a place is beside it
 _RUNS, _MOST_RUNS, _TASK_S = 3, 30, 0.5
 
 
@@ -47,6 +50,11 @@ class Score(Condition):
     wrong_share : float
         Of them: found, yet off by more than six of the sigmas that the detector predicts for it
         (and 0.02 px; the line's width where it predicts none), or found where there is no line.
+    ghosts : int
+        Places beside the line that it gives in a ghostly or spattered frame, asked for three peaks
+        of a column.
+    ghost_share : float
+        Of them: those that it labels GHOST, and does not take for the line.
     columns : int
         With a line.
     time_us : float
@@ -62,6 +70,8 @@ class Score(Condition):
     outlier_share: float
     lost_share: float
     wrong_share: float
+    ghosts: int
+    ghost_share: float
     columns: int
     time_us: float
 
@@ -108,7 +118,8 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     """Find the line's centres and set them beside the truth."""
     took: list[float] = []
     enough_s = _TASK_S if condition.kind == "task" else 0.0  # a detector is chosen by its time
-    while len(took) < _RUNS or (sum(took) < enough_s and len(took) < _MOST_RUNS):
+    runs = 1 if condition.kind in AMOUNTS else _RUNS
+    while len(took) < runs or (sum(took) < enough_s and len(took) < _MOST_RUNS):
         began = time.process_time()
         line = line_centres(image.grey, detector, **image.options)
         took.append(time.process_time() - began)
@@ -119,6 +130,7 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     none = np.isnan(errors.sigma)
     claimed = np.where(none, condition.width_px, WRONG_SIGMAS * errors.sigma)
     wrong = np.abs(errors.error_px) > np.maximum(claimed, FINE_PX)
+    beside, labelled = _ghosts(detector, condition, image)
     good, sigma = errors.error_px[~wild], errors.sigma[~wild]
     with_sigma = np.isfinite(sigma)
     return Score(
@@ -132,9 +144,23 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         outlier_share=float(wild.sum() / errors.expected),
         lost_share=errors.lost.size / errors.expected,
         wrong_share=float(wrong.sum() + errors.stray_centres) / errors.expected,
+        ghosts=beside,
+        ghost_share=labelled / beside if beside else np.nan,
         columns=errors.expected,
         time_us=1e6 * min(took) / image.grey.shape[1],
     )
+
+
+def _ghosts(detector: str, condition: Condition, image: TrialImage) -> tuple[int, int]:
+    """Places that a detector gives beside the line, and those of them labelled GHOST."""
+    if condition.kind not in _WITH_GHOSTS:
+        return 0, 0
+    several = line_centres(image.grey, detector, peaks=_PEAKS, **image.options)
+    column = np.clip(np.rint(several.column).astype(int), 0, image.grey.shape[1] - 1)
+    away = np.abs(several.row - image.truth.centres().row[column])
+    beside = away > _APART * condition.width_px  # not where either is unknown
+    is_ghost = several.status == Status.GHOST
+    return int((beside & (is_ghost | several.found)).sum()), int((beside & is_ghost).sum())
 
 
 @dataclass(frozen=True)
