@@ -71,7 +71,7 @@ _HOW = (
     " are up to three times the line's height.",
     f"A detector breaks the rule where more than {MOST_WRONG:.0%} of a line's columns have a centre"
     f" that counts as found and is off by more than {WRONG_SIGMAS:g} of the sigmas that it predicts"
-    " (and 0.02 px; the line's width where it predicts none), or that is of no line.",
+    " (and 0.02 px), or that is of no line. Where it predicts no error it promises none.",
 )
 _SECTIONS = {
     "speed": (

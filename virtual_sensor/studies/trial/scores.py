@@ -49,7 +49,7 @@ class Score(Condition):
         Of the columns with a line: wrong though OK; without a centre.
     wrong_share : float
         Of them: found, yet off by more than six of the sigmas that the detector predicts for it
-        (and 0.02 px; the line's width where it predicts none), or found where there is no line.
+        (and 0.02 px), or found where there is no line. Where it predicts no error it promises none.
     ghosts : int
         Places beside the line that it gives in a ghostly or spattered frame, asked for three peaks
         of a column.
@@ -127,9 +127,8 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     bound = image.bound_px[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
     wild = np.abs(errors.error_px) > least
-    none = np.isnan(errors.sigma)
-    claimed = np.where(none, condition.width_px, WRONG_SIGMAS * errors.sigma)
-    wrong = np.abs(errors.error_px) > np.maximum(claimed, FINE_PX)
+    claimed = np.maximum(WRONG_SIGMAS * errors.sigma, FINE_PX)  # NaN claims nothing
+    wrong = np.abs(errors.error_px) > claimed
     beside, labelled = _ghosts(detector, condition, image)
     good, sigma = errors.error_px[~wild], errors.sigma[~wild]
     with_sigma = np.isfinite(sigma)
