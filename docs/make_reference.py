@@ -279,7 +279,9 @@ def scene_parameters() -> str:
             table(head, rows),
             "## Materials\n",
             "The parameter `material` names the surface of a part: one of these, which are files of"
-            " Mitsuba's elements `bsdf`, or a file of your own. Each has parameters of its own,"
+            " Mitsuba's elements `bsdf`, or a file of your own. They are shown in"
+            " [what shiny parts do to a laser line](../explanation/shiny_parts.md). Each has"
+            " parameters of its own,"
             " which are given like those of the scene, such as"
             " `-D material=ground_steel -D roughness=0.1`. Where a part has texture coordinates, u"
             " is along the lay of its surface and v across it.\n",

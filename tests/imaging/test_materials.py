@@ -175,6 +175,16 @@ def test_a_painted_edge_shifts_the_centroid_by_the_formula():
         assert abs(shift) > 0.5
 
 
+def test_a_metal_by_name_is_told_to_be_of_all_light(tmp_path):
+    """Rationale: in light of one wavelength Mitsuba averages its tables over the visible."""
+    copper = (
+        '<bsdf version="3.0.0" type="roughconductor"><string name="material" value="Cu"/></bsdf>'
+    )
+    (tmp_path / "copper.xml").write_text(copper, encoding="utf-8")
+    scene = vs.load_scene("v_groove", material=tmp_path / "copper.xml", **SMALL)
+    assert "n and k of Cu are taken as means of all visible light" in scene.notes[0]
+
+
 def test_a_mirroring_metal_is_told():
     """A smooth round part loses the ends of its line, a dull one does not."""
     for roughness, told in ((0.05, 1), (0.5, 0)):

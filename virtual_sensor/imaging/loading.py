@@ -440,6 +440,11 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
             notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4), camera)
     if node.type == mi.ObjectType.Film:
         _check_film(where, int(props.get("width", 768)), int(props.get("height", 576)))
+    if node.type == mi.ObjectType.BSDF and str(props.get("material", "none")) != "none":
+        notes.append(
+            f"{where}: n and k of {props['material']} are taken as means of all visible light, not"
+            " at the light's wavelength; give them (eta, k)"
+        )
     if node.type == mi.ObjectType.Medium:
         notes.append(f"{where}: ignored; light meets the field of the integrator and no medium")
     return notes
