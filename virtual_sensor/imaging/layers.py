@@ -24,6 +24,7 @@ VISIBLE = 0.01
 """Of the line's peak in a column: a ghost that is as bright counts among those that are seen."""
 
 _CLEAR = 2.0
+_FAINT = 1e-4  # of the brightest column
 
 
 class GhostStatus(StatusEnum):
@@ -133,6 +134,8 @@ def _ghost(moments: Array) -> tuple[Image, Image, Image, NDArray[np.uint8]]:
 class GhostColumns(Table):
     """The brightest ghost in each column of a frame that has a line.
 
+    A column whose direct light is less than a ten-thousandth of the brightest column's has none.
+
     Attributes
     ----------
     column : ndarray of shape (N,)
@@ -184,7 +187,8 @@ def ghost_columns(direct: Image, indirect: Image) -> GhostColumns:
     """
     whole = indirect.sum(axis=0)
     ghost = np.where(whole > direct, whole, np.float32(0.0))
-    column = np.flatnonzero(direct.max(axis=0, initial=0.0) > 0.0)
+    brightest = direct.max(axis=0, initial=0.0)
+    column = np.flatnonzero(brightest > _FAINT * brightest.max(initial=0.0))
     if not column.size:
         return GhostColumns(column, *(np.zeros(0) for _ in range(4)))
     line = direct[:, column].max(axis=0).astype(float)

@@ -26,6 +26,7 @@ _RAYS = 1 << 14
 _GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
 _NEAR_MM = 1.0  # before the shapes' box rays start: float32 hits from there are good to 0.03 um
 _COLUMNS = _ROWS = 32  # bins of the image in which the light of line and ghosts is gathered
+_WORST = 0.1  # of the line's columns
 _FAINT = 1e-3  # of the brightest column: one that is darker has no line
 _STEPS = 8  # of a segment along which the air's gradient is added up
 _MOST = 0.95  # of the ghosts' light lies no farther off
@@ -40,7 +41,7 @@ class SelfLighting(Displayed):
     share : float
         Of the light that the part reflects.
     ghost_over_line : float
-        How bright ghosts are beside the line, about, in half of its columns; NaN of a projector.
+        How bright ghosts are beside the line, about, in a tenth of its columns; NaN of a projector.
     bent_px : float
         By how much the air bends light between the two surfaces, in the image, for nearly all of
         it; 0 without a field, NaN where no light takes such a way.
@@ -113,7 +114,7 @@ def _grey(spectrum: Any) -> Array:
 def _ghost_over_line(scene: Scene, laser: LaserLine, line: Array, ghost: Array) -> float:
     """By the light of columns' bins: that of the line lies in rows as wide as it, a ghost's in all.
 
-    In the column in the middle of those that have a line.
+    So bright or brighter are ghosts in a tenth of the columns that have a line.
     """
     in_line = line.sum(axis=0)
     columns = in_line > _FAINT * in_line.max()
@@ -123,7 +124,8 @@ def _ghost_over_line(scene: Scene, laser: LaserLine, line: Array, ghost: Array) 
     radius_px = float(laser.working_radius_mm / scene.camera.pixel_mm(middle)[0])
     per_row = in_line[columns] / (np.sqrt(np.pi / 2.0) * max(radius_px, 1.0))
     rows = scene.camera.size[1] / _ROWS
-    return float(np.median(ghost[:, columns].max(axis=0) / rows / per_row))
+    over = ghost[:, columns].max(axis=0) / rows / per_row
+    return float(np.quantile(over, 1.0 - _WORST))
 
 
 def _seen(scene: Scene, at: Any, power: Array) -> Array:

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from virtual_sensor.imaging.layers import VISIBLE
 from virtual_sensor.imaging.render import DIRECT, Frame
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.imaging.self_lighting import self_lighting
 from virtual_sensor.records import Record
 
+_NOTED = 0.05  # of the line's brightness, in a tenth of its columns
 _NEARLY_ALL = 0.95  # of the columns
 
 
@@ -65,13 +65,14 @@ def bounces(scene: Scene) -> list[str]:
     """
     found = self_lighting(scene)
     if scene.max_depth == DIRECT:
-        if not found.ghost_over_line >= VISIBLE:
+        if not found.ghost_over_line >= _NOTED:
             return []
         parameter = "-D max_depth=3" if "max_depth" in scene.parameters else "max_depth 3"
         return [
-            f"the part throws {found.share:.0%} of the light that it reflects onto itself, and"
-            f" ghosts are about {found.ghost_over_line:.1g} times as bright as the line;"
-            f" direct light alone was rendered, without them: {parameter} has them"
+            f"the part throws {found.share:.0%} of the light that it reflects onto itself: ghosts"
+            f" are about {found.ghost_over_line:.1g} times as bright as the line, or more, in a"
+            f" tenth of its columns; direct light alone was rendered, without them: {parameter} has"
+            " them"
         ]
     if scene.medium is None or not found.bent_px > 0.0:
         return []
