@@ -509,8 +509,11 @@ class Reflected:
     ) -> None:
         """Add light of points of a generation."""
         points = self.stripe.generations[generation]
-        draws = (sampler.next_1d() for _ in range(3))  # each even over a pixel's samples
-        value, index = self.connected(points, generation, joint, *draws)
+        bins, within, among = (sampler.next_1d() for _ in range(3))
+        # A pixel's samples share out the bins.
+        own = dr.arange(mi.UInt32, dr.width(joint.si)) % sampler.sample_count()
+        bins = (mi.Float(own) + bins) / sampler.sample_count()
+        value, index = self.connected(points, generation, joint, bins, within, among)
         s, t = (dr.gather(mi.Float, each, index) for each in (points.s, points.t))
         self._put(layers, bounce, index // (_BINS * _IN_BIN), through * value, s, t)
 

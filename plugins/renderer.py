@@ -423,7 +423,8 @@ class Prepared:
         march = arrangement.transport.march
         stripe = Stripe(arrangement.scene, beams, arrangement.refracting, march, seed, bounces)
         reflected = Reflected(stripe, arrangement.indirect_samples, moments)
-        sampler = mi.load_dict({"type": "stratified", "sample_count": _INDIRECT_SPP})
+        # Independent: other samplers' numbers, taken one by one, are not so of each other.
+        sampler = mi.load_dict({"type": "independent", "sample_count": _INDIRECT_SPP})
         points = self.pupil.points if self.pupil is not None else ()
         sights = [(each.straight, each.lit) for each in points]
         sights = sights or [(arrangement.straight, self.lit)]

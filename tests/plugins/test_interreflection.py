@@ -36,6 +36,7 @@ CORNER = f"""<scene version="3.0.0">
         <transform name="to_world"><lookat origin="0, {HEIGHT_MM}, 300"
             target="0, {HEIGHT_MM}, 0" up="1, 0, 0"/></transform>
     </emitter>
+    OTHER
     BSDF
     <shape type="rectangle"><transform name="to_world"><scale value="15"/>
         <translate y="15"/></transform><ref id="grey"/></shape>
@@ -51,19 +52,19 @@ GREY = '<bsdf type="diffuse" id="grey"><float name="reflectance" value="0.5"/></
 def fixture_corner(tmp_path):
     """Load that scene."""
 
-    def load(bsdf=GREY, **parameters):
+    def load(bsdf=GREY, other="", **parameters):
         path = tmp_path / "corner.xml"
-        path.write_text(CORNER.replace("BSDF", bsdf), encoding="utf-8")
+        path.write_text(CORNER.replace("BSDF", bsdf).replace("OTHER", other), encoding="utf-8")
         return vs.load_scene(path, **parameters)
 
     return load
 
 
-def indirect(scene, seed=0, moments=False, **other):
-    """(B, 1 or 5, H, W) by the laser."""
+def indirect(scene, seed=0, moments=False, source="laser", **other):
+    """(B, 1 or 5, H, W) by a source."""
     with ONE_FRAME:
         given = replace(arrangement(scene), **{"max_depth": 3, **other})
-        return Prepared.of(given).indirect(seed, moments=moments)["laser"]
+        return Prepared.of(given).indirect(seed, moments=moments)[source]
 
 
 def wall_mm():
@@ -106,6 +107,29 @@ def test_mitsubas_render_has_the_reflected_light_too(corner):
     on_film = np.array(mi.render(scene.mitsuba, seed=3))[:, :, 0]
     np.testing.assert_allclose(on_film, indirect(scene, seed=3)[0, 0], rtol=1e-5)
     assert not np.any(np.array(mi.render(corner(depth=2).mitsuba)))
+
+
+OTHER = f"""<emitter type="laser_line" id="dots"><string name="dots" value="-1, 2"/>
+    <float name="length" value="8"/><float name="radius" value="0.4"/>
+    <float name="power" value="0.3"/><transform name="to_world">
+        <lookat origin="0, {2 * HEIGHT_MM}, 300" target="0, {2 * HEIGHT_MM}, 0" up="1, 0, 0"/>
+    </transform></emitter>"""
+
+
+def test_each_of_two_lasers_has_its_own_light_and_rays(corner):
+    """As if it shone alone: radiance, and whence it comes."""
+    both, alone = corner(other=OTHER), corner()
+    layers = indirect(both, moments=True)
+    expected = by_a_line(*wall_mm())
+    # In two frames: two lasers leave either half of the samples.
+    more = indirect(both, seed=1)[0, 0]
+    assert abs((layers[0, 0] + more).sum() / (2.0 * expected.sum()) - 1.0) < 0.025
+    assert np.array_equal(indirect(alone, seed=7), indirect(alone, seed=7))
+    dots = indirect(both, moments=True, source="dots")[0]
+    _, t = dots[1:3].sum(axis=(1, 2)) / dots[0].sum()
+    assert t == pytest.approx(0.5, abs=0.1)  # of dots at -1 and 2
+    deviation = np.sqrt(dots[4].sum() / dots[0].sum() - t**2)
+    assert deviation == pytest.approx(1.5, abs=0.1)
 
 
 def test_a_depth_that_cannot_be_is_refused(corner):
