@@ -48,7 +48,8 @@ _MARGIN, _MOST_MARGIN = 48, 300  # columns beside them, to which their number is
 _LOST = 8  # columns without a line end it
 _REACH = 4.2  # sigma of the pixels that count
 _NEAR = 3.5  # sigma: an edge so near shifts the centre
-_FIRST_BLUR = 0.25  # sigma
+_FIRST_BLUR = 0.3  # sigma
+_EACH = 2  # ratios of each sign
 _LEVELS = 1.2  # times as bright on one side of an edge that crosses the line
 _STILL = 5  # columns
 _CHANGE = 2.0  # cost of a change by a sigma from place to place
@@ -58,15 +59,18 @@ _EDGE_STEPS = np.arange(-3.0, 3.01, 0.5)
 _NODES, _SEVERAL = 64, 3  # places along the edge at which it is sought first, columns of each
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
 # Noise that is added at first, of the height, so that no fit is caught.
-_SMOOTH, _ROUGH = 0.01, 0.03
+_SMOOTH, _ROUGH = (0.01, 0.03), 0.03
 _PERHAPS = 1.3  # times as much is left by a first fit in some columns
 _ROUNDS = 2  # of fits with the noise that the last one shows
 _ENOUGH_CLEAN = 16  # columns that show the line's own width
 _MIDDLE = 0.7  # of the columns near an edge: those that show what it is
 _AS_GOOD, _BETTER = 1.12, 0.9  # what is left, over that of other models; without clean columns
+_CROSSING, _JUMP = 40, 0.5  # columns, and part of the log ratio
 _USUAL = 1.4  # times the misfit of the columns beside it
 _CLEAR = 6.0  # what is gained, in columns' square roots
 _DOUBT = 5.0  # widths by which a centre may be off, for each lopsided misfit
+_DOUBTED_WIDTH = 1.5  # times as much as its width is unusual
+_FORM = 0.002  # widths: what a profile that is no Gaussian's shifts a centre by, at least
 _WORST = 0.7  # widths: no larger error is a centre's
 _BROADEST_BLUR = 0.8  # sigma
 
@@ -113,10 +117,24 @@ def correct_edges(
         profile[:, part] = np.where(good, found, profile[:, part])
         lost = near & ~good & (status[part] == Status.OK)
         status[part] = np.where(lost, Status.SKEWED, status[part])
+        if not near.any():
+            off = _DOUBTED_WIDTH * _unusual(own.width, uneven[part], status[part])
+            profile[1, part] = np.hypot(profile[1, part], off)
     doubtful = (status == Status.OK) & (uneven > 0.0)
     if doubtful.any():
         off = _DOUBT * uneven * profile[2]
         profile[1] = np.where(doubtful, np.hypot(profile[1], off), profile[1])
+
+
+def _unusual(width: Array, uneven: Array, status: Index) -> Array:
+    """By what the widths (L,) differ from those of clean columns, between columns in doubt."""
+    doubted = np.flatnonzero((uneven > 0.0) | np.isin(status, _DOUBTED))
+    clean = (status == Status.OK) & (uneven == 0.0)
+    off = np.zeros(width.size)
+    if clean.sum() > _ENOUGH_CLEAN:
+        between = slice(doubted[0], doubted[-1] + 1)
+        off[between] = np.abs(np.nan_to_num(width - np.median(width[clean])))[between]
+    return off
 
 
 def _segments(line: Line, uneven: Array, status: Index) -> list[tuple[int, int]]:
@@ -188,7 +206,7 @@ def _segment(
     own, (ratio, blur) = fit.own, fit.shared
     below = ndtr((own[ROW] - own[EDGE]) / np.exp(blur))
     reflected = np.exp(-0.5 * ratio) + (np.exp(0.5 * ratio) - np.exp(-0.5 * ratio)) * below
-    error = fit.row_error * _underestimated(window, fit)
+    error = np.hypot(fit.row_error * _underestimated(window, fit), _FORM * np.exp(own[WIDTH]))
     height = np.exp(own[HEIGHT]) * reflected
     return near, np.stack([own[ROW], error, np.exp(own[WIDTH]), height, own[LEVEL]])
 
@@ -205,14 +223,18 @@ def _first_fit(
 ) -> EdgeFit:
     """The fit in some columns that is best of some first guesses."""
     height, step = np.nanmax(line.height), np.ptp(column) / max(column.size - 1, 1)
-    smooth = Smooth().over(step)
+    even = _unevenness(line)
+    smooth = Smooth(even=even / np.sqrt(_SEVERAL)).over(step)
     variance = _first_variance(window, line, noise, column)
-    starts = _sought(window, row, width, variance + (_SMOOTH * height) ** 2, _unevenness(line))
-    starts += _by_levels(window, width, line)
+    starts = _by_levels(window, width, line)
+    for smoothed in _SMOOTH:
+        starts += _sought(window, row, width, variance + (smoothed * height) ** 2, even)
     rough = variance + (_ROUGH * height) ** 2
-    fits = (fit_edge(window, *start, rough, smooth) for start in starts)
-    fit = min(fits, key=lambda fit: fit.cost)
-    return fit_edge(window, fit.own, fit.shared, _noise_of(window, fit, noise, column), smooth)
+    fits = [fit_edge(window, *start, rough, smooth) for start in starts]
+    best = sorted(fits, key=lambda fit: fit.cost)[:2]
+    variance = _noise_of(window, best[0], noise, column)
+    again = [fit_edge(window, fit.own, fit.shared, variance, smooth) for fit in best]
+    return min(again, key=lambda fit: fit.cost)
 
 
 def _misfit(fit: EdgeFit, window: Window) -> Array:
@@ -230,6 +252,7 @@ def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: flo
         and np.log(_LEAST_RATIO) < ratio < np.log(_MOST_RATIO)
         and fit.ratio_error < 0.3 * ratio
         and blur < _BROADEST_BLUR * np.median(width)
+        and _is_even(fit, loosely)
     ):
         return False
     part = Window._make(values[:, near] for values in window)
@@ -246,6 +269,20 @@ def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: flo
     gained = gaussian * (pixels - 3.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
     limit = loosely * min(limit * min(others), _USUAL * usual)
     return bool(left < limit and gained > _CLEAR * np.sqrt(near.sum()))
+
+
+def _is_even(fit: EdgeFit, loosely: float) -> bool:
+    """Whether the line's own height goes on where the edge crosses it.
+
+    Where it jumps as much the other way, the edge has been put on the wrong side.
+    """
+    own, ratio = fit.own, fit.shared[RATIO]
+    below = ndtr((own[ROW] - own[EDGE]) / np.exp(own[WIDTH]))
+    reflected = np.log(np.exp(-0.5 * ratio) * (1.0 - below) + np.exp(0.5 * ratio) * below)
+    far = min(_CROSSING, below.size - 1)
+    height, reflected = (values[far:] - values[:-far] for values in (own[HEIGHT], reflected))
+    against = np.where(height * reflected < 0.0, np.fmin(np.abs(height), np.abs(reflected)), 0.0)
+    return bool(against.max(initial=0.0) < loosely * _JUMP * np.abs(ratio))
 
 
 def _alternatives(
@@ -316,9 +353,10 @@ def _window(image: NDArray, column: Index, row: Array, width: Array, saturation:
 
 def _first_variance(window: Window, line: Line, noise: Noise, column: Index) -> Array:
     above = np.maximum(window.values - np.nanmedian(line.level), 0.0)
+    least = (1e-4 * above.max()) ** 2 + np.finfo(float).tiny  # of an image without noise
     if noise.known:
-        return noise.variance(above, column)
-    return np.broadcast_to(noise.dark[column] ** 2, above.shape) + 1e-4 * above**2
+        return np.maximum(noise.variance(above, column), least)
+    return np.maximum(noise.dark[column] ** 2 + 1e-4 * above**2, least)
 
 
 def _unevenness(line: Line) -> float:
@@ -332,7 +370,11 @@ def _unevenness(line: Line) -> float:
 def _sought(
     window: Window, row: Array, width: Array, variance: Array, even: float
 ) -> list[tuple[Array, Array]]:
-    """First guesses of the parameters, of the two most likely ratios, by dynamic programming."""
+    """First guesses of the parameters, of the likeliest ratios of each sign.
+
+    By dynamic programming: the path through the states of places along the edge whose misfit and
+    changes are the least (Viterbi 1967).
+    """
     count = row.size
     node = np.arange(count) // _SEVERAL
     weight = window.use / variance
@@ -371,7 +413,11 @@ def _sought(
     results.sort(key=lambda each: -each[0])
     least = 1e-3 * np.nanmax(results[0][3]) + 1e-300
     guesses = []
-    for _, ratio, path, height in results[:2]:
+    chosen = [
+        *[each for each in results if each[1] > 1.0][:_EACH],
+        *[each for each in results if each[1] < 1.0][:_EACH],
+    ]
+    for _, ratio, path, height in chosen:
         own = np.empty((5, count))
         own[ROW] = row + width * moved[path[node]]
         own[EDGE] = own[ROW] + width * away[path[node]]
@@ -379,7 +425,7 @@ def _sought(
         heights = np.maximum(median_filter(height[np.arange(count), path[node]], 5), least)
         own[HEIGHT] = np.log(heights)
         own[LEVEL] = np.median(window.values[[0, 1, -2, -1]], axis=0)
-        shared = np.array([np.log(ratio), np.log(0.25 * np.median(width))])
+        shared = np.array([np.log(ratio), np.log(_FIRST_BLUR * np.median(width))])
         guesses.append((own, shared))
     return guesses
 
@@ -461,7 +507,8 @@ def _noise_of(window: Window, fit: EdgeFit, noise: Noise, column: Index) -> Arra
         own = np.array([given[part].mean() for part in groups])
         own = np.maximum(own, 1e-12 * power.max() + 1e-300)
         speckle = max(nnls((level**2 / own)[:, None], np.maximum(power / own - 1.0, 0.0))[0][0], 0)
-        return noise.variance(fit.signal, column) + speckle * fit.signal**2
+        variance = noise.variance(fit.signal, column) + speckle * fit.signal**2
+        return np.maximum(variance, (1e-4 * fit.signal.max()) ** 2 + np.finfo(float).tiny)
     scale = np.maximum(power, 1e-12 * power.max() + 1e-300)
     basis = np.stack([np.ones_like(level), level, level**2], axis=1) / scale[:, None]
     constant, shot, speckle = nnls(basis, power / scale)[0]
