@@ -5,6 +5,7 @@ import pytest
 from artificial import line_image
 from scipy.ndimage import gaussian_filter1d
 
+import virtual_sensor as vs
 from virtual_sensor.metrology import line_peaks
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.detectors import COLUMNWISE
@@ -81,6 +82,22 @@ def test_it_does_not_depend_on_the_detector_nor_on_the_direction_of_the_search()
     rows = line_centres(np.ascontiguousarray(image.T), along="rows")
     np.testing.assert_allclose(rows.column, one.row, atol=1e-6)
     np.testing.assert_array_equal(rows.status, one.status)
+
+
+@pytest.mark.slow
+def test_a_rendered_part_with_a_painted_edge():
+    """Round, so that the line bends, and grazed by the edge; the truth is the plain part's line."""
+    size = {"width": 512, "height": 512, "line_radius": 0.5, "spp": 16}
+    truth = line_centres(vs.render(vs.load_scene("cold_cylinder", **size)))
+    paint = {"material": "painted_edge", "edge_angle": 3, "dark_reflectance": 0.25}
+    image = vs.render(vs.load_scene("cold_cylinder", **paint, **size))
+    line = line_centres(noisy(image, 0.005 * image.max()))
+    there = truth.found & line.found
+    assert there.sum() > 0.98 * truth.found.sum()
+    assert np.sum(line.status == Status.CORRECTED) > 150
+    error = np.abs(line.row - truth.row)[there]
+    assert np.mean(error < 3.0 * line.sigma[there]) > 0.98
+    assert np.sqrt(np.mean(error**2)) < 0.05
 
 
 @pytest.mark.slow
