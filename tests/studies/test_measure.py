@@ -17,7 +17,7 @@ from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.triangulation import triangulate
 from virtual_sensor.metrology.truth import DotErrors, TrueLine, TruthStatus, compare_line
 from virtual_sensor.optics.ray_search import SearchStatus, ray_search
-from virtual_sensor.reporting.measure import save
+from virtual_sensor.reporting.measure import on_console, save, table
 from virtual_sensor.studies.measure import measure, probe_deviations, summary
 from virtual_sensor.studies.notes import _closer_nodes, beside_solid, centre_notes, coarse_grid
 from virtual_sensor.studies.probes import PROBES, probe_rays
@@ -380,3 +380,22 @@ def test_a_line_much_longer_than_the_part_is_compared_as_well_as_one_that_fits()
     state = measure(scene).cold
     assert state.compared.rms_px < 0.005
     assert state.compared.count > 0.98 * state.centres
+
+
+def test_a_part_that_lights_itself_has_its_ghosts_counted():
+    """In summary, console and table of all; of direct light alone there is no word of them."""
+    film = {"width": 128, "height": 128, "line_radius": 1.0, "spp": 4}
+    steel = {"material": "ground_steel", "roughness": 0.3}
+    figures = {}
+    for depth in (2, 3):
+        result = measure(load_scene("v_groove", **film, **steel, max_depth=depth))
+        figures[depth] = summary(result)
+        shown = f"{on_console(figures[depth])}{table(result, figures[depth]).markdown()}"
+        assert ("Ghost" in shown) == (depth == 3)
+    assert figures[2].states["cold"].ghosts is None
+    assert any("max_depth=3 has them" in note for note in figures[2].notes)
+    ghosts = figures[3].states["cold"].ghosts
+    assert ghosts.bounces == 1
+    assert 0.5 * ghosts.columns < ghosts.ghost_columns < ghosts.columns
+    assert ghosts.ghost_over_line < ghosts.largest_ghost_over_line
+    assert 0.1 < ghosts.indirect_share < 0.6
