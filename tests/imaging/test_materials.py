@@ -105,6 +105,17 @@ def test_what_is_no_material_is_refused(tmp_path, monkeypatch):
             vs.load_scene("v_groove", material=name, **SMALL)
     with pytest.raises(vs.InputError, match=r"materials that have it: .*ground_steel"):
         vs.load_scene("v_groove", roughness=0.2, **SMALL)
+    for material, wrong, words in (
+        (
+            "ground_steel",
+            {"roughness": 0},
+            r"ground_steel.xml, line 8: .*alpha_u is 0; give a roughness above 0",
+        ),
+        ("turned_steel", {"roughness": -0.2}, r"alpha_v is -0\.2; give a roughness above 0"),
+        ("diffuse", {"reflectance": 2}, "reflectance is 2; give a share from 0 to 1"),
+    ):
+        with pytest.raises(vs.InputError, match=words):
+            vs.load_scene("v_groove", material=material, **wrong, **SMALL)
     with pytest.raises(vs.InputError, match=r"--roughness 0\.2: the material diffuse has none"):
         vs.new_scene("mine", material="diffuse", roughness=0.2)
 

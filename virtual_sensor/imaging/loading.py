@@ -60,6 +60,17 @@ _CHECKED_BY_PLUGIN = {  # and what they may be is said
     *(("lens_camera", name) for name in ("focus_distance", "focal_length")),
     ("refractive", "tolerance"),
 }
+_OF_SURFACES: dict[str, tuple[float, float, str]] = {  # what Mitsuba takes without a word
+    **dict.fromkeys(
+        ("alpha", "alpha_u", "alpha_v"),
+        (1e-4, 1.0, "a roughness above 0 and up to 1, such as 0.2"),
+    ),
+    **dict.fromkeys(
+        ("reflectance", "diffuse_reflectance", "specular_reflectance"),
+        (0.0, 1.0, "a share from 0 to 1"),
+    ),
+    "k": (0.0, np.inf, "a number that is not negative"),
+}
 _DEVICES = "laser_line", "pattern_projector"  # emitters that are made of one
 _PARTS_CACHED = 8
 _WATERTIGHT = "embree_use_robust_intersections"
@@ -412,8 +423,13 @@ def _with_value(text: str, values: dict[str, str]) -> str:
 
 def _where(main: Path, state: Any, node: Any) -> str:
     """File, line and element of a parsed node, for messages."""
-    place = re.fullmatch(r"(.*) \(line (\d+), col \d+\)", mi.parser.file_location(state, node))
-    line = f"{main if place[1] == 'string' else place[1]}, line {place[2]}" if place else f"{main}"
+    if node.file_index:  # of an included file Mitsuba counts the lines in the wrong one
+        file = Path(str(state.files[node.file_index]))
+        number = file.read_bytes()[: node.offset].count(b"\n") + 1
+        line = f"{file}, line {number}"
+    else:
+        place = re.search(r" \(line (\d+), col \d+\)$", mi.parser.file_location(state, node))
+        line = f"{main}, line {place[1]}" if place else f"{main}"
     return f'{line}: <{node.type.name.lower()} type="{shortened(node.props.plugin_name())}">'
 
 
@@ -435,6 +451,10 @@ def _check_node(main: Path, state: Any, node: Any, values: dict[str, str]) -> li
             continue
         if not np.all(np.abs(numbers) < _LARGEST):
             raise InputError(f"{where}: {name} is not a finite number{_culprit(values)}; give one")
+        if node.type == mi.ObjectType.BSDF and name in _OF_SURFACES:
+            low, high, words = _OF_SURFACES[name]
+            if not np.all((numbers >= low) & (numbers <= high)):
+                raise InputError(f"{where}: {name} is {numbers.ravel()[0]:g}; give {words}")
         camera = node.type == mi.ObjectType.Sensor
         if name == "to_world" and (camera or kind in _DEVICES):
             notes += _check_pose(where, numbers.reshape(-1)[:16].reshape(4, 4), camera)
