@@ -160,3 +160,19 @@ def test_a_png_of_rubbish_behind_its_sign_is_refused(tmp_path):
         (tmp_path / "rubbish").write_bytes(sign + b"this is no image" * 9)
         with pytest.raises(InputError, match="rubbish: "):
             read_image(tmp_path / "rubbish")
+
+
+def test_pictures_with_loss_are_clipped_where_their_pixels_pile_up(tmp_path):
+    """A camera's white is no 255 once it is coded; a bright sheet of all grey values is none."""
+    beside = np.linspace(0.0, 230.0, WIDTH) * np.ones((HEIGHT, 1))  # of all grey values
+    line = np.where(picture(3 * 245, float) > 30.0, picture(3 * 245, float), beside)
+    sheet = np.where(picture(255, float) > 99.0, 150.0 + 100.0 * beside / 230.0, beside)
+    for name, image, piled in (("clipped", np.minimum(line, 245.0), True), ("sheet", sheet, False)):
+        path = tmp_path / f"{name}.jpg"
+        path.write_bytes(encoded("JPEG", np.rint(image).astype(np.uint8), quality=90))
+        read = read_image(path)
+        assert any("pile up from" in note for note in read.notes) == piled, name
+        assert (235.0 < read.largest < 246.0) if piled else read.largest == 255.0
+    path = tmp_path / "exact.png"
+    path.write_bytes(encoded("PNG", np.rint(np.minimum(line, 245.0)).astype(np.uint8)))
+    assert read_image(path).largest == 255.0

@@ -82,6 +82,8 @@ from virtual_sensor.imaging.line_colours import colour_at
 
 _MOST_NAMES = 5  # of files in a note
 _FEWEST_BITS = 8  # of a camera whose grey values lie at the top of 16
+_PILE, _PILED = 240, 3.0  # from there on clipped pixels pile up, so much higher than usual
+_BELOW_PILE, _ABOVE_PILE = slice(150, 220), 10  # where the usual number lies, and that pile ends
 _TOPS = {2.0**bits - 1.0: bits for bits in (10, 12, 14)}  # where cameras clip, in files of 16
 _USUAL_BITS = 12
 _EXPOSED = 0.9  # of the grey values is where the brightest pixel lies, unless a white is given
@@ -565,6 +567,12 @@ def _levelled(stored: StoredImage, bits: int | None) -> tuple[StoredImage, float
             f"has no value above {brightest:.0f}: is it of a camera of {likely} bits? Then say"
             f" bits={likely} (--bits {likely}); now {largest:.0f} counts as clipped"
         )
+    elif stored.lossy and values.dtype == np.uint8 and (level := _pile(values)):
+        largest = level
+        remarks.append(
+            f"its brightest pixels pile up from {level:.0f} on, as where a camera clips: they count"
+            " as clipped"
+        )
     elif values.dtype == np.uint16 and brightest:
         low = _bits_unused(values)
         if bits is not None and low >= has - bits > 0:
@@ -580,6 +588,20 @@ def _levelled(stored: StoredImage, bits: int | None) -> tuple[StoredImage, float
                     f" clipped from {largest:.0f} on"
                 )
     return replace(stored, values=values, remarks=remarks), largest
+
+
+def _pile(values: NDArray[np.uint8]) -> float | None:
+    """Grey value from which on pixels pile up at the top: what was 255 before a lossy codec."""
+    counts = np.bincount(values.ravel(), minlength=256).astype(float)
+    smooth = np.convolve(np.pad(counts, 1, "edge"), np.ones(3) / 3.0, "valid")
+    mode = _PILE + int(np.argmax(smooth[_PILE:]))
+    usual = max(float(np.median(counts[_BELOW_PILE])), 1.0)
+    if smooth[mode] < _PILED * usual or counts[mode + _ABOVE_PILE :].sum() > usual * _ABOVE_PILE:
+        return None
+    level = mode
+    while smooth[level - 1] > max(2.0 * usual, 0.2 * smooth[mode]):
+        level -= 1
+    return float(level) if level < 255 and np.any(values >= level) else None
 
 
 def _at_the_top(values: NDArray, bits: int, shift: int) -> bool:

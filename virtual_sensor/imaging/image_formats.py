@@ -60,6 +60,7 @@ _PILLOWS = {
     "PNG": "PNG", "JPEG": "JPEG", "BMP": "BMP", "WebP": "WEBP", "JPEG 2000": "JPEG2000",
     "AVIF": "AVIF", "GIF": "GIF", "Sun raster": "SUN",
 }  # fmt: skip
+_LOSSY_KINDS = ("JPEG", "WebP", "AVIF", "JPEG 2000")
 _BY_PILLOW = ("JPEG", "GIF", "Sun raster")  # of which OpenCV gives damaged ones too, or none
 _ORIENTATION, _PHOTOGRAPH = 0x0112, 0x8769  # EXIF's tags: of the image, and of how it was taken
 _TAKEN = {0x829A: "exposure_s", 0x8827: "iso_speed"}
@@ -75,6 +76,7 @@ class StoredImage(Displayed):
     `scaled`: its grey values are of fewer bits, spread over those of the array's type.
     `metadata`: what the file says of them, see `image_metadata`.
     `channel`: its name, where the file has several that differ.
+    `lossy`: whether pixels may differ from those that the camera gave.
     """
 
     values: NDArray
@@ -84,6 +86,7 @@ class StoredImage(Displayed):
     remarks: list[str] = field(default_factory=list)
     metadata: dict[str, Any] = field(default_factory=dict)
     channel: str | None = None
+    lossy: bool = False
 
     def _line(self) -> str:
         height, width = self.values.shape
@@ -224,7 +227,7 @@ def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
                 )
                 if header.mode not in ("L", "RGB"):
                     raise InputError(f"{path}: is {header.mode}; save it as grey or RGB")
-            elif kind in ("WebP", "AVIF", "JPEG 2000") and data[12:16] != b"VP8L":
+            elif kind in _LOSSY_KINDS and data[12:16] != b"VP8L":
                 remarks.append(f"is {a(kind)}: if it was not saved without loss, centres may move")
             if {"gamma", "srgb", "icc_profile"} & header.info.keys() and kind != "JPEG":
                 remarks.append("names a gamma or colour profile, which is not applied")
@@ -256,6 +259,7 @@ def read_picture(path: Path, kind: str, wanted: Wanted) -> StoredImage:
         bits=bits,
         scaled=scaled,
         orientation=orientation,
+        lossy=kind in _LOSSY_KINDS,
         metadata=taken | (metadata_of(header.info.get(KEY)) or {}),
     )
 
