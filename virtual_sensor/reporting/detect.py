@@ -227,7 +227,8 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     ]
     if not page:
         columns = [each for each in columns if each.name not in _ON_PAGES]
-    return text_table(rows, columns, caption=f"{described(summary.settings)}; medians")
+    searched = {each.along for each in summary.images.values()}
+    return text_table(rows, columns, caption=f"{described(summary.settings, searched)}; medians")
 
 
 def _centres(statuses: dict[str, int], page: bool) -> str:
@@ -243,17 +244,21 @@ def skipped(summary: Summary) -> TextTable:
     return pair_table(("skipped", "why"), summary.skipped)
 
 
-def described(settings: Settings) -> str:
-    """The detector and its settings that are not the usual ones."""
+def described(settings: Settings, searched: Iterable[str | None]) -> str:
+    """The detector, what was searched, and the settings that are not the usual ones."""
     usual = plain(Settings())
     said = [
         f"{heading(name)} {value}"
         for name, value in plain(settings).items()
         if name not in ("detector", "along") and value != usual[name]
     ]
-    chosen = settings.detector != STEGER and settings.along != usual["along"]
-    along = [f"along {settings.along}"] if chosen else []
-    return ", ".join([settings.detector, *along, *said])
+    along = _either(searched)
+    return ", ".join([settings.detector, *([f"along {along}"] if along else []), *said])
+
+
+def _either(searched: Iterable[str | None]) -> str:
+    """Columns, rows, or both; nothing where lines of any direction were sought."""
+    return " or ".join(sorted({along for along in searched if along}))
 
 
 def page(summary: Summary, shown: dict[str, Picture | PanelPicture]) -> Page:
@@ -297,7 +302,7 @@ def lead(summary: Summary) -> str:
     sigma = np.array([each.median_sigma_px for each in images])
     known = sigma[np.isfinite(sigma)]
     error = f", with a predicted error of {np.median(known):.2g} px (median)" if known.size else ""
-    searched = " or ".join(sorted({each.along for each in images if each.along}))
+    searched = _either(each.along for each in images)
     of = f" of {lines} {searched}" if searched else ""
     if summary.settings.peaks > 1:
         of = f" of {lines} peaks at most"
@@ -348,7 +353,7 @@ def draw(found: Detected, name: str, settings: Settings) -> Picture:
         alt = f"{title}, a standard deviation, over the place along it: median {said}."
         draw = partial(_draw_over, view, values, label)
         panels.append(Panel(title, draw, alt, layout=None))
-    title = f"{drawable(name)}: {counted_ok}; {drawable(described(settings))}"
+    title = f"{drawable(name)}: {counted_ok}; {drawable(described(settings, [summary.along]))}"
     return draw_picture(title, panels, columns=2)
 
 
