@@ -26,7 +26,8 @@ alpha, samples without a meaning     noted and ignored
 gamma, colour profiles               noted and ignored
 MaxSampleValue                       noted and ignored: it may be the image's own
 pixels that are not square (EXR)     noted and ignored
-loss (JPEG, WebP, AVIF, in TIFF)     noted; so are colours of fewer pixels (JPEG)
+loss (JPEG, WebP, AVIF, in TIFF)     noted; so are colours of fewer pixels (JPEG); pixels count as
+                                     clipped from where they pile up
 CMYK, YCbCr (TIFF), Bayer mosaics    refused, as are volumes, complex and 64-bit integers
 deep, subsampled channels (EXR)      refused
 more than 179 million pixels         refused; truncated and damaged files as well

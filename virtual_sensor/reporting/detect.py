@@ -212,14 +212,14 @@ def table(summary: Summary, page: bool = False) -> TextTable:
         more = {
             "name": Link(name, f"#{anchor(_title(number, name))}") if many else name,
             "size": unbroken(f"{image.columns} x {image.rows} px"),
-            "centres": _centres(image.statuses, page),
+            "centres": _centres(image.statuses) if page else image.centres,
             "others": _most(others, len(others) if page else 2),
         }
         rows.append(plain(image) | more)
     columns = [
         Column("name", "image"),
         Column("size"),
-        Column("centres"),
+        Column("centres", shape="{}"),
         Column("median_sigma_px", "sigma in px", nothing="none"),
         Column("median_width_px", "width in px", "{:.2f}", nothing="none"),
         Column("others", "without a centre"),
@@ -231,11 +231,11 @@ def table(summary: Summary, page: bool = False) -> TextTable:
     return text_table(rows, columns, caption=f"{described(summary.settings, searched)}; medians")
 
 
-def _centres(statuses: dict[str, int], page: bool) -> str:
-    """How many, and on a page how many of them are clipped or corrected."""
+def _centres(statuses: dict[str, int]) -> str:
+    """How many, and how many of them are clipped or corrected."""
     numbers = {name: statuses[name] for name in FOUND_NAMES if name in statuses}
     said = [f"{n} {_words(name)}" for name, n in numbers.items() if name != FOUND_NAMES[0]]
-    of_them = f" ({', '.join(map(unbroken, said))})" if said and page else ""
+    of_them = f" ({', '.join(map(unbroken, said))})" if said else ""
     return f"{sum(numbers.values())}{of_them}"
 
 
