@@ -114,7 +114,10 @@ def test_own_part(run):
 
 @slow
 def test_shiny_metal(run):
-    """How quickly the light of bare metal fades is Beckmann's law, of the tilt of the facets."""
+    """How quickly the light of bare metal fades is the law of Trowbridge and Reitz (GGX).
+
+    It is of the tilt of the facets.
+    """
     names = run("shiny_metal")
     scene = names["scenes"]["shiny iron"]
     radiance = vs.render(scene).max(axis=0)
@@ -125,7 +128,7 @@ def test_shiny_metal(run):
     # Light from above and a camera at 30 degrees: facets that shine have a normal at 15 degrees.
     cosine = np.cos(np.radians(15.0)) * np.sqrt(1.0 - (y_mm / 13.5) ** 2)
     tangent_2 = 1.0 / cosine**2 - 1.0
-    law = np.exp(-tangent_2 / 0.1**2) / cosine**4
+    law = 1.0 / (cosine**2 * (1.0 + tangent_2 / 0.1**2)) ** 2
     np.testing.assert_allclose(light / light[0], law / law[0], rtol=0.2)
 
 
