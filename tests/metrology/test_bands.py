@@ -154,7 +154,7 @@ def test_any_image_will_do_and_rows_as_well_as_columns(kind):
         np.testing.assert_array_equal(upright[name].status, across[name].status)
     image[np.arange(20, 30)] = np.iinfo(kind).max if kind is not np.float32 else 200.0
     clipped = lines_in_bands(image, bands(), saturation=None if kind is not np.float32 else 200.0)
-    assert np.any(clipped["left"].status == Status.SATURATED)
+    assert np.any(clipped["left"].status == Status.CLIPPED)
 
 
 def test_a_missing_pixel_in_one_line_is_no_matter_of_the_other():

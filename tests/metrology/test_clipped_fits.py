@@ -1,10 +1,12 @@
 """Clipped lines: their centres, and what is said of them, against images of known truth."""
 
+import cv2
 import numpy as np
 import pytest
 from artificial import line_image
 
 import virtual_sensor as vs
+from virtual_sensor.metrology.clipped_fits import clipping_level
 from virtual_sensor.metrology.detectors import COLUMNWISE
 
 WELL = 10_000.0
@@ -120,3 +122,39 @@ def test_lines_without_clipped_pixels_are_as_before():
     others = np.abs(np.arange(120) - 60) > 40
     assert after.status[60] == vs.Status.CLIPPED
     np.testing.assert_array_equal(after.row[others], before.row[others])
+
+
+def test_where_a_camera_clips_below_its_types_range_flat_tops_say():
+    """Rationale: 12 bits in a file of 16, and nothing that says so; webcams clip at 235."""
+    row = rows_of(200)
+    for image in (recorded(row, 2.0, 4.0), np.minimum(line_image(row, 2.0, 900.0, 16.0), 235.0)):
+        kept = image.astype(np.uint8 if image.max() < 256 else np.uint16)
+        line = vs.line_centres(kept)
+        assert {*line.status} == {vs.Status.CLIPPED}
+        np.testing.assert_allclose(line.row, row, atol=0.06)
+
+
+def test_tops_that_are_only_coarse_are_not_clipped():
+    """Rationale: of a broad line several rows share the highest grey value, and it is whole."""
+    for sigma in (3.0, 6.0, 12.0):
+        for height in (20.0, 60.0, 200.0):
+            image = np.rint(line_image(np.full(60, 100.0), sigma, height, 10.0, height=200))
+            line = vs.line_centres(image.astype(np.uint8))
+            assert not np.any(line.status == vs.Status.CLIPPED), (sigma, height)
+    image = np.random.default_rng(0).integers(0, 200, (50, 400)).astype(np.uint8)
+    assert not np.any(vs.line_centres(image).status == vs.Status.CLIPPED)
+
+
+def test_a_compressed_picture_varies_where_it_was_clipped():
+    row = 40.0 + 0.05 * np.arange(300)
+    electrons = line_image(row, 2.5, 5.0 * 255.0, 30.0, height=104)
+    noisy = electrons + np.random.default_rng(1).normal(0.0, 4.0, electrons.shape)
+    grey = np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
+    coded = cv2.imencode(".jpg", grey, [cv2.IMWRITE_JPEG_QUALITY, 75])[1]
+    picture = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+    assert clipping_level(picture, 255.0) < 255.0 == clipping_level(grey, 255.0)
+    line = vs.line_centres(picture)
+    assert line.found.mean() > 0.95
+    error = (line.row - row)[line.found]
+    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert np.mean(np.abs(error) > 3.0 * line.sigma[line.found]) < 0.03

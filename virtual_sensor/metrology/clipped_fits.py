@@ -19,6 +19,7 @@ from scipy.special import log_ndtr
 from virtual_sensor.metrology.centres import Status
 from virtual_sensor.metrology.line_profiles import (
     MIN_SIGMA_PX,
+    QUARTILE,
     REACH,
     Array,
     Index,
@@ -40,16 +41,83 @@ _BESIDE = 3.0  # sigma beyond the plateau that a fit counts; the outermost is ta
 _STEPS, _TOLERANCE = 40, 0.02  # the last step, in the centre's predicted error
 _NARROWEST_PX, _MOST_LOG_HEIGHT = 0.3, 14.0
 _LEVELS = np.linspace(0.2, 0.8, 7)  # of what both flanks pass: where their middles are taken
-_SEEN_PX = 0.1  # the least error of such a middle
+_SEEN_PX, _MIDDLE = 0.1, 0.05  # the least error of such a middle, and of half the plateau
 _MISFIT, _MISFIT_NOISE = 0.04, 2.5  # of the clipped height, and of the noise: no Gaussian beyond
+_SHORT = 0.15  # of it: no clipped pixel of a Gaussian should be so much lower
 _LEAST_NOISE = 1e-6  # of the clipped height: an image without noise has some
 _EXCESS = 1.5  # times the given variance: from there on that of the misfit is used
 _CLEARLY = 3.0  # standard errors
-_UNSURE_PX, _UNSURE = 0.5, 0.3  # and widths: the largest error of a centre
+_UNSURE_PX, _UNSURE = 1.0, 0.3  # and widths: the largest error of a centre
 _IN_VIEW = 2.5  # sigma of a line on either side that lie in the image
 _FARTHEST = 1e6  # sigma from the saturation: beyond it squares are too large
 _RIDGE = 1e-10
+_FLAT, _DROP, _STEPS_DOWN = 3, 0.1, 4.0  # rows; of the height and grey values: no Gaussian has such
+_FEWEST_FLAT, _SOME_FLAT = 8, 0.05  # columns, and of those that reach the highest value
+_MOST_COLUMNS = 512  # in which a picture is looked at
+_UNEVEN, _DEEPEST = 0.03, 0.02  # of the plateaus' pixels, and of their height
 _NEIGHBOURS, _FAR_NEIGHBOURS = 31, 201
+
+
+def clipping_level(image: NDArray, saturation: float) -> float:
+    """Grey value from which on an image's pixels are clipped, where it shows less than was said.
+
+    A camera's converter, or a picture's range, may end below what its type can hold: then many
+    columns have flat tops of the image's highest value, beside which it drops.  A picture that was
+    compressed is no longer flat where it was clipped: what varies there is clipped too.
+
+    Parameters
+    ----------
+    image : ndarray of shape (H, W)
+        Finite.
+    saturation : float
+        As it is said; infinity where nothing is.
+    """
+    tops = image.max(axis=0)
+    most = float(tops.max())
+    if most < saturation:
+        columns = np.flatnonzero(tops == most)
+        if columns.size < _FEWEST_FLAT or len(image) < _FLAT + 2:
+            return saturation
+        if _flat_tops(image[:, columns], most) < max(_FEWEST_FLAT, _SOME_FLAT * columns.size):
+            return saturation
+        saturation = most
+    columns = np.flatnonzero(tops >= saturation)
+    columns = columns[:: -(-columns.size // _MOST_COLUMNS)]
+    values = image[:, columns].astype(float)
+    level = np.median(values, axis=0)
+    row = np.arange(len(values))[:, None]
+    clipped = values >= saturation
+    other = values < level + _CONNECTED * (saturation - level)
+    within = ~other
+    for step in (1, -1):  # between clipped pixels of one plateau
+        last = (
+            np.maximum.accumulate(
+                np.where(mask, row, -1)[::step]
+                if step > 0
+                else np.where(mask, len(values) - 1 - row, -1)[::step]
+            )[::step]
+            for mask in (clipped, other)
+        )
+        within &= next(last) > next(last)
+    if np.mean(~clipped[within]) < _UNEVEN:
+        return saturation
+    lowest = saturation - _DEEPEST * (saturation - float(np.median(level)))
+    return max(float(np.quantile(values[within], _UNEVEN)), lowest)
+
+
+def _flat_tops(values: NDArray, most: float) -> int:
+    """How many columns have several rows of the highest value, and drop beside them."""
+    at = np.arange(len(values))[:, None]
+    top = values == most
+    first, last = np.where(top, at, len(values)).min(axis=0), np.where(top, at, -1).max(axis=0)
+    whole = (last - first + 1 >= _FLAT) & (top.sum(axis=0) == last - first + 1)
+    whole &= (first > 0) & (last < len(values) - 1)
+    column = np.flatnonzero(whole)
+    beside = np.maximum(values[first[column] - 1, column], values[last[column] + 1, column])
+    drop = _DROP * (most - np.median(values[:, column], axis=0))
+    if values.dtype.kind == "u":
+        drop = np.maximum(drop, _STEPS_DOWN)
+    return int(np.sum(most - beside.astype(float) >= drop))
 
 
 class ClippedFits(NamedTuple):
@@ -126,7 +194,7 @@ class _Fit(NamedTuple):
     excess: Array  # of the misfit's variance over the noise's
     free: Array  # pixels beyond those that determine the parameters
     misfit: Array  # rms
-    noise: Array  # rms
+    noise: Array  # at half the height
     middle: Array  # between the flanks,
     spread: Array  # and its error
     half: Array  # rows of half the plateau
@@ -221,6 +289,7 @@ def _fitted(at: _Plateaus, peaks: Peaks, noise: Noise, max_sigma: float) -> _Fit
         at.height * background,
         *problem.errors(found),
         *problem.misfit(found),
+        np.sqrt(noise.variance(0.5 * at.height, peaks.column)),
         at.origin + middle,
         spread,
         0.5 * (at.ends[1] - at.ends[0] + 1.0),
@@ -348,19 +417,19 @@ class _Problem(NamedTuple):
         gain = np.maximum(squares.sum(axis=0), 0.0) / weight
         return _local(gain, weight**2 / np.maximum((lit**2).sum(axis=0), np.finfo(float).tiny))
 
-    def misfit(self, found: Array) -> tuple[Array, Array, Array, Array]:
-        """Misfit beside the clipped pixels: relative to the noise, squared; pixels; rms; noise."""
+    def misfit(self, found: Array) -> tuple[Array, Array, Array]:
+        """Misfit beside the clipped pixels: relative to the noise, squared; free pixels; rms.
+
+        Infinity where a pixel is clipped that should be far from it.
+        """
         mean, variance, _ = self.model(found)
         squares = self.weight * (self.values - mean) ** 2
+        short = np.where(self.clipped, self.saturation - mean, 0.0).max(axis=0, initial=0.0)
         pixels = self.weight.sum(axis=0)
         free = np.maximum(pixels - 4.0, 1.0)
-        expected = np.sqrt((self.weight * variance).sum(axis=0) / pixels)
-        return (
-            (squares / variance).sum(axis=0) / free,
-            free,
-            np.sqrt(squares.sum(0) / free),
-            expected,
-        )
+        excess = (squares / variance).sum(axis=0) / free
+        misfit = np.sqrt(squares.sum(axis=0) / free)
+        return excess, free, np.where(short > _SHORT * self.height, np.inf, misfit)
 
 
 def _local(squares: Array, free: Array) -> Array:
@@ -376,6 +445,14 @@ def _shared(shift: Array, doubt: Array) -> Array:
     shared = median_filter(shift, _FAR_NEIGHBOURS, mode="reflect")
     error = np.sqrt(np.pi / 2.0 / min(_FAR_NEIGHBOURS, shift.size)) * np.median(doubt)
     return np.maximum(np.abs(shared) - 2.0 * error, 0.0)
+
+
+def _unsteady(row: Array) -> Array:
+    """By how much rows (L,) scatter about those of their neighbours: twice differenced."""
+    if row.size < _FEWEST_FLAT:
+        return np.zeros(row.size)
+    change = np.abs(np.diff(row, 2, prepend=row[:1], append=row[-1:]))
+    return median_filter(change, _NEIGHBOURS, mode="reflect") / (QUARTILE * np.sqrt(6.0))
 
 
 def _normal(slopes: Array, information: Array) -> Array:
@@ -426,10 +503,15 @@ def _judged(fit: _Fit, at: Peaks, rows: int, max_sigma: float) -> ClippedFits:
     gaussian &= fit.sigma <= max_sigma
     doubt = np.sqrt(excess) * fit.doubt
     lopsided = np.maximum(np.abs(fit.shift) - _CLEARLY * doubt, 0.0)
-    lopsided[seen] = np.maximum(lopsided[seen], _shared(fit.shift[seen], doubt[seen]))
+    shared = _shared(fit.shift[gaussian], doubt[gaussian])
+    lopsided[gaussian] = np.maximum(lopsided[gaussian], shared)
     error = np.hypot(np.sqrt(excess) * fit.error, lopsided)
+    spread = np.hypot(fit.spread, _MIDDLE * fit.half)
+    spread[seen] = np.hypot(spread[seen], _unsteady(fit.middle[seen]))
+    spread[fit.half < 1.0] = np.inf  # one pixel may be a hot one
+    gaussian &= error <= spread
     row = np.where(gaussian, fit.row, fit.middle)
-    error = np.where(gaussian, error, fit.spread)
+    error = np.where(gaussian, error, spread)
     width = np.where(gaussian, fit.sigma, np.nan)
     profile = Profile(
         row,

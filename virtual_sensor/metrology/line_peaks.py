@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.metrology.centres import LineCentres, Status, is_found, is_measured
-from virtual_sensor.metrology.clipped_fits import fit_clipped
+from virtual_sensor.metrology.clipped_fits import clipping_level, fit_clipped
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
     NAMES,
@@ -110,7 +110,9 @@ def line_centres(
         than six sigma of the smoothed noise is no line either.
     saturation : float, optional
         Grey value from which on pixels are clipped: 4095 for a 12-bit camera.  By default the
-        largest value of a uint8 or uint16 image, or what `read_image` says; others have none.
+        largest value of a uint8 or uint16 image, or what `read_image` says; others have none.  Flat
+        tops below it show that pixels are clipped there already.  A clipped line's centre comes
+        from its flanks, by a censored fit, whatever the method.
     max_sigma : float
         Broadest line in px; broader peaks are POOR_FIT.
     noise : float, optional
@@ -189,7 +191,7 @@ def _ours(
     # More than any signal is enough, and stays a number.
     dark = noise_beside(filled, None if noise is None else min(float(noise) / unit, EXTREME))
     given = Noise(dark, min(float(gain) / unit, EXTREME), noise is not None or gain > 0.0)
-    limits = min_amplitude, saturation / unit, max_sigma
+    limits = min_amplitude, clipping_level(filled, saturation / unit), max_sigma
     if method == STEGER:
         line = ridges(image, given, *limits)
     else:
