@@ -104,7 +104,7 @@ class NewScene:
         shows a shiny part's ghosts; 4, with two.
     indirect_samples : int, optional
         Points of the lit stripe for each sample of light that is reflected in between; by default
-        4.
+        8.
     temperature_c : float, optional
         Of a hot part, degC: its glow can then be switched on by the parameter `emissivity`.
     field : str, optional
