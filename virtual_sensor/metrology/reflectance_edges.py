@@ -60,6 +60,7 @@ _NODES, _SEVERAL = 64, 3  # places along the edge at which it is sought first, c
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
 # Noise that is added at first, of the height, so that no fit is caught.
 _SMOOTH, _ROUGH = (0.01, 0.03), 0.03
+_GRAINS = 3.0  # contrast of a pixel's speckle, in what it makes of the height's changes
 _PERHAPS = 1.3  # times as much is left by a first fit in some columns
 _ROUNDS = 2  # of fits with the noise that the last one shows
 _ENOUGH_CLEAN = 16  # columns that show the line's own width
@@ -225,7 +226,8 @@ def _first_fit(
     height, step = np.nanmax(line.height), np.ptp(column) / max(column.size - 1, 1)
     even = _unevenness(line)
     smooth = Smooth(even=even / np.sqrt(_SEVERAL)).over(step)
-    variance = _first_variance(window, line, noise, column)
+    above = np.maximum(window.values - np.nanmedian(line.level), 0.0)
+    variance = _first_variance(window, line, noise, column) + (_GRAINS * even * above) ** 2
     starts = _by_levels(window, width, line)
     for smoothed in _SMOOTH:
         starts += _sought(window, row, width, variance + (smoothed * height) ** 2, even)
