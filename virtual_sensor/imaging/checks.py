@@ -75,8 +75,8 @@ class LitLine(Displayed):
         return np.round(middle, 6) + 0.0  # the rest is rounding
 
 
-@dataclass(frozen=True)
-class SeenSurface:
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenSurface(Displayed):
     """What straight light does where a source lights points of the part.
 
     Attributes
@@ -117,6 +117,9 @@ class SeenSurface:
         answer = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(back))
         sent = np.array(answer).reshape(-1, len(points_mm)).max(axis=0)
         return SeenSurface(si, reached, toward, light, sent)
+
+    def _line(self) -> str:
+        return f"{int(self.reached.sum())} of {self.reached.size} points seen"
 
     def shape(self, scene: Scene) -> Any:
         """The first of Mitsuba's shapes on which points are that the camera sees."""
