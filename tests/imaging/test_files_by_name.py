@@ -1,7 +1,6 @@
 """Scenes and fields by their names: one's own before those that come with the program."""
 
 import pickle
-import re
 import shutil
 
 import pytest
@@ -31,8 +30,8 @@ def test_a_shipped_field_is_found_by_its_name_from_anywhere(here):
     """By four spellings, from a shipped scene, one of one's own and Python."""
     own = shutil.copy(shipped_scenes() / "cold_cylinder.xml", here / "own.xml")
     text = own.read_text(encoding="utf-8")
-    air = f'"refractive"><string name="field" value="{NAME}"/></integrator>'
-    own.write_text(re.sub(r'"refractive"\s*/>', air, text), encoding="utf-8")
+    air = f'"refractive"><string name="field" value="{NAME}"/>'
+    own.write_text(text.replace('"refractive">', air), encoding="utf-8")
     assert load_scene("own.xml").air.path == SHIPPED
     for way in WAYS:
         assert find_field(way) == SHIPPED
@@ -80,7 +79,7 @@ def test_a_mistyped_name_is_answered_with_places_names_and_the_nearest(here):
                 read(asked)
             for word in words:
                 assert word in str(refused.value)
-    with pytest.raises(vs.InputError, match=r"installed scenes: cold.*mean hot_cylinder\?"):
+    with pytest.raises(vs.InputError, match=r"installed scenes: .*cold.*mean hot_cylinder\?"):
         load_scene("hot_cilinder")
     with pytest.raises(vs.InputError, match="did you mean bracket_air"):
         load_scene("hot_cylinder", field="bracket_ai")
