@@ -249,8 +249,11 @@ def centre_notes(
     counts = counts_of(line.status, Status)
     centres = int(line.found.sum())
     if not centres:
-        reasons = ", ".join(name for name, number in counts.items() if number)
-        return {f"no line centres, the columns are {reasons}": False}
+        # Beside a line that lies in some columns alone, those without are no news.
+        main = max(counts, key=lambda name: counts[name] * (_MANY if name == "no_peak" else 1.0))
+        why = Status[main.upper()].message.removesuffix(".")
+        why = why[0].lower() + why[1:]
+        return {f"no line centres, the columns are {counts_in_words(counts)}; {why}": False}
     notes = {}
     lost = counts_of(compared.lost, Status)
     if compared.lost.size:
