@@ -117,3 +117,19 @@ def test_how_a_line_lies_is_seen():
             np.testing.assert_array_equal(found.status, given.status)
     for nothing in (np.zeros((3, 4)), np.full((5, 1), np.nan), np.zeros((30, 40), np.uint8)):
         assert line_centres(nothing, along="auto").searched[0] == "columns"
+
+
+def test_a_glow_beside_the_line_does_not_draw_it_away():
+    """As the walls of a shiny groove reflect it: broad, over the line, and as bright in places.
+
+    Rationale: a line on such a slope is lopsided, and must not be corrected onto the glow.
+    """
+    v = np.arange(HEIGHT)[:, None]
+    height = 0.5 * np.clip(1.0 - np.abs(U - 300.0) / 200.0, 0.0, 1.0)
+    glow = height * np.exp(-0.5 * ((v - 100.0 - 0.02 * U) / 25.0) ** 2)
+    image = 1000.0 * (drawn((LINE, 1.7, 0.3), noise=0.0) + glow) + 10.0
+    image = np.random.default_rng(3).poisson(image).astype(float)
+    for method in ("gaussian", "centre_of_gravity"):
+        line = line_centres(image, method, noise=3.0, gain=1.0)
+        assert outliers(line, LINE) <= 6, method
+        assert np.mean(line.found) > 0.5, method

@@ -10,6 +10,7 @@ last one.  So a line may step, break off and come back, and what lies beside it 
 is a ghost, even where it is the brighter.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -104,8 +105,9 @@ def with_line_first(
     """
     if _is_clear(peaks, same_height):
         return peaks, np.zeros(peaks.row.size, bool)
-    at = find_peaks(coarse, max_sigma, max(count, CANDIDATES))
-    line, ghost = _choose(at, coarse.smooth)
+    search = partial(find_peaks, coarse, max_sigma, max(count, CANDIDATES))
+    line, ghost = _choose(search(), coarse.smooth)
+    at = search(local=True)  # the same, as a fit starts on a glow
     order = np.lexsort((-at.amplitude, ~line, at.column))
     at, line, ghost = at.take(order), line[order], ghost[order]
     first = _first_of_column(at.column)
@@ -126,7 +128,8 @@ def _as_found(chosen: Peaks, highest: Peaks, at: Peaks, ghost: Mask) -> Peaks:
     known = highest.column < of_column.size
     of_column[highest.column[known]] = np.flatnonzero(known)
     same = highest.take(of_column[chosen.column])
-    is_same = (same.column == chosen.column) & (np.abs(same.peak - chosen.peak) <= same.sigma)
+    near = np.abs(same.peak - chosen.peak) <= same.sigma  # the same plateau, if it is one
+    is_same = (same.column == chosen.column) & (same.amplitude == chosen.amplitude) & near
     first = _first_of_column(at.column)
     rivals, ghosts = (
         np.maximum.reduceat(np.where(~first & which, at.amplitude, 0.0), np.flatnonzero(first))

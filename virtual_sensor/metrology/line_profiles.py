@@ -29,6 +29,7 @@ _CLEARLY = 4.0  # about three standard errors of such a median
 _GREY_VALUES = 16.0  # from which on an image of whole floats is a camera's
 _GOLDEN = 0.6180339887498949
 _AT_ONCE = 5  # rows that are read for all peaks, before those that are broader
+_PEDESTAL = 0.75  # of its height: a peak that rises less above its valleys stands on other light
 _PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
 
 
@@ -241,15 +242,23 @@ def coarse_search(image: NDArray, noise: Array, min_amplitude: float) -> Coarse:
     return Coarse(smooth, peak, background, level, lowest)
 
 
-def find_peaks(coarse: Coarse, max_sigma: float, count: int = 1) -> Peaks:
-    """Find the `count` highest peaks of each column, and their half widths."""
+def find_peaks(coarse: Coarse, max_sigma: float, count: int = 1, local: bool = False) -> Peaks:
+    """Find the `count` highest peaks of each column, and their half widths.
+
+    Where several are sought, heights and widths are those above the column's background, or
+    `local`: above the valleys beside each, where they are clearly higher.
+    """
     smooth, peak, background, level, lowest = coarse
     column = np.arange(peak.size)
     rank = np.zeros_like(peak)
     if count > 1:
-        column, peak, rank = _ranked(smooth, background + lowest, lowest, count)
+        column, peak, rank, stands = _ranked(smooth, background + lowest, lowest, count)
         background = background[column]
     contrast = smooth[peak, column].astype(float) - background
+    if count > 1 and local:
+        raised = stands < _PEDESTAL * contrast
+        background = np.where(raised, background + contrast - stands, background)
+        contrast = np.where(raised, stands, contrast)
 
     lit = contrast > lowest[column]
     column, peak, rank = (values[lit] for values in (column, peak, rank))
@@ -278,8 +287,8 @@ def smoothed_noise(noise: Array) -> Array:
 
 def _ranked(
     smooth: NDArray, height: Array, prominence: Array, count: int
-) -> tuple[Index, Index, Index]:
-    """Columns, rows and ranks of the `count` highest local maxima of each column, as (L,) each."""
+) -> tuple[Index, Index, Index, Array]:
+    """The `count` highest local maxima of each column: columns, rows, ranks, prominences (L,)."""
     crest = cv2.dilate(smooth, np.ones((3, 1), np.uint8)) == smooth
     crest &= smooth > height.astype(smooth.dtype)
     row, column = np.divmod(np.flatnonzero(crest), smooth.shape[1])
@@ -292,12 +301,12 @@ def _ranked(
     stands = _prominence(smooth, column, peak, tops)
     own = _PROMINENCE * (tops - height[column] + prominence[column])
     stands_out = stands > np.maximum(own, prominence[column])
-    column, peak, tops = (a[stands_out] for a in (column, peak, tops))
+    column, peak, tops, stands = (a[stands_out] for a in (column, peak, tops, stands))
     order = np.lexsort((-tops, column))
-    column, peak = column[order], peak[order]
+    column, peak, stands = column[order], peak[order], stands[order]
     rank = np.arange(column.size) - np.searchsorted(column, column)
     few = rank < count
-    return column[few], peak[few], rank[few]
+    return column[few], peak[few], rank[few], stands[few]
 
 
 def _prominence(smooth: NDArray, column: Index, peak: Index, tops: Array) -> Array:

@@ -74,6 +74,7 @@ _DOUBTED_WIDTH = 1.5  # times as much as its width is unusual
 _FORM = 0.002  # widths: what a profile that is no Gaussian's shifts a centre by, at least
 _WORST = 0.7  # widths: no larger error is a centre's
 _BROADEST_BLUR = 0.8  # sigma
+_FARTHEST, _BROADER = 2.0, 2.0  # widths: an edge shifts no centre farther, and no line is so broad
 
 
 class Line(NamedTuple):
@@ -114,6 +115,7 @@ def correct_edges(
         own = Line._make(values[part] for values in line)
         near, found = _segment(image, first, own, uneven[part], status[part], noise, saturation)
         good = near & np.isin(status[part], _MENDED) & (found[1] < _WORST * found[2])
+        good &= _within(own, found)
         status[part] = np.where(good, Status.CORRECTED, status[part])
         profile[:, part] = np.where(good, found, profile[:, part])
         lost = near & ~good & (status[part] == Status.OK)
@@ -136,6 +138,15 @@ def _unusual(width: Array, uneven: Array, status: Index) -> Array:
         between = slice(doubted[0], doubted[-1] + 1)
         off[between] = np.abs(np.nan_to_num(width - np.median(width[clean])))[between]
     return off
+
+
+def _within(line: Line, found: Array) -> Mask:
+    """Where corrected profiles (5, L) are still those of the line, and not of a glow beside it."""
+    known = np.isfinite(line.width)
+    usual = np.median(line.width[known]) if known.any() else 0.0
+    off, width = np.abs(found[0] - line.row), found[2]
+    near: Mask = (off < _FARTHEST * usual) & (width < _BROADER * usual)
+    return near
 
 
 def _segments(line: Line, uneven: Array, status: Index) -> list[tuple[int, int]]:
