@@ -1,5 +1,7 @@
 """Where line detectors fail: thin, clipped, broken, doubled and cut lines, and the border.
 
+And on shiny metal: edges of the reflectance in the line, ghosts that cross it, spatter.
+
 A centre is wrong, though its column is called OK, where it is farther from the truth than three of
 its own standard errors and 0.05 px.
 """
@@ -16,6 +18,7 @@ from worsening import Case, Outcome, judged
 from virtual_sensor.metrology.centres import FOUND
 from virtual_sensor.metrology.detectors import COLUMNWISE
 from virtual_sensor.metrology.line_peaks import line_centres
+from virtual_sensor.studies.trial.hard import sparks
 
 Array = NDArray[np.float64]
 Draw = Callable[[float, Array], Array]
@@ -27,6 +30,8 @@ NOISE = 0.005
 HEIGHT_PX = 64
 _COLUMNS = 400
 _rows = np.arange(HEIGHT_PX)[:, None]
+_GHOST_ROW = 30.0 + 0.15 * (np.arange(_COLUMNS) - 200.0)
+_GHOSTLY = (np.abs(np.arange(_COLUMNS) - 200) < 100).astype(float)  # in half of the columns
 
 _DOUBLED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 TROUBLES: list[tuple[str, Sequence[float], str, Draw]] = [
@@ -75,13 +80,43 @@ TROUBLES: list[tuple[str, Sequence[float], str, Draw]] = [
         "sigma inside",
         lambda inside, v: lines(v + inside * SIGMA_PX - 30.0),
     ),
+    (
+        "edge of the reflectance in the line",
+        (1.0, 1.05, 1.2, 1.5, 2.0, 5.0, 10.0, 100.0),
+        "times as bright above it",
+        lambda ratio, v: edged(v, 30.0, 1.0 / ratio),
+    ),
+    (
+        "edge to a tenth of the reflectance",
+        (6.0, 4.0, 3.0, 2.0, 1.0, 0.5),
+        "sigma from the line",
+        lambda away, v: edged(v, 30.0 + away * SIGMA_PX, 0.1),
+    ),
+    (
+        "ghost that crosses the line",
+        (0.0, 0.1, 0.3, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0),
+        "times its height",
+        lambda times, v: lines(v) + lines(_GHOST_ROW, amplitude=times * _GHOSTLY),
+    ),
+    (
+        "spatter",
+        (0.0, 10.0, 30.0, 100.0, 300.0),
+        "sparks in 1000 columns",
+        lambda count, v: (
+            lines(v)
+            + sparks((HEIGHT_PX, v.size), round(count * v.size / 1000.0), np.random.default_rng(4))
+        ),
+    ),
 ]
+SHINY = ("edge ", "ghost", "spatter")
+SHINY_METHODS = ("gaussian", "max_likelihood", "centre_of_gravity", "parabola")
+"""Of troubles that begin so, the methods that stand for all."""
 
 
 def cases() -> Iterator[Case]:
     """All of them."""
     for trouble, amounts, unit, draw in TROUBLES:
-        for method in COLUMNWISE:
+        for method in SHINY_METHODS if trouble.startswith(SHINY) else COLUMNWISE:
             yield Case(
                 trouble,
                 method,
@@ -101,6 +136,17 @@ def lines(row: Array, sigma: float = SIGMA_PX, amplitude: ArrayLike = 1.0) -> Ar
     """Image (64, W) of Gaussian lines at rows (W,), integrated over each pixel."""
     share = norm.cdf(_rows + 0.5, row, sigma) - norm.cdf(_rows - 0.5, row, sigma)
     return np.asarray(amplitude) * np.sqrt(2.0 * np.pi) * sigma * share
+
+
+def edged(row: Array, edge: float, dark: float) -> Array:
+    """Lines of the usual width on a surface that reflects only so much of them below a row."""
+    above = np.clip(edge - _rows + 0.5, 0.0, 1.0)  # of each pixel
+
+    def light(start: Array, extent: Array) -> Array:
+        return norm.cdf(start + extent, row, SIGMA_PX) - norm.cdf(start, row, SIGMA_PX)
+
+    share = light(_rows - 0.5, above) + dark * light(_rows - 0.5 + above, 1.0 - above)
+    return np.sqrt(2.0 * np.pi) * SIGMA_PX * share
 
 
 def thin(sigma: float, row: Array) -> Array:
