@@ -56,7 +56,6 @@ def table():
         ("camera", "exposed too short", "12 bits"),
         ("lines", "line saturated", "gaussian"),
         ("lines", "line cut by an edge", "centre_of_gravity"),
-        ("lines", "ghost that crosses the line", "gaussian"),
     ],
 )
 def test_what_the_table_says_still_holds(table, panel, trouble, method):
