@@ -35,7 +35,7 @@ Scenes, and what a camera sees of them
 Images as a camera gives them
     record               Record a rendered frame as the scene's camera stores it.
     RecordedFrame        What a camera stored of a frame, or of a sequence, and all that made it.
-    difference           A recorded frame with the laser on, minus one with it off.
+    difference           A recorded frame or image with the laser on, minus one with it off.
     DifferenceFrame      A frame with the laser on minus one with it off, above a pedestal.
     ImageSensor          A monochrome image sensor's parameters by EMVA 1288; the defaults are a
                          12-bit CMOS sensor's.

@@ -86,7 +86,7 @@ def difference(on: Image, off: Image) -> Image: ...
 def difference(
     on: RecordedFrame | Image, off: RecordedFrame | Image | None = None
 ) -> DifferenceFrame | Image:
-    """A recorded frame, or an image, with the laser on, minus one with it off.
+    """A recorded frame or image with the laser on, minus one with it off.
 
     >>> frame = vs.render_frame(scene, background=True)
     >>> shot = vs.difference(vs.record(scene, frame, seed=1))
