@@ -317,7 +317,7 @@ def test_a_line_that_no_column_resolves_is_told_with_the_reason(here):
     status, out, _ = command("measure", *COLD, "-D", "line_radius=0.1", "-o", "coarse")
     assert status == 3
     assert not re.search(r"\bnan\b", out + Path("coarse/table.md").read_text())
-    assert re.search(r"Note: cold: no line centres, the columns are no_peak, .*too_narrow", out)
+    assert re.search(r"Note: cold: no line centres, .*too_narrow; .*wider line", out)
 
 
 def test_a_disk_that_fills_up_is_told_in_one_line_and_keeps_the_old_results(here, monkeypatch):

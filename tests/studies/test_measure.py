@@ -346,14 +346,14 @@ def test_notes_say_when_the_figures_are_worth_little():
     assert hardly == "20 of 100 centres were compared with the search; 80 are cut by an edge"
     [(nothing, caveat)] = notes(column < 0, status=Status.TOO_NARROW).items()
     assert not caveat
-    assert nothing.startswith("no line centres, the columns are too_narrow 100; the line is")
+    assert nothing.startswith("no line centres, the columns are too_narrow; the line is")
     assert nothing.endswith(" or some defocus")
     most_dark = np.where(column < 80, Status.NO_PEAK, Status.TOO_NARROW)
-    assert "too_narrow 20; the line is too narrow" in next(
+    assert "too_narrow; the line is too narrow" in next(
         iter(notes(column < 0, status=most_dark))
     )
     nearly_dark = np.where(column < 99, Status.NO_PEAK, Status.TOO_NARROW)
-    assert "too_narrow 1; no line stands out" in next(iter(notes(column < 0, status=nearly_dark)))
+    assert "too_narrow; no line stands out" in next(iter(notes(column < 0, status=nearly_dark)))
     dots = DotErrors(np.array([[1.0, 2.0], *2 * [[np.nan] * 2]]), np.ones(3), np.zeros((3, 2)), 0)
     assert centre_notes(None, dots, None, (0.0, 0.0)) == {"1 of 3 dots were found": True}
 

@@ -253,7 +253,8 @@ def centre_notes(
         main = max(counts, key=lambda name: counts[name] * (_MANY if name == "no_peak" else 1.0))
         why = Status[main.upper()].message.removesuffix(".")
         why = why[0].lower() + why[1:]
-        return {f"no line centres, the columns are {counts_in_words(counts)}; {why}": False}
+        reasons = ", ".join(name for name, number in counts.items() if number)  # as cold, so hot
+        return {f"no line centres, the columns are {reasons}; {why}": False}
     notes = {}
     lost = counts_of(compared.lost, Status)
     if compared.lost.size:
