@@ -349,9 +349,7 @@ def test_notes_say_when_the_figures_are_worth_little():
     assert nothing.startswith("no line centres, the columns are too_narrow; the line is")
     assert nothing.endswith(" or some defocus")
     most_dark = np.where(column < 80, Status.NO_PEAK, Status.TOO_NARROW)
-    assert "too_narrow; the line is too narrow" in next(
-        iter(notes(column < 0, status=most_dark))
-    )
+    assert "too_narrow; the line is too narrow" in next(iter(notes(column < 0, status=most_dark)))
     nearly_dark = np.where(column < 99, Status.NO_PEAK, Status.TOO_NARROW)
     assert "too_narrow; no line stands out" in next(iter(notes(column < 0, status=nearly_dark)))
     dots = DotErrors(np.array([[1.0, 2.0], *2 * [[np.nan] * 2]]), np.ones(3), np.zeros((3, 2)), 0)

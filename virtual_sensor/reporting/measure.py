@@ -117,11 +117,16 @@ _FIGURES = (  # key, words in the table of all, heading on the console ("" where
     ("line_minus_search.cut_centres", "... left out, an edge cuts the line", "", _COUNT),
     ("line_minus_search.stray_centres", "... left out, off the searched line", "", _COUNT),
     ("line_minus_truth.wrong", "Centres that are ok and wrong by the frame's truth", "", _COUNT),
-    ("ghosts.ghost_columns", "Columns that see a ghost of 1 % or more", "ghosts", _COUNT),
-    ("ghosts.columns", "... of columns with light of the line", "columns", _COUNT),
-    ("ghosts.ghost_over_line", "Ghost over line, median of the columns", "median", "{:.2g}"),
-    ("ghosts.largest_ghost_over_line", "... in 95 % of them at most", "95 %", "{:.2g}"),
-    ("ghosts.indirect_share", "Light that was reflected in between", "of the light", "{:.1%}"),
+    ("ghosts.ghost_columns", "Columns that see a ghost of 1 % or more", "with a ghost", _COUNT),
+    ("ghosts.columns", "... of columns with light of the line", "of columns", _COUNT),
+    (
+        "ghosts.ghost_over_line",
+        "Ghost over line, median of the columns",
+        "ghost / line, median",
+        "{:.2g}",
+    ),
+    ("ghosts.largest_ghost_over_line", "... in 95 % of them at most", "95 % below", "{:.2g}"),
+    ("ghosts.indirect_share", "Light that was reflected in between", "of all light", "{:.1%}"),
     ("paper_search.largest_distance_um", "The paper's search: distance of {probes} rays", "", _UM),
     ("newton_search.largest_distance_um", "Newton's search: the same", "", _UM),
     ("newton_search.iterations", "Newton's search: marches a ray", "", _COUNT),
@@ -256,7 +261,11 @@ def _bounces(figures: Summary) -> bool:
 
 def ghost_table(figures: Summary) -> TextTable:
     """How bright ghosts are beside the line."""
-    return _on_console(figures, "Ghosts: light reflected in between, beside the line", "ghosts.")
+    return _on_console(
+        figures,
+        "Ghosts: light reflected in between, and how bright it is beside the line",
+        "ghosts.",
+    )
 
 
 def _splits(figures: Summary) -> dict[str, SplitSummary]:
