@@ -89,6 +89,7 @@ REFUSED = {
     '<scene version="3.0.0"/>': ("own.xml", "no <bsdf>; add it"),
     '<shape type="sphere"/>': ("own.xml", "own.xml, line 1: <shape> in the file of a material"),
     "<bsdf": ("own.xml", "own.xml: not well-formed"),
+    '<bsdf type="diffuse"/>': ("own.xml", 'own.xml, line 1: .* give it version="3.0.0"'),
     '<scene version="3.0.0"><bsdf type="diffuse"/><bsdf type="plastic"/></scene>': (
         *("own.xml", '2 <bsdf> elements; give the one that is the material id="steel"'),
     ),

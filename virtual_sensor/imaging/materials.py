@@ -104,6 +104,11 @@ def check_material(file: SceneFile) -> None:
     """
     root, *rest = file.elements
     if root.tag == "bsdf":
+        if "version" not in root.attributes:
+            raise InputError(
+                f"{root.where}: a <bsdf> that is a file of its own needs Mitsuba's version; give it"
+                ' version="3.0.0"'
+            )
         return
     own = [element for element in rest if element.depth == 2] if root.tag == "scene" else [root]
     for element in own:

@@ -119,12 +119,7 @@ _FIGURES = (  # key, words in the table of all, heading on the console ("" where
     ("line_minus_truth.wrong", "Centres that are ok and wrong by the frame's truth", "", _COUNT),
     ("ghosts.ghost_columns", "Columns that see a ghost of 1 % or more", "with a ghost", _COUNT),
     ("ghosts.columns", "... of columns with light of the line", "of columns", _COUNT),
-    (
-        "ghosts.ghost_over_line",
-        "Ghost over line, median of the columns",
-        "ghost / line, median",
-        "{:.2g}",
-    ),
+    ("ghosts.ghost_over_line", "Ghost over line, median of the columns", "ghost / line", "{:.2g}"),
     ("ghosts.largest_ghost_over_line", "... in 95 % of them at most", "95 % below", "{:.2g}"),
     ("ghosts.indirect_share", "Light that was reflected in between", "of all light", "{:.1%}"),
     ("paper_search.largest_distance_um", "The paper's search: distance of {probes} rays", "", _UM),
@@ -263,7 +258,7 @@ def ghost_table(figures: Summary) -> TextTable:
     """How bright ghosts are beside the line."""
     return _on_console(
         figures,
-        "Ghosts: light reflected in between, and how bright it is beside the line",
+        "Ghosts: light reflected in between; ghost over line is the median of columns",
         "ghosts.",
     )
 
