@@ -255,10 +255,8 @@ def scene_parameters() -> str:
     defaults: dict[str, dict[str, str]] = {}
     for path in scenes:
         words = parameter_words(path) | words
-        for element in read_scene_file(path).elements:
-            if element.tag == "default":
-                name, value = element.attributes["name"], element.attributes["value"]
-                defaults.setdefault(name, {})[path.stem] = value
+        for name, value in read_scene_file(path).defaults.items():
+            defaults.setdefault(name, {})[path.stem] = value
     rows = []
     for name, by_scene in defaults.items():
         only = "" if len(by_scene) == len(scenes) else ", ".join(f"`{scene}`" for scene in by_scene)
@@ -281,8 +279,7 @@ def scene_parameters() -> str:
             "The parameter `material` names the surface of a part: one of these, which are files of"
             " Mitsuba's elements `bsdf`, or a file of your own. They are shown in"
             " [what shiny parts do to a laser line](../explanation/shiny_parts.md). Each has"
-            " parameters of its own,"
-            " which are given like those of the scene, such as"
+            " parameters of its own, which are given like those of the scene, such as"
             " `-D material=ground_steel -D roughness=0.1`. Where a part has texture coordinates, u"
             " is along the lay of its surface and v across it.\n",
             table(("material", "what it is", "parameters"), _materials()),
@@ -295,17 +292,10 @@ def _materials() -> list[tuple[str, str, str]]:
     rows = []
     for path in installed_materials():
         said = re.search(r"<!--(.*?)-->", path.read_text(encoding="utf-8"), re.DOTALL)
-        values = scene_defaults(path)
-        words = parameter_words(path)
-        parameters = "; ".join(f"`{name}` ({values[name]}): {words[name]}" for name in values)
+        words, values = parameter_words(path), read_scene_file(path).defaults
+        parameters = "; ".join(f"`{n}` ({value}): {words[n]}" for n, value in values.items())
         rows.append((f"`{path.stem}`", " ".join(said[1].split()) if said else "", parameters))
     return rows
-
-
-def scene_defaults(path: Path) -> dict[str, str]:
-    """The defaults of a file's parameters."""
-    elements = (e.attributes for e in read_scene_file(path).elements if e.tag == "default")
-    return {each["name"]: each["value"] for each in elements}
 
 
 # --- the scenes' elements ------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from virtual_sensor.metrology.centres import FOUND_NAMES
+from virtual_sensor.reporting.chart import TITLES
 
 HERE = Path(__file__).parent
 PICTURES = HERE / "pictures"
@@ -52,16 +53,7 @@ def main(
         )
         shutil.copy(charted / "chart.png", PICTURES / "speed_accuracy.png")
         # Each panel alone can be read on a phone.
-        for panel in (
-            "rays",
-            "frames",
-            "search",
-            "correction",
-            "fringes",
-            "camera",
-            "bounces",
-            "lines",
-        ):
+        for panel in TITLES:
             shutil.copy(charted / f"{panel}.png", PICTURES / f"speed_accuracy_{panel}.png")
     if peers:
         replace(

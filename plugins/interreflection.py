@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import in_own_memory
+from virtual_sensor.arrays import GOLDEN, in_own_memory
 from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
+from virtual_sensor.optics.eikonal import Field
 from virtual_sensor.optics.family_frames import FamilyFrame
 from virtual_sensor.optics.rays import March
 from virtual_sensor.optics.surfaces import SceneSurface
@@ -42,7 +42,6 @@ _BINS, _IN_BIN = 64, 128  # of a source's light along t; lit points in each
 _ACROSS, _ALONG = 32, 4096  # cells of a table of flux: the fewest and the most of a coordinate
 _EVEN = 0.1  # of the light is drawn as if it were even: the table sees only some places
 _CHOSEN_EVENLY = 0.2  # of the bins
-_GOLDEN = 0.6180339887498949
 _PROBES = 2  # camera rays of a tile that show which bins light it
 _LANES = 1 << 20
 _THREE = np.ones((3, 3), np.uint8)
@@ -92,7 +91,7 @@ class FluxTable:
         """
         number = np.arange(count)
         u = (number + shift[0]) / count
-        v = (number * _GOLDEN + shift[1]) % 1.0
+        v = (number * GOLDEN + shift[1]) % 1.0
         row, within_t = _drawn(self._share_along, u)
         share = np.cumsum(self.density[row], axis=1)
         share /= share[:, -1:]
@@ -237,12 +236,10 @@ class Stripe:
         s, t, drawn = (in_own_memory(each, mi.Float) for each in rays)
         origin, direction, _ = frame.rays(s, t)
         sight = marched.hits(mi.Ray3f(mi.Point3f(origin), mi.Vector3f(direction)))
-        heading = mi.Vector3f(sight.heading)
-        last = mi.Ray3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
-        si = self.scene.ray_intersect(last, sight.hit)
+        si, heading, met = sight.met(self.scene)
         si.wi = si.to_local(-heading)
         lean = dr.abs(dr.dot(si.n, heading))
-        lit = sight.hit & si.is_valid() & (lean > 0.0)
+        lit = met & (lean > 0.0)
         depth = frame.local(mi.Array3f(si.p))[2]
         power = mi.Spectrum(dr.select(lit, source.flux(s, t, depth) / (drawn * lean), 0.0))
         light = beam.tracer.lights(mi.Array3f(si.p), lit)[0]
@@ -395,11 +392,6 @@ class Choice:
     def of_bin(self, row: Any, number: Any) -> Any:
         """How likely a bin is."""
         return dr.gather(mi.Float, self.probability, row * self.bins + number)
-
-
-def _grey(value: Any) -> Any:
-    """Mean of a spectrum's channels."""
-    return sum(value[i] for i in range(1, len(value))) / len(value) + value[0] / len(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -565,9 +557,9 @@ class Reflected:
 
         def another(j: Any, among: Any, total: Any, score: Any, value: Any, index: Any) -> Any:
             u = (mi.Float(j) + bins) / mi.Float(self._count)
-            v = within + mi.Float(j) * _GOLDEN
+            v = within + mi.Float(j) * GOLDEN
             k, made = self._one(points, generation, joint, u, v)
-            grey = _grey(made)
+            grey = dr.mean(made, axis=0)
             total = total + grey
             part = dr.select(grey > 0.0, grey / total, 0.0)
             taken = among < part
@@ -667,7 +659,8 @@ class Reflected:
             u, v = (mi.Float(lane % bins) + 0.5) / bins, sampler.next_1d()
             joint = _Joint(si, si.bsdf(), go, alike, alike.even)
             _, made = self._one(points, generation, joint, u, v)
-            light[first : first + count] = _grey(made).numpy().reshape(count, bins)
+            grey = dr.mean(made, axis=0)
+            light[first : first + count] = grey.numpy().reshape(count, bins)
         return light
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.interreflection import INDIRECT_SAMPLES
 from virtual_sensor_plugins.properties import folders_of_files, optional
-from virtual_sensor_plugins.renderer import Arrangement, Prepared, devices_of, steady
+from virtual_sensor_plugins.renderer import DIRECT, Arrangement, Prepared, devices_of, steady
 from virtual_sensor_plugins.views import camera_of
 
 from virtual_sensor.arrays import whole_number
@@ -92,7 +92,7 @@ class Refractive(mi.SamplingIntegrator):
             name_of_transport = str(props.get("transport", "tabulated"))
             tolerance_px = float(props.get("tolerance", 0.003))
             self.transport = Transport(name_of_transport, march, tolerance_px)
-            self.max_depth = _max_depth(int(props.get("max_depth", 2)))
+            self.max_depth = _max_depth(int(props.get("max_depth", DIRECT)))
             self.indirect_samples = int(props.get("indirect_samples", INDIRECT_SAMPLES))
             whole_number("'indirect_samples'", self.indirect_samples, 1, _MOST_SAMPLES)
 
@@ -143,9 +143,8 @@ class Refractive(mi.SamplingIntegrator):
         with ONE_FRAME:
             prepared = Prepared.of(self.arrangement(scene, sensor))
             exposure, _ = prepared.exposed(spp, seed, on_film=True)
-            if self.max_depth > 2:
-                by_source = prepared.indirect(seed).values()
-                exposure.brighten(sum(light[:, 0].sum(axis=0) for light in by_source))
+            if prepared.bounces:
+                exposure.brighten(prepared.bounced_light(seed))
             return exposure.developed(develop=develop)
 
     def to_string(self) -> str:
@@ -159,10 +158,10 @@ def _max_depth(depth: int) -> int:
         raise InputError("'max_depth' is 1, by which surfaces are dark; give 2 for direct light")
     if depth < 0:
         raise InputError(
-            f"'max_depth' is {depth}, light of any number of reflections, which takes for ever"
+            f"'max_depth' is {depth}, light of any number of reflections, which can't be rendered"
             f" here; give 2 for direct light, 3 for one reflection between, up to {_MOST_DEPTH}"
         )
-    return whole_number("'max_depth'", depth, 2, _MOST_DEPTH)
+    return whole_number("'max_depth'", depth, DIRECT, _MOST_DEPTH)
 
 
 def _pose(props: mi.Properties) -> Pose | None:

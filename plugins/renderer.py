@@ -36,7 +36,7 @@ from virtual_sensor.arrays import in_own_memory
 from virtual_sensor.devices.camera import LensCamera
 from virtual_sensor.devices.device import Device
 from virtual_sensor.engine import dr, mi
-from virtual_sensor.optics.eikonal import LAST_PIECE_MM, Field
+from virtual_sensor.optics.eikonal import Field
 from virtual_sensor.optics.illumination import Illumination
 from virtual_sensor.optics.lens import PupilPoint
 from virtual_sensor.optics.ray_families import Pinhole
@@ -48,6 +48,9 @@ from virtual_sensor.optics.transports import Marched, Sight, Transport
 # Samples in flight at once: enough to fill the cores, and progress is seen.
 _LANES = {"marched": 1 << 17, "tabulated": 1 << 20, "whole film": 1 << 23, "reflected": 1 << 18}
 _INDIRECT_SPP = 4  # samples of a pixel for its indirect light
+
+DIRECT = 2
+"""The `max_depth` of direct light: a segment to the surface, and one to the camera."""
 
 Fluxes = Callable[[Any, Any, Any], Sequence[Any]]
 """From a source's (s, t) and depth to its flux in each frame; one alone is that of all."""
@@ -107,7 +110,7 @@ class Arrangement:
     transport: Transport
     hot: bool = True
     drift_mm: float = 0.0
-    max_depth: int = 2
+    max_depth: int = DIRECT
     indirect_samples: int = INDIRECT_SAMPLES
 
     def __post_init__(self) -> None:
@@ -193,16 +196,9 @@ class Arrangement:
             Of the sources, in the order of its lights.
         draws : list
         """
-        si, direction, valid = self.met_by(sight)
+        si, direction, valid = sight.met(self.scene)
         lights = list(zip(fluxes, sight.lights, strict=True))
         return self._shaded(si, direction, valid, lights, draws)
-
-    def met_by(self, sight: Sight) -> tuple[Any, Any, Any]:
-        """What a sight's rays meet, their directions there, and which do."""
-        heading = mi.Vector3f(sight.heading)
-        last = mi.Ray3f(mi.Point3f(sight.point) - heading * LAST_PIECE_MM, heading)
-        si = self.scene.ray_intersect(last, sight.hit)
-        return si, last.d, sight.hit & si.is_valid()
 
     def radiance_along(self, ray: Any, draws: list[Any]) -> tuple[list[Any], Any]:
         """The lamps' radiance against straight rays, and which of these meet a surface."""
@@ -395,6 +391,17 @@ class Prepared:
         samples, marched = self._expose_lit(exposure, lit, fluxes)
         return exposure, replace(report, samples=samples, marched_samples=marched)
 
+    @property
+    def bounces(self) -> int:
+        """Reflections in between that frames have at most."""
+        return self.arrangement.max_depth - DIRECT
+
+    def bounced_light(self, seed: int, of_lit: bool = False) -> NDArray[np.float32]:
+        """The radiance (H, W) of the sources' light that is reflected in between."""
+        by_source = self.indirect(seed, of_lit=of_lit).values()
+        light: NDArray[np.float32] = np.sum([each[:, 0].sum(axis=0) for each in by_source], axis=0)
+        return light
+
     def indirect(
         self,
         seed: int,
@@ -415,7 +422,7 @@ class Prepared:
         """
         arrangement = self.arrangement
         view, names = arrangement.view, tuple(arrangement.sources)
-        bounces, numbers = arrangement.max_depth - 2, MOMENTS if moments else 1
+        bounces, numbers = self.bounces, MOMENTS if moments else 1
         shape = bounces, len(names), numbers, view.height, view.width
         if bounces < 1 or not names:
             return {name: np.zeros((bounces, *shape[2:]), np.float32) for name in names}
@@ -474,7 +481,7 @@ class Prepared:
             if film is not None:
                 si = arrangement.met_along(film.bent(ray, pixel))
                 return si, si.is_valid()
-            si, _, valid = arrangement.met_by(marched.hits(ray))
+            si, _, valid = marched.hits(ray).met(arrangement.scene)
             return si, valid
 
         tiles, probes = tiles_of(view.width, view.height)

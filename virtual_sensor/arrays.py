@@ -27,6 +27,9 @@ SMALLEST = sys.float_info.min
 """With `LARGEST` the bounds of what is positive and finite: what is less counts as 0 in threads of
 Mitsuba, which flush it."""
 
+GOLDEN = 0.6180339887498949
+"""Of the golden section: what is left of its multiples beyond whole numbers lies evenly."""
+
 _SHARE = 1 << 13
 _PACKET = 64  # numbers: more than any processor's vectors hold
 _ALIGNMENT = 64  # bytes: the most that Dr.Jit asks for

@@ -28,6 +28,7 @@ from virtual_sensor.display import listed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.render import (
     DIRECT,
+    DIRECT_SHARE,
     Frame,
     Image,
     PixelTruth,
@@ -57,7 +58,6 @@ _STRATUM_PX = 1.0  # the image moves by no more within a part of the exposure
 _DRIFT_PX = 4.0  # nor by more to either side of where lit pixels and maps are made
 _MOST_INSTANTS = 4096
 _MOST_BOUNCED = 64  # places from which light that bounces is rendered
-_DIRECT_SHARE = 0.2  # of the time that a frame with it takes
 _LONGEST_S = 3600.0
 _FASTEST_MM_S = 1e7
 
@@ -285,7 +285,7 @@ def _exposed(
                 reports.append(report)
                 done += rows.stop - rows.start
                 if progress:
-                    progress((_DIRECT_SHARE if bounces else 1.0) * done / whole)
+                    progress((DIRECT_SHARE if bounces else 1.0) * done / whole)
             if place in truths:
                 drift = motion.drift(truths[place], height, 0.0, at_s)
                 known.append(_at_rest(truth_of(prepared, drift), motion.sensor_shift_mm(at_s)))
@@ -304,7 +304,7 @@ def _exposed(
     )
     if not bounces:
         return frame
-    tell = part_of(progress, _DIRECT_SHARE, 1.0)
+    tell = part_of(progress, DIRECT_SHARE, 1.0)
     layered = with_layers(frame, _bounced(scene, motion, times_s, sampling[1], tell))
     assert isinstance(layered, ExposedFrame)
     return layered

@@ -15,6 +15,7 @@ from virtual_sensor_plugins.drift import Drift
 from virtual_sensor_plugins.exposure import ONE_FRAME
 from virtual_sensor_plugins.lit_pixels import Columns
 from virtual_sensor_plugins.lit_pixels import RenderReport as RenderReport
+from virtual_sensor_plugins.renderer import DIRECT as DIRECT
 from virtual_sensor_plugins.renderer import Arrangement, Fluxes, Prepared
 
 from virtual_sensor.arrays import number_for, shares, to_numpy, whole_number
@@ -38,10 +39,9 @@ Image = NDArray[np.float32]
 _MOST_SAMPLES = 1 << 20  # a pixel's are in flight at once
 _LARGEST_SEED = 2**32 - 1
 
-DIRECT = 2
-"""The `max_depth` of direct light: a segment to the surface, and one to the camera."""
+DIRECT_SHARE = 0.2
+"""Of the time that a frame takes whose light bounces, what its direct light takes."""
 
-_DIRECT_SHARE = 0.2  # of the time that a frame with light that bounces takes
 _MOST_PREPARED = 4
 _PREPARED: dict[tuple[object, ...], Prepared] = {}  # used under ONE_FRAME
 
@@ -131,17 +131,10 @@ class Frame(Displayed):
         height, width = self.radiance.shape
         lit = int(np.isfinite(self.truth.depth_mm).sum())
         brightest = self.radiance.max(initial=0.0)
-        bounces = (
-            ""
-            if self.indirect is None
-            else f"{len(self.indirect)} bounce{'s' * (len(self.indirect) > 1)}"
-        )
-        return listed(
-            f"{width} x {height} px",
-            f"{lit} lit",
-            f"up to {brightest:.4g} W/(mm² sr)",
-            bounces,
-        )
+        number = 0 if self.indirect is None else len(self.indirect)
+        bounces = f"{number} bounce{'s' * (number > 1)}" if number else ""
+        size = f"{width} x {height} px"
+        return listed(size, f"{lit} lit", f"up to {brightest:.4g} W/(mm² sr)", bounces)
 
     def _columns(self) -> dict[str, Any]:
         row, column = np.divmod(self.truth.index.astype(np.int64), self.radiance.shape[1])
@@ -305,13 +298,13 @@ def render_frame(
     scene, samples, seed = checked("render_frame", scene, spp, seed, camera, source)
     with ONE_FRAME:
         prepared = prepared_for(scene)
-        bounces = bool(bounces_of(prepared))
+        bounces = bool(prepared.bounces)
         apart = background or (bounces and bool(prepared.arrangement.lamps))
         fluxes = {name: on_and_off(each) for name, each in scene.sources.items() if apart}
         exposure, report = prepared.exposed(
             samples,
             seed,
-            part_of(progress, 0.0, _DIRECT_SHARE) if bounces else progress,
+            part_of(progress, 0.0, DIRECT_SHARE) if bounces else progress,
             frames=1 + apart,
             fluxes=fluxes,
         )
@@ -319,7 +312,7 @@ def render_frame(
         frame = Frame(radiance, truth_of(prepared), radii_mm(scene), report, *other)
         if not bounces:
             return frame
-        moments = prepared.indirect(seed, part_of(progress, _DIRECT_SHARE, 1.0), moments=True)
+        moments = prepared.indirect(seed, part_of(progress, DIRECT_SHARE, 1.0), moments=True)
         return with_layers(frame, moments)
 
 
@@ -357,22 +350,7 @@ def with_layers(frame: Frame, moments: Mapping[str, NDArray[np.floating]]) -> Fr
 def image_of(prepared: Prepared, spp: int, seed: int) -> Image:
     """The radiance of all light."""
     image: Image = prepared.exposed(spp, seed)[0].images()[0]
-    return image + bounced_light(prepared, seed) if bounces_of(prepared) else image
-
-
-def bounces_of(prepared: Prepared) -> int:
-    """Reflections in between that frames have at most."""
-    return prepared.arrangement.max_depth - DIRECT
-
-
-def bounced_light(prepared: Prepared, seed: int, of_lit: bool = False) -> Image:
-    """The radiance (H, W) of the sources' light that is reflected in between.
-
-    With `of_lit` in pixels alone that sources light.
-    """
-    by_source = list(prepared.indirect(seed, of_lit=of_lit).values())
-    light: Image = np.sum([each[:, 0].sum(axis=0) for each in by_source], axis=0)
-    return light
+    return image + prepared.bounced_light(seed) if prepared.bounces else image
 
 
 def part_of(
@@ -405,7 +383,7 @@ def light_of_sources(
         exposure, _ = prepared.exposed(samples, seed, others=False, frames=2, fluxes=fluxes)
         on, off = exposure.images()
         light: Image = np.maximum(on - off, np.float32(0.0))
-        return light + bounced_light(prepared, seed) if bounces and bounces_of(prepared) else light
+        return light + prepared.bounced_light(seed) if bounces and prepared.bounces else light
 
 
 def render_columns(scene: Scene, column: Columns, spp: int, seed: int = 0) -> Image:
@@ -424,7 +402,7 @@ def indirect_columns(scene: Scene, column: Columns, indirect_samples: int, seed:
     with ONE_FRAME:
         prepared = prepared_for(scene, column)
         given = replace(prepared.arrangement, indirect_samples=indirect_samples)
-        return bounced_light(replace(prepared, arrangement=given), seed, of_lit=True)
+        return replace(prepared, arrangement=given).bounced_light(seed, of_lit=True)
 
 
 def render_uncached(scene: Scene, spp: int | None = None) -> Image:

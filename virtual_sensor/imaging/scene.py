@@ -829,7 +829,7 @@ def _read(
     if material := _material(files, list(folders), values):
         check_material(next(each for each in files if each.elements[0].file == material))
         folders |= {material.parent: None}
-    defaults = {e.attributes["name"] for file in files for e in file.elements if e.tag == "default"}
+    defaults = {name for file in files for name in file.defaults}
     used = {
         name
         for file in files

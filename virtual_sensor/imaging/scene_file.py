@@ -87,6 +87,12 @@ class SceneFile:
     text: str
     notes: tuple[str, ...] = ()
 
+    @property
+    def defaults(self) -> dict[str, str]:
+        """Its parameters by name, with their values by default."""
+        said = (element.attributes for element in self.elements if element.tag == "default")
+        return {each.get("name", ""): each.get("value", "") for each in said}
+
 
 def shipped_scenes() -> Path:
     """Folder of the scenes that come with the program."""

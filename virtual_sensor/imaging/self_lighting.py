@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from virtual_sensor.arrays import in_own_memory, to_numpy, to_vectors
+from virtual_sensor.arrays import GOLDEN, in_own_memory, to_numpy, to_vectors
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
@@ -23,7 +23,7 @@ from virtual_sensor.optics.surfaces import slab
 Array = NDArray[np.float64]
 
 _RAYS = 1 << 14
-_GOLDEN, _PLASTIC = 0.6180339887498949, 0.7548776662466927
+_PLASTIC = 0.7548776662466927
 _NEAR_MM = 1.0  # before the shapes' box rays start: float32 hits from there are good to 0.03 um
 _COLUMNS = _ROWS = 32  # bins of the image in which the light of line and ghosts is gathered
 _WORST = 0.1  # of the line's columns
@@ -62,7 +62,7 @@ def _of_source(scene: Scene, source: Any) -> tuple[float, float, float]:
     """The three figures of `SelfLighting` for one source."""
     number = np.arange(_RAYS)
     low, high = source.extent
-    u = np.stack([(number * _GOLDEN + 0.5) % 1.0, (number + 0.5) / _RAYS], axis=1)
+    u = np.stack([(number * GOLDEN + 0.5) % 1.0, (number + 0.5) / _RAYS], axis=1)
     s, t = (low + u * (high - low)).T
     origin, direction = source.family.rays(s, t)
     loaded, context = scene.mitsuba, mi.BSDFContext()
@@ -72,11 +72,11 @@ def _of_source(scene: Scene, source: Any) -> tuple[float, float, float]:
     power = np.where(np.array(lit.is_valid()), source.flux(s, t, depth), 0.0)
     drawn = [
         in_own_memory((number * step % 1.0).astype(np.float32), mi.Float)
-        for step in (_PLASTIC, _GOLDEN**2, _PLASTIC**2)
+        for step in (_PLASTIC, GOLDEN**2, _PLASTIC**2)
     ]
     bsdf = lit.bsdf()
     sample, weight = bsdf.sample(context, lit, drawn[0], mi.Point2f(*drawn[1:]), lit.is_valid())
-    reflected = power * _grey(weight)
+    reflected = power * np.array(dr.mean(weight, axis=0), float)
     onward = lit.spawn_ray(lit.to_world(sample.wo))
     again = loaded.ray_intersect(onward, lit.is_valid() & dr.any(weight != 0.0))
     met = np.array(again.is_valid())
@@ -106,11 +106,6 @@ def _met(loaded: Any, origin: Any, heading: Any) -> Any:
     return loaded.ray_intersect(mi.Ray3f(origin + heading * start, heading))
 
 
-def _grey(spectrum: Any) -> Array:
-    """Mean of a spectrum's channels."""
-    return np.array(spectrum, float).reshape(len(spectrum), -1).mean(axis=0)
-
-
 def _ghost_over_line(scene: Scene, laser: LaserLine, line: Array, ghost: Array) -> float:
     """By the light of columns' bins: that of the line lies in rows as wide as it, a ghost's in all.
 
@@ -138,7 +133,8 @@ def _seen(scene: Scene, at: Any, power: Array) -> Array:
     valid = at.is_valid() & (in_own_memory(power.astype(np.float32), mi.Float) > 0.0)
     value = at.bsdf().eval(mi.BSDFContext(), at, at.to_local(to_camera), valid)
     hidden = loaded.ray_test(at.spawn_ray(to_camera), valid)
-    light = power * _grey(value) / square * ~np.array(hidden) * np.array(valid)
+    seen = np.array(valid) & ~np.array(hidden)
+    light = power * np.array(dr.mean(value, axis=0), float) / square * seen
     pixel = camera.project(points)
     inside = camera.inside(pixel) & (light > 0.0)
     width, height = camera.size

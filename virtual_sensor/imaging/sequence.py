@@ -29,8 +29,6 @@ from virtual_sensor.imaging.render import (
     Image,
     PixelTruth,
     RenderReport,
-    bounced_light,
-    bounces_of,
     checked,
     part_of,
     prepared_for,
@@ -186,7 +184,7 @@ def render_sequence(
             frames = last - first
             exposure, report = prepared.exposed(samples, seed, tell, frames=frames, fluxes=fluxes)
             images.append(exposure.images())
-            if bounces_of(prepared):
+            if prepared.bounces:
                 images[-1] = images[-1] + _indirect(prepared, each.projector_name, devices, seed)
             reports.append(report)
             if first_truth is None:
@@ -270,7 +268,7 @@ def _indirect(prepared: Prepared, name: str, devices: Sequence[Projector], seed:
     """Light that bounces while a projector shows patterns, (K, H, W): of each by itself."""
     given = prepared.arrangement
     shown = (replace(given, sources={**given.sources, name: each}) for each in devices)
-    return np.stack([bounced_light(replace(prepared, arrangement=each), seed) for each in shown])
+    return np.stack([replace(prepared, arrangement=each).bounced_light(seed) for each in shown])
 
 
 def _fluxes(devices: Sequence[Projector]) -> Fluxes:

@@ -27,6 +27,7 @@ from virtual_sensor.metrology.line_profiles import (
     Peaks,
     Profile,
     by_width,
+    median_of_squares,
     pixel_gaussian,
     pixels,
 )
@@ -90,15 +91,11 @@ def clipping_level(image: NDArray, saturation: float) -> float:
     other = values < level + _CONNECTED * (saturation - level)
     within = ~other
     for step in (1, -1):  # between clipped pixels of one plateau
-        last = (
-            np.maximum.accumulate(
-                np.where(mask, row, -1)[::step]
-                if step > 0
-                else np.where(mask, len(values) - 1 - row, -1)[::step]
-            )[::step]
+        of_plateau, beside = (
+            np.maximum.accumulate(np.where(mask[::step], row, -1))[::step]
             for mask in (clipped, other)
         )
-        within &= next(last) > next(last)
+        within &= of_plateau > beside
     if np.mean(~clipped[within]) < _UNEVEN:
         return saturation
     lowest = saturation - _DEEPEST * (saturation - float(np.median(level)))
@@ -434,8 +431,8 @@ class _Problem(NamedTuple):
 
 def _local(squares: Array, free: Array) -> Array:
     """The mean of squares (L,) of so many free values each, by the median of the neighbours."""
-    below_mean = (1.0 - 2.0 / (9.0 * np.maximum(free, 1.0))) ** 3  # Wilson and Hilferty
-    return median_filter(squares / below_mean, _NEIGHBOURS, mode="reflect")
+    middle = median_of_squares(np.maximum(free, 1.0))
+    return median_filter(squares / middle, _NEIGHBOURS, mode="reflect")
 
 
 def _shared(shift: Array, doubt: Array) -> Array:

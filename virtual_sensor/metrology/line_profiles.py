@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 from scipy.special import ndtr
 
-from virtual_sensor.arrays import LARGEST, number_within, unmasked
+from virtual_sensor.arrays import GOLDEN, LARGEST, number_within, unmasked
 from virtual_sensor.errors import InputError, short
 
 Array = NDArray[np.float64]
@@ -27,7 +27,6 @@ _PAIRS = 128  # of rows, at most, in which it is seen,
 _BLOCK_COLUMNS, _SAMPLED_COLUMNS = 64, 8  # and columns
 _CLEARLY = 4.0  # about three standard errors of such a median
 _GREY_VALUES = 16.0  # from which on an image of whole floats is a camera's
-_GOLDEN = 0.6180339887498949
 _AT_ONCE = 5  # rows that are read for all peaks, before those that are broader
 _PEDESTAL = 0.75  # of its height: a peak that rises less above its valleys stands on other light
 _PROMINENCE = 0.1  # of its height: by so much a further peak rises above the valleys beside it
@@ -194,7 +193,7 @@ def noise_beside(image: NDArray, given: float | None = None) -> Array:
         np.all(upper == np.rint(upper)) and np.abs(upper).max() >= _GREY_VALUES
     )
     if whole:  # their median would be whole too: each is spread evenly over its unit
-        dither = (np.arange(change.size).reshape(change.shape) * _GOLDEN) % 1.0 - 0.5
+        dither = (np.arange(change.size).reshape(change.shape) * GOLDEN) % 1.0 - 0.5
         change = np.abs(change + dither)
     change[level > np.median(level, axis=0)] = np.inf
     change = np.sort(change.reshape(len(first), blocks, -1).swapaxes(0, 1).reshape(blocks, -1))
@@ -278,6 +277,21 @@ def find_peaks(coarse: Coarse, max_sigma: float, count: int = 1, local: bool = F
     middle = peak + (down - below - up + above) / 2.0
     profile = (middle, sigma, contrast, background, level[column], second)
     return Peaks(column, rank, peak, *profile, *np.full((4, peak.size), np.nan))
+
+
+def median_of_squares(free: Array) -> Array:
+    """Of the mean of so many free squared deviations: the median, in the variance.
+
+    By Wilson and Hilferty 1931, Proc. Natl. Acad. Sci. 17, 684.
+    """
+    return (1.0 - 2.0 / (9.0 * free)) ** 3
+
+
+def running_scatter(values: Array, near: int) -> tuple[Array, Array]:
+    """Running median of values (N,), and how far they scatter about it, as a sigma."""
+    middle = median_filter(values, near, mode="nearest")
+    away = median_filter(np.abs(values - middle), near, mode="nearest")
+    return middle, away / QUARTILE
 
 
 def smoothed_noise(noise: Array) -> Array:

@@ -19,7 +19,9 @@ from virtual_sensor.metrology.line_profiles import (
     Index,
     Noise,
     Peaks,
+    median_of_squares,
     pixel_gaussian,
+    running_scatter,
     windows,
 )
 
@@ -191,8 +193,7 @@ def _scatter(shape: Array) -> Array:
     median is larger: a trouble of many columns.
     """
     shape = np.nan_to_num(shape)
-    middle = median_filter(shape, _NEIGHBOURS, mode="nearest")
-    away = median_filter(np.abs(shape - middle), _NEIGHBOURS, mode="nearest") / QUARTILE
+    middle, away = running_scatter(shape, _NEIGHBOURS)
     return np.where(np.abs(middle) < away, away, 0.0)
 
 
@@ -384,8 +385,8 @@ def _solved(basis: Array, taper: Array) -> Array:
 def _local(residual: Array, sigma: Array) -> Array:
     """The neighbours' median residual, rms: one peak has too few rows to estimate its noise."""
     free = np.maximum(2.0 * REACH * np.maximum(sigma, 1.0) - REACH - 4.0, 1.0)
-    below_mean = (1.0 - 2.0 / (9.0 * free)) ** 3  # the median of chi square: Wilson and Hilferty
-    return np.sqrt(median_filter(residual**2, _NEIGHBOURS, mode="nearest") / below_mean)
+    local = median_filter(residual**2, _NEIGHBOURS, mode="nearest")
+    return np.sqrt(local / median_of_squares(free))
 
 
 def _noise_variance(change: Array, pair: Single, sigma: Array, whole: Array) -> Array:

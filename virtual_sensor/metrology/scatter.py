@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from virtual_sensor.metrology.line_profiles import QUARTILE, Array
+from virtual_sensor.metrology.line_profiles import QUARTILE, Array, running_scatter
 
 NEIGHBOURS = 31
 GRAINY = 0.1  # relative scatter of neighbours' widths: far more than noise makes of a good line
@@ -36,7 +36,7 @@ def is_rough(width: Array) -> bool:
     known = width[np.isfinite(width)]
     if known.size < _FEWEST or not _may_be_grainy(known):
         return False
-    middle, away = _scatter(known)
+    middle, away = running_scatter(known, NEIGHBOURS)
     return bool(np.median(away / middle) > _ROUGH)
 
 
@@ -60,7 +60,7 @@ def with_scatter(sigma: Array, width: Array, found: NDArray[np.bool_], known: bo
     there = np.flatnonzero(found & np.isfinite(sigma) & np.isfinite(width))
     if there.size < _FEWEST or not _may_be_grainy(width[there]):
         return sigma
-    middle, away = _scatter(width[there])
+    middle, away = running_scatter(width[there], NEIGHBOURS)
     usual = median_filter(sigma[there], NEIGHBOURS, mode="nearest")
     more = _MORE_THAN_KNOWN if known else _MORE_THAN_RESIDUALS
     least = np.where(away > more * usual, _OF_WIDTHS * away, _OF_USUAL * usual * known)
@@ -76,18 +76,11 @@ def with_scatter_of_ridge(sigma: Array, width: Array, known: bool) -> Array:
     """
     if sigma.size < _FEWEST:
         return sigma
-    _, away = _scatter(width, _RIDGE_NEIGHBOURS)
+    _, away = running_scatter(width, _RIDGE_NEIGHBOURS)
     usual = median_filter(sigma, _RIDGE_NEIGHBOURS, mode="nearest")
     more = _MORE_OF_RIDGE if known else 1.0
     least = np.where(away > more * usual, _OF_RIDGE_WIDTHS * away, 0.0)
     return np.maximum(sigma, least)
-
-
-def _scatter(values: Array, near: int = NEIGHBOURS) -> tuple[Array, Array]:
-    """Running median of values (N,), and how far they scatter about it, as a sigma."""
-    middle = median_filter(values, near, mode="nearest")
-    away = median_filter(np.abs(values - middle), near, mode="nearest")
-    return middle, away / QUARTILE
 
 
 def _may_be_grainy(width: Array) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from virtual_sensor.display import Displayed, listed
 from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError
-from virtual_sensor.optics.eikonal import bend
+from virtual_sensor.optics.eikonal import LAST_PIECE_MM, bend
 from virtual_sensor.optics.illumination import Illumination, LightStatus, illuminate
 from virtual_sensor.optics.ray_maps import ForwardMap, InverseMap
 from virtual_sensor.optics.ray_status import RayStatus
@@ -92,6 +92,13 @@ class Sight:
     heading: Any
     hit: Any
     lights: tuple[Illumination, ...]
+
+    def met(self, scene: mi.Scene) -> tuple[Any, Any, Any]:
+        """What the rays meet in Mitsuba's scene, their directions there, and which do."""
+        heading = mi.Vector3f(self.heading)
+        last = mi.Ray3f(mi.Point3f(self.point) - heading * LAST_PIECE_MM, heading)
+        si = scene.ray_intersect(last, self.hit)
+        return si, heading, self.hit & si.is_valid()
 
 
 @dataclass(frozen=True)

@@ -346,10 +346,7 @@ def page(
             " from its middle: where the laser's axis meets the part.",
             *_at_edges(figures),
         ),
-        Section(
-            "What the camera sees",
-            beside(panels, "frame", "air"),
-        ),
+        Section("What the camera sees", beside(panels, "frame", "air")),
     ]
     if _bounces(figures):
         sections.append(Section("Ghosts", _GHOST_WORDS, ghost_table(figures)))

@@ -8,6 +8,8 @@ from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from virtual_sensor_plugins.interreflection import INDIRECT_SAMPLES
+from virtual_sensor_plugins.renderer import DIRECT
 
 from virtual_sensor.imaging.camera_parameters import with_field_of_view
 from virtual_sensor.imaging.new_scene.options import NewScene
@@ -22,8 +24,6 @@ Rows = list[tuple[str, object, str]]
 
 WAVELENGTH_NM = 532.0
 """Of the laser, by default."""
-
-MATERIAL_WORDS = "of the part: one that is installed, such as ground_steel, or a file"
 
 
 def scene_text(
@@ -81,9 +81,9 @@ def _air(said: NewScene, field: str) -> Rows:
 
 def _surface(part: NewPart, said: NewScene) -> Rows:
     metal = said.roughness is not None
-    rows: Rows = [
-        ("material", said.material or ("ground_steel" if metal else "diffuse"), MATERIAL_WORDS)
-    ]
+    material = said.material or ("ground_steel" if metal else "diffuse")
+    words = "of the part: one that is installed, such as ground_steel, or a file"
+    rows: Rows = [("material", material, words)]
     if metal:
         words = "of the material, alpha of GGX, from 0.05, shiny, to 0.5, dull"
         rows.append(("roughness", said.roughness, words))
@@ -179,24 +179,21 @@ def _devices(sensor: Placement, said: NewScene) -> Rows:
         ("height", height, "px"),
         *_lens(said),
         ("spp", 16, "samples per pixel, a square number"),
-        (
-            "max_depth",
-            _given(said.max_depth, 2),
-            "of light's path: 2, direct; 3, with one reflection",
-        ),
-        (
-            "indirect_samples",
-            _given(said.indirect_samples, 8),
-            "of the lit stripe, for such reflections",
-        ),
+        *_bounces(said),
         ("transport", "tabulated", "of light: tabulated, marched, first_order, straight"),
         ("tolerance", 0.003, "of the tables, px"),
         ("step", 2, "of the ray march, mm"),
     ]
 
 
-def _given(number: int | None, otherwise: int) -> int:
-    return otherwise if number is None else number
+def _bounces(said: NewScene) -> Rows:
+    """Reflections between surfaces, which direct light has not."""
+    depth = DIRECT if said.max_depth is None else said.max_depth
+    points = INDIRECT_SAMPLES if said.indirect_samples is None else said.indirect_samples
+    return [
+        ("max_depth", depth, "of light's path: 2, direct; 3, with one reflection"),
+        ("indirect_samples", points, "of the lit stripe, for such reflections"),
+    ]
 
 
 def _lens(said: NewScene) -> Rows:

@@ -327,10 +327,8 @@ def _with_files(folder: Path, said: NewScene) -> tuple[NewScene, dict[str, Path]
             changed: dict[str, Any] = {name: place}
             said, files = dataclasses.replace(said, **changed), {**files, place: file}
     if said.material is not None:
-        elements = read_scene_file(find_material(said.material, [Path()]), inner=True).elements
-        if said.roughness is not None and not any(
-            e.tag == "default" and e.attributes.get("name") == "roughness" for e in elements
-        ):
+        surface = read_scene_file(find_material(said.material, [Path()]), inner=True)
+        if said.roughness is not None and "roughness" not in surface.defaults:
             raise InputError(
                 f"--roughness {said.roughness:g}: the material {said.material} has none; leave it"
                 f" out, or take one of {', '.join(materials_with('roughness'))}"

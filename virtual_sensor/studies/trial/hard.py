@@ -157,10 +157,13 @@ class Sample(Displayed):
 
 
 @dataclass(frozen=True)
-class Bench:
+class Bench(Displayed):
     """A plate under the laser and the camera of the cylinder, in frames so many px wide."""
 
     film_px: int
+
+    def _line(self) -> str:
+        return f"frames of {self.film_px} x {_HEIGHT_PX} px"
 
     def image(self, condition: Condition, rng: np.random.Generator) -> TrialImage:
         """A hard frame as its camera records it."""
