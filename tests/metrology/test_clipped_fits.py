@@ -93,11 +93,27 @@ def test_a_lopsided_profile_says_so_by_its_sigma():
         assert np.mean(error > 3.0 * line.sigma[line.found]) < 0.05
 
 
+def test_a_few_columns_that_are_lopsided_say_so_too():
+    """Their neighbours, which are not, can't say it for them."""
+    row = rows_of(400)
+    pixel, few = np.arange(72.0)[:, None], (np.arange(400) > 200) & (np.arange(400) < 240)
+    more = np.where(few, 1.2, 1.0)
+    width = np.where(pixel > row, 2.0 * more, 2.0 / more)
+    electrons = 20.0 + 8.0 * WELL * np.exp(-0.5 * ((pixel - row) / width) ** 2)
+    line = vs.line_centres(vs.grey_values(electrons, CAMERA, 2), sensor=CAMERA)
+    error = np.abs(line.row - row)
+    assert np.median(error[few]) > 0.2
+    assert np.all((error < 6.0 * line.sigma)[few & line.found])
+    assert line.found[few].mean() > 0.9
+    assert np.nanmedian(line.sigma[~few]) < 0.02
+
+
 def test_at_the_border_and_where_only_one_flank_is_seen():
     rows = np.linspace(-6.0, 14.0, 200)
     line = vs.line_centres(recorded(rows, 2.0, 8.0), sensor=CAMERA)
-    assert not line.found[rows < 2.0].any()
-    assert {*line.status[rows < 2.0]} <= {vs.Status.AT_BORDER, vs.Status.SATURATED}
+    cut = rows < 4.0  # closer to the border than two and a half of its sigmas
+    assert not line.found[cut].any()
+    assert {*line.status[cut]} <= {vs.Status.AT_BORDER, vs.Status.SATURATED}
     seen = rows > 6.0
     assert np.all(line.found[seen])
     good = line.found
@@ -110,6 +126,52 @@ def test_glare_that_fills_the_image_stays_saturated():
     wide = np.full((40, 30), 20, np.uint8)
     wide[:30] = 255
     assert not vs.line_centres(wide).found.any()
+    broad = np.full((100, 30), 20, np.uint8)
+    broad[15:85] = 255  # both of its borders are seen, and are all that is
+    assert {*vs.line_centres(broad).status} == {vs.Status.SATURATED}
+
+
+def test_other_light_beside_a_clipped_line_does_not_draw_its_centre():
+    """Rationale: a flank ends where another light rises."""
+    row = rows_of(300)
+    electrons = 20.0 + line_image(row, 2.0, 6.0 * WELL, height=90)
+    electrons += line_image(row + 13.0, 2.5, 0.2 * WELL, height=90)
+    line = vs.line_centres(vs.grey_values(electrons, CAMERA, 4), sensor=CAMERA)
+    assert line.found.mean() > 0.95
+    error = np.abs(line.row - row)[line.found]
+    assert np.mean(error < 3.0 * line.sigma[line.found]) > 0.98
+    assert np.median(error) < 0.05
+
+
+def bloomed(row, above, below, jitter=0.0):
+    """A plateau from `row` so far up and down, with steep flanks that end in a glow."""
+    row = row + jitter * np.random.default_rng(6).normal(size=row.size)
+    v = np.arange(90.0)[:, None]
+    away = np.maximum(row - above - v, v - row - below)
+    light = 0.6 * np.clip(0.5 - away / 2.0, 0.0, 1.0) + 0.4 * np.exp(-np.maximum(away, 0.0) / 6.0)
+    return np.rint(10.0 + 400.0 * light).clip(0, 255).astype(np.uint8)
+
+
+def test_where_pixels_bloom_the_centre_is_between_the_flanks_and_less_sure():
+    """No width is given, as the profile is not the line's; the two sides may differ by a tenth."""
+    row = 45.0 + 0.01 * np.arange(300)
+    for sides, most in (((10.0, 10.0), 0.1), ((9.4, 10.6), 0.7)):
+        line = vs.line_centres(bloomed(row, *sides))
+        assert {*line.status} == {vs.Status.CLIPPED}
+        assert np.isnan(line.width).all()
+        error = np.abs(line.row - row)
+        assert error.max() < most
+        assert np.mean(error < 2.0 * line.sigma) > 0.99
+
+
+def test_flanks_that_scatter_from_column_to_column_say_how_sure_a_centre_is():
+    """Rationale: what one column's flanks do not show, its neighbours do."""
+    row = 45.0 + 0.01 * np.arange(300)
+    line = vs.line_centres(bloomed(row, 4.0, 4.0, jitter=0.6))
+    found = line.found
+    assert found.mean() > 0.9
+    actual = np.std((line.row - row)[found])
+    assert 0.8 < np.sqrt(np.mean(line.sigma[found] ** 2)) / actual < 1.4
 
 
 def test_lines_without_clipped_pixels_are_as_before():

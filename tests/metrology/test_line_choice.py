@@ -88,7 +88,7 @@ def test_spatter_is_not_the_line():
     for u0, v0 in rng.uniform((0.0, 0.0), (COLUMNS, HEIGHT), (30, 2)):
         broad, tall, bright = rng.uniform((1.0, 1.0, 0.5), (6.0, 15.0, 3.0))
         image += bright * np.exp(-0.5 * (((U - u0) / broad) ** 2 + ((v - v0) / tall) ** 2))
-    assert outliers(line_centres(image, choose="highest"), LINE) > 40
+    assert np.sum(np.abs(image.argmax(axis=0) - LINE) > 2.0) > 80  # the gap's 39 among them
     assert outliers(line_centres(image), LINE) <= 3
 
 

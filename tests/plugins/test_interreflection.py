@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from virtual_sensor_plugins.exposure import ONE_FRAME
+from virtual_sensor_plugins.interreflection import Stripe
 from virtual_sensor_plugins.renderer import Prepared
 
 import virtual_sensor as vs
@@ -19,12 +20,13 @@ SIZE, HALF_MM = 48, 6.0
 CORNER = f"""<scene version="3.0.0">
     <default name="depth" value="3"/><default name="samples" value="4"/>
     <default name="radius" value="0.2"/><default name="dots" value=""/>
+    <default name="eye" value="0, 300, 6.5"/>
     <integrator type="refractive"><integer name="max_depth" value="$depth"/>
         <integer name="indirect_samples" value="$samples"/></integrator>
     <sensor type="perspective">
         <float name="fov" value="{2.0 * np.degrees(np.arctan(HALF_MM / 300.0))}"/>
         <transform name="to_world">
-            <lookat origin="0, 300, 6.5" target="0, 0, 6.5" up="0, 0, 1"/></transform>
+            <lookat origin="$eye" target="0, 0, 6.5" up="0, 0, 1"/></transform>
         <film type="hdrfilm">
             <integer name="width" value="{SIZE}"/><integer name="height" value="{SIZE}"/>
             <string name="pixel_format" value="luminance"/><rfilter type="box"/></film>
@@ -99,6 +101,44 @@ def test_two_diffuse_walls_transfer_by_their_form_factor(corner):
     s, t = layers[0, 1:3].sum((1, 2)) / radiance.sum()
     assert abs(s) < 0.02
     assert abs(t) < 0.3
+
+
+SCREEN = """<shape type="rectangle"><transform name="to_world"><scale x="40" y="1"/>
+    <rotate x="1" angle="-90"/><translate y="2.5"/></transform>
+    <bsdf type="diffuse"/></shape>"""
+
+
+def test_a_screen_between_line_and_wall_throws_its_shadow(corner):
+    """It stands half way, 1 mm high: the wall is dark to a height of 2 mm, and lit above it."""
+    scene = corner(other=SCREEN)
+    expected, (_, z) = by_a_line(*wall_mm()), wall_mm()
+    light = indirect(scene)[0, 0]
+    dark, lit = ((low < z) & (z < high) for low, high in ((1.1, 1.85), (2.25, 9.0)))
+    assert not np.any(light[dark.ravel()])
+    assert light[lit.ravel()].sum() == pytest.approx(expected[lit.ravel()].sum(), rel=0.01)
+
+
+def test_light_that_no_chance_finds_is_connected_whole(corner, monkeypatch):
+    """Where refraction moves light farther than the sources' margins, only connections have it."""
+    monkeypatch.setattr(Stripe, "_near", lambda self, beam, frame, point: mi.Mask(False))
+    light, expected = indirect(corner())[0, 0], by_a_line(*wall_mm())
+    assert abs(light.sum() / expected.sum() - 1.0) < 0.02
+
+
+HALF_MIRROR = """<bsdf type="blendbsdf" id="grey"><float name="weight" value="0.5"/>
+    <bsdf type="conductor"><string name="material" value="none"/></bsdf>
+    <bsdf type="diffuse"/></bsdf>"""
+
+
+def test_a_mirror_shows_the_line_as_by_mitsubas_path(corner):
+    """The camera looks down: what the wall mirrors of the floor has the line's image."""
+    scene = corner(HALF_MIRROR, radius=1.0, eye="0, 230, 206.5")
+    own = np.mean([indirect(scene, seed)[0, 0] for seed in range(2)], axis=0)
+    direct = vs.render(corner(HALF_MIRROR, radius=1.0, eye="0, 230, 206.5", depth=2))
+    path = mi.load_dict({"type": "path", "max_depth": 3, "rr_depth": 99})
+    stock = np.array(mi.render(scene.mitsuba, integrator=path, spp=256))[:, :, 0] - direct
+    assert own.max() > 20.0 * np.median(own)
+    assert own.sum() == pytest.approx(stock.sum(), rel=0.02)
 
 
 def test_mitsubas_render_has_the_reflected_light_too(corner):

@@ -56,7 +56,8 @@ _FLAT, _DROP, _STEPS_DOWN = 3, 0.1, 4.0  # rows; of the height and grey values: 
 _FEWEST_FLAT, _SOME_FLAT = 8, 0.05  # columns, and of those that reach the highest value
 _MOST_COLUMNS = 512  # in which a picture is looked at
 _UNEVEN, _DEEPEST = 0.03, 0.02  # of the plateaus' pixels, and of their height
-_NEIGHBOURS, _FAR_NEIGHBOURS = 31, 201
+_NEIGHBOURS = 31
+_ALIKE = (_NEIGHBOURS, 3.0), (201, 2.0)  # columns, and standard errors of what they share
 
 
 def clipping_level(image: NDArray, saturation: float) -> float:
@@ -436,12 +437,13 @@ def _local(squares: Array, free: Array) -> Array:
 
 
 def _shared(shift: Array, doubt: Array) -> Array:
-    """By how much a shift (L,) that neighbours share is clearly more than none."""
-    if not shift.size:
-        return shift
-    shared = median_filter(shift, _FAR_NEIGHBOURS, mode="reflect")
-    error = np.sqrt(np.pi / 2.0 / min(_FAR_NEIGHBOURS, shift.size)) * np.median(doubt)
-    return np.maximum(np.abs(shared) - 2.0 * error, 0.0)
+    """By how much a shift (L,) that near or far neighbours share is clearly more than none."""
+    found = np.zeros(shift.size)
+    for neighbours, clearly in _ALIKE if shift.size else ():
+        shared, unsure = (median_filter(x, neighbours, mode="reflect") for x in (shift, doubt))
+        error = np.sqrt(np.pi / 2.0 / min(neighbours, shift.size)) * unsure
+        found = np.maximum(found, np.abs(shared) - clearly * error)
+    return found
 
 
 def _unsteady(row: Array) -> Array:
