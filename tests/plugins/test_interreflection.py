@@ -142,10 +142,14 @@ def test_a_mirror_shows_the_line_as_by_mitsubas_path(corner):
 
 
 def test_mitsubas_render_has_the_reflected_light_too(corner):
-    """On the film, and with a depth of 2 none."""
+    """On the film, alone or beside direct light, and with a depth of 2 none."""
     scene = corner()
     on_film = np.array(mi.render(scene.mitsuba, seed=3))[:, :, 0]
     np.testing.assert_allclose(on_film, indirect(scene, seed=3)[0, 0], rtol=1e-5)
+    groove = vs.load_scene("v_groove", width=48, height=48, spp=4, line_radius=1, max_depth=3)
+    on_film = np.array(mi.render(groove.mitsuba, seed=3))[:, :, 0]
+    np.testing.assert_allclose(on_film, vs.render(groove, seed=3), rtol=1e-4, atol=1e-9)
+    assert on_film.max() > 10.0 * np.median(on_film)
     assert not np.any(np.array(mi.render(corner(depth=2).mitsuba)))
 
 
@@ -238,3 +242,28 @@ def test_each_bounce_in_an_integrating_sphere_has_its_albedo_more(tmp_path):
     bounce = np.arange(1, 4)
     expected = 0.8 ** (bounce + 1) * 0.1 / (np.pi * 4.0 * np.pi * 100.0**2)
     np.testing.assert_allclose(light.mean(axis=(1, 2)), expected, rtol=5e-3)
+
+
+def test_rays_that_lit_a_point_are_found_from_it_again_in_hot_air():
+    """Followed through the air from the laser, and sought from the point by the tables of light.
+
+    Which rays they are, how bright, and how densely points lie there, by which both are weighed.
+    """
+    scene = vs.load_scene("hot_cylinder", width=64, height=64, max_depth=3)
+    with ONE_FRAME:
+        given = arrangement(scene)
+        beam = Prepared.of(given)._beam("laser")
+        stripe = Stripe(given.scene, (beam,), given.refracting, given.transport.march, seed=0)
+        points = stripe.generations[0]
+        (caught,) = stripe.lights(points.si, mi.Mask(True))
+    which = np.array(caught.which)
+    assert which.size > 0.95 * points.s.numpy().size
+    lit = np.array([points.s, points.t]).T[which]
+    found = np.array(caught.coordinates).T
+    straight = beam.source.family.coordinates(np.transpose(points.si.p)[which])[:, :2]
+    off, bent = (np.median(np.abs(each - lit), axis=0) for each in (found, straight))
+    assert np.all(off < 0.01 * bent)
+    density, power = np.array(points.density)[which], np.array(points.power)[0, which]
+    assert np.median(np.array(caught.density) / density) == pytest.approx(1.0, abs=1e-3)
+    shown = np.array(caught.irradiance) / (power * density)  # the same for all points
+    np.testing.assert_allclose(np.quantile(shown, [0.1, 0.9]), np.median(shown), rtol=0.01)
