@@ -65,7 +65,7 @@ TOLD = {
 UNBIASED = ("gaussian", "weighted_gaussian", "max_likelihood", "log_parabola")
 # Whether a column is doubted does not depend on the detector, but for what its own fit says.
 METHODS = [
-    ("centre_of_gravity", "weighted_gaussian"),
+    ("weighted_gaussian",),
     pytest.param(COLUMNWISE, marks=pytest.mark.slow),
 ]
 UNRESOLVED = 1.5  # sigma apart, up to which two lines are one: see the last test
