@@ -28,8 +28,9 @@ _EVEN = 0.05  # change of the log height from column to column, at first
 _LEAST_BLUR_PX = 0.15
 _BLUR_SPREAD = 0.7  # of the log blur about what is usual
 _USUAL_BLUR = 0.2  # of the line's width
-_MOST_STEPS = 40
-_TOLERANCE = 1e-4
+MOST_STEPS = 40
+_GONE_RATIO, _GONE_BLUR = np.log(60.0), 1.2  # log, and widths: beyond, it is no edge that is fitted
+_TOLERANCE = 1e-2
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)  # in each pixel
 _BAND = 2 * OWN + 1
 
@@ -108,9 +109,17 @@ def modelled(rows: Index, own: Array, shared: Array) -> tuple[Array, Array, Arra
 
 
 def fit_edge(
-    window: Window, own: Array, shared: Array, variance: Array, smooth: Smooth = _AT_FIRST
+    window: Window,
+    own: Array,
+    shared: Array,
+    variance: Array,
+    smooth: Smooth = _AT_FIRST,
+    most_steps: int = MOST_STEPS,
 ) -> EdgeFit:
-    """Fit from a first guess of the parameters, with a variance (n, L) of each pixel."""
+    """Fit from a first guess of the parameters, with a variance (n, L) of each pixel.
+
+    It ends early where it runs away from all that is an edge.
+    """
     weight = window.use / variance
     usual = np.log(_USUAL_BLUR) + np.median(own[WIDTH])
     prior = _prior(own.shape[1], smooth)
@@ -126,7 +135,7 @@ def fit_edge(
         return float(cost), residual, parts
 
     cost, residual, parts = cost_of(*state)
-    for _ in range(_MOST_STEPS):
+    for _ in range(most_steps):
         normal, border, corner = _normal(weight, parts)
         normal += prior
         gradient, shared_gradient = _gradients(weight, parts, residual)
@@ -147,7 +156,7 @@ def fit_edge(
         gained = cost - trial[0]
         state, (cost, residual, parts) = moved, trial
         damping = max(damping * 0.2, 1e-9)
-        if gained < _TOLERANCE * (1.0 + 1e-3 * cost):
+        if gained < _TOLERANCE * (1.0 + 1e-3 * cost) or _is_gone(*state):
             break
     normal, border, corner = _normal(weight, parts)
     rows_variance, ratio_variance = _variances(normal + prior, border, corner + np.diag(penalty))
@@ -160,6 +169,11 @@ def fit_edge(
         variance,
         cost,
     )
+
+
+def _is_gone(own: Array, shared: Array) -> bool:
+    gone = np.abs(shared[RATIO]) > _GONE_RATIO
+    return bool(gone or np.exp(shared[BLUR]) > _GONE_BLUR * np.exp(np.median(own[WIDTH])))
 
 
 def _limited(step: Array, own: Array) -> Array:

@@ -240,10 +240,10 @@ def _columnwise(
     at = shape.peaks
     lines[:, at.rank, at.column] = at.row, at.sigma, at.amplitude, at.background
     uneven[at.rank, at.column] = shape.uneven
+    uncertain = found[1].copy()  # by how much the amplitude may change from column to column
     if not is_rough(lines[1, 0]):  # of the line: ghosts stay as they are
         first = uneven[0], status[0], found[:, 0]
         correct_edges(image, Line(*lines[:, 0]), *first, noise, saturation)
-    uncertain = found[1].copy()  # by how much the amplitude may change from column to column
     if clipped.row.size:
         profile, verdict, height_error = fit_clipped(filled, clipped, noise, saturation, max_sigma)
         status[clipped.rank, clipped.column] = verdict

@@ -49,17 +49,19 @@ _LOST = 8  # columns without a line end it
 _REACH = 4.2  # sigma of the pixels that count
 _NEAR = 3.5  # sigma: an edge so near shifts the centre
 _FIRST_BLUR = 0.3  # sigma
-_EACH = 2  # ratios of each sign
+_EACH = 1  # ratios of each sign
 _LEVELS = 1.2  # times as bright on one side of an edge that crosses the line
 _STILL = 5  # columns
 _CHANGE = 2.0  # cost of a change by a sigma from place to place
-_RATIOS = (1.25, 1.6, 2.2, 3.0, 5.0, 9.0, 16.0)
+_RATIOS = (1.5, 2.5, 5.0, 12.0)
 _ROW_STEPS = np.arange(-2.0, 2.01, 0.5)  # sigma
 _EDGE_STEPS = np.arange(-3.0, 3.01, 0.5)
-_NODES, _SEVERAL = 64, 3  # places along the edge at which it is sought first, columns of each
+_NODES, _SEVERAL = 32, 2  # places along the edge at which it is sought first, columns of each
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
-# Noise that is added at first, of the height, so that no fit is caught.
-_SMOOTH, _ROUGH = (0.01, 0.03), 0.03
+_ROUGH = 0.03  # noise that is added at first, of the height, so that no fit is caught
+_STARTS, _FIRST_STEPS = 2, 6
+_LOOKED_AT, _FINE = 16, 0.01  # columns that are looked at first, and noise of their height
+_DARKEST, _MORE = -0.1, 1.5  # light on the dark side; what an edge leaves over what a Gaussian does
 _GRAINS = 3.0  # contrast of a pixel's speckle, in what it makes of the height's changes
 _PERHAPS = 1.3  # times as much is left by a first fit in some columns
 _ROUNDS = 2  # of fits with the noise that the last one shows
@@ -193,17 +195,17 @@ def _segment(
     column = np.arange(first, first + line.row.size)
     row, width = _guessed(line, clean)
     none = np.zeros(column.size, bool), np.full((5, column.size), np.nan)
+    doubted = (uneven > 0.0) | np.isin(status, _DOUBTED)
+    if not _may_be_edge(image, first, line, row, width, doubted, noise, saturation):
+        return none
     some = np.unique(np.linspace(0, column.size - 1, _SEVERAL * _NODES).round().astype(int))
-    trials = []
-    for broader in (1.0,) if clean.sum() > _ENOUGH_CLEAN else (1.0, 1.3, 1.7):
-        window = _window(image, first + some, row[some], broader * width[some], saturation)
-        thin = Line._make(values[some] for values in line)
-        fit = _first_fit(window, row[some], broader * width[some], thin, noise, first + some)
-        trials.append((fit, window, broader))
-    fit, window, broader = min(trials, key=lambda trial: _misfit(*trial[:2]).mean())
+    thin = Line._make(values[some] for values in line)
+    broader = (1.0,) if clean.sum() > _ENOUGH_CLEAN else (1.0, 1.3, 1.7)
+    window = _window(image, first + some, row[some], broader[-1] * width[some], saturation)
+    fit = _first_fit(window, row[some], np.outer(broader, width[some]), thin, noise, first + some)
     if not _is_edge(window, fit, thin, clean[some], _PERHAPS):
         return none
-    window = _window(image, column, row, broader * width, saturation)
+    window = _window(image, column, row, broader[-1] * width, saturation)
     own = np.stack([np.interp(column - first, some, values) for values in fit.own])
     shared, smooth = fit.shared, _smoothness(fit, column.size / some.size)
     variance = _first_variance(window, line, noise, column)
@@ -231,28 +233,23 @@ def _near(fit: EdgeFit, share: float) -> Mask:
 
 
 def _first_fit(
-    window: Window, row: Array, width: Array, line: Line, noise: Noise, column: Index
+    window: Window, row: Array, widths: Array, line: Line, noise: Noise, column: Index
 ) -> EdgeFit:
-    """The fit in some columns that is best of some first guesses."""
+    """The fit in some columns that is best of some first guesses, of some widths (k, L)."""
     height, step = np.nanmax(line.height), np.ptp(column) / max(column.size - 1, 1)
     even = _unevenness(line)
     smooth = Smooth(even=even / np.sqrt(_SEVERAL)).over(step)
     above = np.maximum(window.values - np.nanmedian(line.level), 0.0)
     variance = _first_variance(window, line, noise, column) + (_GRAINS * even * above) ** 2
-    starts = _by_levels(window, width, line)
-    for smoothed in _SMOOTH:
-        starts += _sought(window, row, width, variance + (smoothed * height) ** 2, even)
-    rough = variance + (_ROUGH * height) ** 2
-    fits = [fit_edge(window, *start, rough, smooth) for start in starts]
-    best = sorted(fits, key=lambda fit: fit.cost)[:2]
-    variance = _noise_of(window, best[0], noise, column)
-    again = [fit_edge(window, fit.own, fit.shared, variance, smooth) for fit in best]
-    return min(again, key=lambda fit: fit.cost)
-
-
-def _misfit(fit: EdgeFit, window: Window) -> Array:
-    """Mean square of what is left in each column (L,)."""
-    return (window.use * fit.residual**2).sum(axis=0) / np.maximum(window.use.sum(axis=0), 1)
+    variance += (_ROUGH * height) ** 2
+    sought = [each for width in widths for each in _sought(window, row, width, variance, even)]
+    sought.sort(key=lambda each: -each[0])
+    starts = [(own, shared) for _, own, shared in sought[:_STARTS]]
+    starts += _by_levels(window, widths[0], line)
+    fits = [fit_edge(window, *start, variance, smooth, _FIRST_STEPS) for start in starts]
+    best = min(fits, key=lambda fit: fit.cost)
+    variance = _noise_of(window, best, noise, column)
+    return fit_edge(window, best.own, best.shared, variance, smooth)
 
 
 def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: float = 1.0) -> bool:
@@ -380,31 +377,80 @@ def _unevenness(line: Line) -> float:
     return float(np.clip(change, 0.005, 0.2))
 
 
-def _sought(
-    window: Window, row: Array, width: Array, variance: Array, even: float
-) -> list[tuple[Array, Array]]:
-    """First guesses of the parameters, of the likeliest ratios of each sign.
+def _products(
+    window: Window, row: Array, width: Array, variance: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Of the values and S states of a sharp edge: (L, S, 4), (L, S, 4, 4); and the states (S,).
 
-    By dynamic programming: the path through the states of places along the edge whose misfit and
-    changes are the least (Viterbi 1967).
+    These are the line, its bright side, and the derivatives by the row: every ratio is made of
+    them.  A state is where the line's row is, and where the edge is from there, in widths.
     """
-    count = row.size
-    node = np.arange(count) // _SEVERAL
     weight = window.use / variance
-    z = (window.rows - row) / width
+    z = ((window.rows - row) / width).astype(np.float32)
     moved, away = (grid.ravel() for grid in np.meshgrid(_ROW_STEPS, _EDGE_STEPS, indexing="ij"))
-    off = z[:, None] - moved[:, None]
+    off = z[:, None] - moved[:, None].astype(np.float32)
     gaussian = np.exp(-0.5 * off**2)
-    bright = gaussian * ndtr((off - away[:, None]) / _FIRST_BLUR)
-    # The line, its bright side, and the derivatives by the row: every ratio is made of them.
+    bright = gaussian * ndtr((off - away[:, None].astype(np.float32)) / np.float32(_FIRST_BLUR))
     basis = np.stack([gaussian, bright, off * gaussian, off * bright], dtype=np.float32)
     share = np.sqrt(weight).astype(np.float32)
     mean = np.einsum("nl,insl->isl", (weight / weight.sum(axis=0)).astype(np.float32), basis)
     basis = ((basis - mean[:, None]) * share[:, None]).transpose(3, 2, 0, 1)
     level = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
     seen = (share * (window.values - level)).astype(np.float32).T
-    matches = (basis @ seen[:, None, :, None])[..., 0].astype(float)  # (L, S, 4)
-    squares = (basis @ basis.swapaxes(2, 3)).astype(float)  # (L, S, 4, 4)
+    matches = (basis @ seen[:, None, :, None])[..., 0].astype(float)
+    return matches, (basis @ basis.swapaxes(2, 3)).astype(float), moved, away
+
+
+def _may_be_edge(
+    image: NDArray,
+    first: int,
+    line: Line,
+    row: Array,
+    width: Array,
+    doubted: Mask,
+    noise: Noise,
+    saturation: float,
+) -> bool:
+    """Whether it is worth while to look closer, by what a sharp edge leaves in some columns.
+
+    Of what a part hides there is no light at all on the dark side; of a line that is skewed all
+    over, or of a shape of its own, a Gaussian leaves less.
+    """
+    columns = np.flatnonzero(doubted & np.isfinite(line.row) & np.isfinite(line.width))
+    if columns.size < _FEWEST:
+        return False
+    some = columns[np.linspace(0, columns.size - 1, _LOOKED_AT).round().astype(int)]
+    own = Line._make(values[some] for values in line)
+    window = _window(image, first + some, own.row, width[some], saturation)
+    variance = _first_variance(window, own, noise, first + some) + (_FINE * own.height) ** 2
+    matches, squares, _, _ = _products(window, own.row, width[some], variance)
+    match, square = matches[..., :2], squares[..., :2, :2] + 1e-6 * np.eye(2)
+    sides = np.linalg.solve(square, match[..., None])[..., 0]
+    gains = (sides * match).sum(axis=2)
+    best = np.arange(some.size), gains.argmax(axis=1)
+    one, more = sides[best].T
+    dark = np.fmin(one, one + more) / np.fmax(one, one + more)
+    weight = window.use / variance
+    mean = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
+    left = (weight * (window.values - mean) ** 2).sum(axis=0) - gains[best]
+    z = (window.rows - own.row) / own.width
+    gaussian = np.exp(-0.5 * z**2)
+    powers = [np.ones_like(z), gaussian, z * gaussian, (z**2 - 1.0) * gaussian]
+    usual = np.maximum(_left(window, weight, powers), 2.0 * window.use.sum(axis=0))
+    return bool(np.median(dark) > _DARKEST and np.median(left / usual) < _MORE)
+
+
+def _sought(
+    window: Window, row: Array, width: Array, variance: Array, even: float
+) -> list[tuple[float, Array, Array]]:
+    """First guesses of the parameters, of the likeliest ratios of each sign, and what they gain.
+
+    By dynamic programming: the path through the states of places along the edge whose misfit and
+    changes are the least (Viterbi 1967).
+    """
+    count = row.size
+    node = np.arange(count) // _SEVERAL
+    matches, squares, moved, away = _products(window, row, width, variance)
     members = np.bincount(node)[:, None]
     results = []
     for ratio in (*_RATIOS, *(1.0 / each for each in _RATIOS)):
@@ -430,7 +476,7 @@ def _sought(
         *[each for each in results if each[1] > 1.0][:_EACH],
         *[each for each in results if each[1] < 1.0][:_EACH],
     ]
-    for _, ratio, path, height in chosen:
+    for total, ratio, path, height in chosen:
         own = np.empty((5, count))
         own[ROW] = row + width * moved[path[node]]
         own[EDGE] = own[ROW] + width * away[path[node]]
@@ -439,7 +485,7 @@ def _sought(
         own[HEIGHT] = np.log(heights)
         own[LEVEL] = np.median(window.values[[0, 1, -2, -1]], axis=0)
         shared = np.array([np.log(ratio), np.log(_FIRST_BLUR * np.median(width))])
-        guesses.append((own, shared))
+        guesses.append((total, own, shared))
     return guesses
 
 
