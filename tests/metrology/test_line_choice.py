@@ -119,6 +119,15 @@ def test_how_a_line_lies_is_seen():
         assert line_centres(nothing, along="auto").searched[0] == "columns"
 
 
+def test_a_faint_line_across_a_wide_image_does_not_turn_it():
+    """A table's edge shows in more columns than there are rows; the laser line stands upright."""
+    image = 25.0 * line_image(np.full(200, 90.0), 4.0, 1.0, height=120)
+    image += 150.0 * line_image(np.full(120, 60.0), 2.5, 1.0, height=200).T
+    image += np.random.default_rng(0).normal(0.0, 1.0, image.shape)
+    assert line_centres(image, along="auto").searched[0] == "rows"
+    assert line_centres(image.T, along="auto").searched[0] == "columns"
+
+
 def test_a_glow_beside_the_line_does_not_draw_it_away():
     """As the walls of a shiny groove reflect it: broad, over the line, and as bright in places.
 

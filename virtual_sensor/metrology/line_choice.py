@@ -169,7 +169,7 @@ def lies_along_rows(image: NDArray, noise: float | None, min_amplitude: float) -
             np.abs(np.diff(peaks.peak)) <= _reach(peaks.sigma[1:], peaks.sigma[:-1])
         )
         heights.append(height[1:][goes_on])
-    usual = np.median(np.concatenate(heights)) if any(each.size for each in heights) else 0.0
+    usual = max((np.median(each) for each in heights if each.size), default=0.0)  # of the line
     columns, rows = (np.sum(each / (each + FAINT * usual)) if usual else 0.0 for each in heights)
     return bool(rows > STANDS * columns)
 
