@@ -45,15 +45,36 @@ def test_noise_is_that_of_both_and_of_the_other_light():
     assert pair.detector_options["gain"] == 0.5
 
 
-def test_what_is_clipped_in_one_is_clipped_in_the_difference():
-    """At the white level of both, whatever the other light is."""
+def test_what_the_laser_clips_is_clipped_in_the_difference():
+    """At the white level of both, whatever the other light is; what that clips alone is unknown."""
     on, off = shots()
     bright = Image(np.minimum(2 * on.pixels.astype(int), 255).astype(np.uint8), 255.0)
     off.pixels[5, 5] = 255
     pair = vs.difference(bright, off)
-    clipped = (bright.pixels == 255) | (off.pixels == 255)
+    clipped, unknown = bright.pixels == 255, off.pixels == 255
     assert clipped.sum() > 100
-    np.testing.assert_array_equal(pair.pixels >= pair.largest, clipped)
+    np.testing.assert_array_equal(pair.pixels >= pair.largest, clipped & ~unknown)
+    np.testing.assert_array_equal(np.isnan(pair.pixels), unknown)
+
+
+def test_a_clipped_lamp_in_both_images_is_no_line():
+    """Rationale: it looks like one that is over-exposed, and has no laser light at all."""
+    rng = np.random.default_rng(3)
+    lamp = line_image(np.full(90, 50.0), 2.5, 900.0)
+    both = (
+        np.clip(light + rng.normal(10.0, 1.5, lamp.shape), 0, 255).astype(np.uint8)
+        for light in (LINE + lamp, lamp)
+    )
+    line = vs.line_centres(vs.difference(*(Image(each, 255.0) for each in both)))
+    assert line.found.mean() > 0.95
+    np.testing.assert_allclose(line.row[line.found], ROW[line.found], atol=0.3)
+    assert not np.any(line.status == vs.Status.CLIPPED)
+
+
+def test_an_image_is_not_its_own_dark_frame():
+    on, _ = shots()
+    with pytest.raises(InputError, match="same image as its dark frame; give one with the laser"):
+        vs.difference(on, Image(on.pixels.copy(), 255.0))
 
 
 def test_images_that_do_not_go_together_are_refused_or_noted(tmp_path):

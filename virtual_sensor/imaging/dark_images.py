@@ -45,13 +45,14 @@ def without_other_light(on: Image, off: Image) -> Image:
     Returns
     -------
     Image
-        Of float32, negative pixels too.  Where one of the two is clipped it is at `largest`; the
-        noise, if it is known, is that of both.  Its notes say where they don't go together.
+        Of float32, negative pixels too.  Where it is clipped it is at `largest`; where the other
+        light alone is, nothing is known (NaN).  The noise, if it is known, is that of both.  Its
+        notes say where they don't go together.
 
     Raises
     ------
     InputError
-        If they differ in size, or in what their files say of the exposure.
+        If they are one and the same, or differ in size, or in what their files say of the exposure.
     """
     if on.pixels.shape != off.pixels.shape:
         here, there = (f"{each.pixels.shape[1]} x {each.pixels.shape[0]} px" for each in (on, off))
@@ -65,12 +66,15 @@ def without_other_light(on: Image, off: Image) -> Image:
                 f"says its {name.removesuffix('_s').replace('_', ' ')} is {here}, but its dark"
                 f" frame's {there}; take both alike, without the camera's automatic exposure"
             )
+    if np.array_equal(on.pixels, off.pixels):
+        raise InputError("is the same image as its dark frame; give one with the laser off")
     one, other = on.linear_grey, off.linear_grey
     light, dark = (each.pixels.astype(np.float32) for each in (one, other))
     white = min((each.largest for each in (one, other) if each.largest is not None), default=None)
     pixels = light - dark
     if white is not None:
-        pixels[(light >= white) | (dark >= white)] = white
+        pixels[light >= white] = white
+        pixels[dark >= white] = np.nan  # else a lamp's glare would be a clipped line
     return replace(
         on,
         pixels=pixels,

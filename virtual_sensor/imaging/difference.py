@@ -103,14 +103,14 @@ def difference(
     Returns
     -------
     DifferenceFrame or Image
-        An image's pixels are float32, negative ones too; where one of the two is clipped they are
-        at `largest`.  Its notes say where the two don't go together.
+        An image's pixels are float32, negative ones too; where `on` is clipped they are at
+        `largest`, and NaN where `off` is.  Its notes say where the two don't go together.
 
     Raises
     ------
     InputError
         If one is no recorded frame or image, or a sequence; they differ in sensor, exposure or
-        size; or there is no `off` and the first frame knows no background.
+        size, or are the same image; or there is no `off` and the first frame knows no background.
     """
     if isinstance(on, Image):
         if not isinstance(off, Image):
