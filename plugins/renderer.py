@@ -397,7 +397,10 @@ class Prepared:
         return self.arrangement.max_depth - DIRECT
 
     def bounced_light(self, seed: int, of_lit: bool = False) -> NDArray[np.float32]:
-        """The radiance (H, W) of the sources' light that is reflected in between."""
+        """The radiance (H, W) of the sources' light that is reflected in between.
+
+        With `of_lit` in pixels alone that sources light.
+        """
         by_source = self.indirect(seed, of_lit=of_lit).values()
         light: NDArray[np.float32] = np.sum([each[:, 0].sum(axis=0) for each in by_source], axis=0)
         return light

@@ -20,10 +20,8 @@ from virtual_sensor.statuses import StatusEnum
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
-VISIBLE = 0.01
-"""Of the line's peak in a column: a ghost that is as bright counts among those that are seen."""
-
-_CLEAR = 2.0
+_VISIBLE = 0.01  # of the line's peak in a column: a ghost that is as bright counts as seen
+_CLEAR = 2.0  # times what is reflected there: so bright is a line that stands out
 _FAINT = 1e-4  # of the brightest column
 
 
@@ -159,7 +157,7 @@ class GhostColumns(Table):
     @property
     def seen(self) -> NDArray[np.bool_]:
         """Which ghosts have a hundredth of the line or more."""
-        return self.over_line >= VISIBLE
+        return self.over_line >= _VISIBLE
 
     def _line(self) -> str:
         seen = self.over_line[self.seen]

@@ -16,6 +16,7 @@ from virtual_sensor.arrays import GOLDEN, in_own_memory, to_numpy, to_vectors
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed
 from virtual_sensor.engine import dr, mi
+from virtual_sensor.imaging.checks import FAINT
 from virtual_sensor.imaging.scene import Scene
 from virtual_sensor.medium.index_field import IndexField
 from virtual_sensor.optics.surfaces import slab
@@ -27,7 +28,6 @@ _PLASTIC = 0.7548776662466927
 _NEAR_MM = 1.0  # before the shapes' box rays start: float32 hits from there are good to 0.03 um
 _COLUMNS = _ROWS = 32  # bins of the image in which the light of line and ghosts is gathered
 _WORST = 0.1  # of the line's columns
-_FAINT = 1e-3  # of the brightest column: one that is darker has no line
 _STEPS = 8  # of a segment along which the air's gradient is added up
 _MOST = 0.95  # of the ghosts' light lies no farther off
 
@@ -112,7 +112,7 @@ def _ghost_over_line(scene: Scene, laser: LaserLine, line: Array, ghost: Array) 
     So bright or brighter are ghosts in a tenth of the columns that have a line.
     """
     in_line = line.sum(axis=0)
-    columns = in_line > _FAINT * in_line.max()
+    columns = in_line > FAINT * in_line.max()
     if not columns.any():
         return np.nan
     middle = laser.target_mm[None]

@@ -119,9 +119,9 @@ def found_in_words(status: ArrayLike) -> str:
 class LineCentres(Displayed):
     """Centres of a laser line; NaN where `status` is none of `FOUND`, nor GHOST.
 
-    The arrays have one shape: (W,) where each of W columns is searched for its highest peak, or
-    each of W rows; (K, W) where up to K peaks are, the highest first; (N,) where N points of lines
-    of any direction were found.
+    The arrays have one shape: (W,) where each of W columns is searched for the line, or each of W
+    rows; (K, W) where up to K peaks are, the line first; (N,) where N points of lines of any
+    direction were found.
 
     Attributes
     ----------

@@ -65,7 +65,7 @@ class Peaks(NamedTuple):
     """L peaks, where they are, and about their shape: arrays of shape (L,)."""
 
     column: Index
-    rank: Index  # 0: the highest of its column
+    rank: Index  # 0: the highest of its column, or the line, once it is chosen
     peak: Index
     row: Array
     sigma: Array

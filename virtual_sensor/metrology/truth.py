@@ -442,9 +442,9 @@ def _nearest(rows: Array, u: Array, v: Array, column: Index) -> tuple[Array, Ind
 
 
 def _status_of_columns(line: LineCentres, width: int) -> NDArray[np.uint8]:
-    """Why a column has no centre: the status of its highest peak; (W,)."""
+    """Why a column has no centre: the status of its first peak; (W,)."""
     reason = np.full(width, Status.NO_PEAK, np.uint8)
-    column = np.ravel(line.column)[::-1].astype(float)  # the highest is written last
+    column = np.ravel(line.column)[::-1].astype(float)  # the first is written last
     status = np.ravel(line.status)[::-1]
     known = (column > -0.5) & (column < width - 0.5)
     reason[np.rint(column[known]).astype(int)] = status[known]
