@@ -134,6 +134,8 @@ def test_what_is_no_edge_is_not_corrected():
         "step of the background": line + 0.3 * (v > crossing),
         "cut by an edge": line * (v < row + np.linspace(10.0, -2.0, u.size)),
         "lopsided": line * (1.0 + 0.06 * np.sin(u / 127.0) * (z**3 - 3.0 * z)),
+        "thin line that wanders across it": line
+        + line_image(row + np.linspace(-4.0, 4.0, u.size), 1.0, 0.3 * np.ones(400), height=72),
         "dark stripe": line * (1.0 - 0.7 * (np.abs(v - crossing) < 1.0)),
         "clean": line,
         "fading": line * np.exp(-u / 200.0),

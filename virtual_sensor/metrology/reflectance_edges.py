@@ -70,13 +70,17 @@ _MIDDLE = 0.7  # of the columns near an edge: those that show what it is
 _AS_GOOD, _BETTER = 1.12, 0.9  # what is left, over that of other models; without clean columns
 _CROSSING, _JUMP = 40, 0.5  # columns, and part of the log ratio
 _USUAL = 1.4  # times the misfit of the columns beside it
+_TOGETHER, _AMONG = 15, 61  # columns whose misfits are averaged; those of which the powers are
+_CHANCE, _NEARLY_CHANCE = 1.5, 2.0  # times the power of a mean of noise: in all, and in places
+_OWN_WIDTH = 0.1  # by which part the fit's width may differ from that of clean columns
 _CLEAR = 6.0  # what is gained, in columns' square roots
 _DOUBT = 5.0  # widths by which a centre may be off, for each lopsided misfit
 _DOUBTED_WIDTH = 1.5  # times as much as its width is unusual
 _FORM = 0.002  # widths: what a profile that is no Gaussian's shifts a centre by, at least
 _WORST = 0.7  # widths: no larger error is a centre's
 _BROADEST_BLUR = 0.8  # sigma
-_FARTHEST, _BROADER = 2.0, 2.0  # widths: an edge shifts no centre farther, and no line is so broad
+_BROADER = 2.0  # widths: no line is so broad
+_ALLOWED = 0.3  # widths, and once its shift: so far a peak may be from its edge's centroid
 
 
 class Line(NamedTuple):
@@ -117,7 +121,7 @@ def correct_edges(
         own = Line._make(values[part] for values in line)
         near, found = _segment(image, first, own, uneven[part], status[part], noise, saturation)
         good = near & np.isin(status[part], _MENDED) & (found[1] < _WORST * found[2])
-        good &= _within(own, found)
+        good &= _within(own.width, found[2])
         status[part] = np.where(good, Status.CORRECTED, status[part])
         profile[:, part] = np.where(good, found, profile[:, part])
         lost = near & ~good & (status[part] == Status.OK)
@@ -142,12 +146,10 @@ def _unusual(width: Array, uneven: Array, status: Index) -> Array:
     return off
 
 
-def _within(line: Line, found: Array) -> Mask:
-    """Where corrected profiles (5, L) are still those of the line, and not of a glow beside it."""
-    known = np.isfinite(line.width)
-    usual = np.median(line.width[known]) if known.any() else 0.0
-    off, width = np.abs(found[0] - line.row), found[2]
-    near: Mask = (off < _FARTHEST * usual) & (width < _BROADER * usual)
+def _within(width: Array, found: Array) -> Mask:
+    """Where corrected widths (L,) are still those of the line, and not of a glow beside it."""
+    known = np.isfinite(width)
+    near: Mask = found < _BROADER * (np.median(width[known]) if known.any() else 0.0)
     return near
 
 
@@ -215,12 +217,13 @@ def _segment(
         variance = _noise_of(window, fit, noise, column)
     fit = fit_edge(window, own, shared, variance, smooth)
     near = _near(fit, 1.0)
-    if not _is_edge(window, fit, line, clean):
+    if not (_is_edge(window, fit, line, clean) and _is_sure(window, fit, line, clean)):
         return none
     own, (ratio, blur) = fit.own, fit.shared
     below = ndtr((own[ROW] - own[EDGE]) / np.exp(blur))
     reflected = np.exp(-0.5 * ratio) + (np.exp(0.5 * ratio) - np.exp(-0.5 * ratio)) * below
     error = np.hypot(fit.row_error * _underestimated(window, fit), _FORM * np.exp(own[WIDTH]))
+    error = np.where(_is_explained(window, fit, line), error, np.inf)
     height = np.exp(own[HEIGHT]) * reflected
     return near, np.stack([own[ROW], error, np.exp(own[WIDTH]), height, own[LEVEL]])
 
@@ -279,6 +282,42 @@ def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: flo
     gained = gaussian * (pixels - 3.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
     limit = loosely * min(limit * min(others), _USUAL * usual)
     return bool(left < limit and gained > _CLEAR * np.sqrt(near.sum()))
+
+
+def _is_sure(window: Window, fit: EdgeFit, line: Line, clean: Mask) -> bool:
+    """Whether noise alone is left, and the line goes on beside the edge as broad as it is there.
+
+    The variance of the fit is taken from what it leaves, so that its amount tells nothing; but
+    what neighbours have in common is no noise.
+    """
+    powers = _powers(window, fit)[:, _near(fit, _MIDDLE)].sum(axis=1)
+    goes_on = True
+    if clean.sum() > _ENOUGH_CLEAN:
+        ratio = np.exp(fit.own[WIDTH][clean]) / line.width[clean]
+        goes_on = abs(np.median(ratio) - 1.0) < _OWN_WIDTH
+    return bool(goes_on and powers[0] < _CHANCE * powers[1])
+
+
+def _is_explained(window: Window, fit: EdgeFit, line: Line) -> Mask:
+    """Where noise alone is left, and the peaks (L,) are about where the edge moves them to."""
+    together, each = uniform_filter1d(_powers(window, fit), _AMONG, axis=1, mode="nearest")
+    own, width, blur = fit.own, np.exp(fit.own[WIDTH]), np.exp(fit.shared[BLUR])
+    brighter, both = np.expm1(fit.shared[RATIO]), np.hypot(width, blur)
+    away = (own[ROW] - own[EDGE]) / both
+    shift = brighter * np.exp(-0.5 * away**2) / np.sqrt(2.0 * np.pi)
+    shift *= width**2 / both / (1.0 + brighter * ndtr(away))
+    off = np.nan_to_num(line.row - own[ROW] - shift)
+    moved = np.abs(off) < np.abs(shift) + _ALLOWED * width
+    explained: Mask = moved & (together < _NEARLY_CHANCE * each)
+    return explained
+
+
+def _powers(window: Window, fit: EdgeFit) -> Array:
+    """Of what is left in each column (2, L): of means along the line, were they noise; in all."""
+    lit = window.use & (fit.signal > 0.05 * fit.signal.max(axis=0))
+    normed = np.where(lit, fit.residual / np.sqrt(fit.variance), 0.0)
+    mean = uniform_filter1d(normed, _TOGETHER, axis=1, mode="constant")
+    return np.stack([_TOGETHER * (lit * mean**2).sum(axis=0), (normed**2).sum(axis=0)])
 
 
 def _is_even(fit: EdgeFit, loosely: float) -> bool:
