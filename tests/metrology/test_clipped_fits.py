@@ -174,6 +174,18 @@ def test_flanks_that_scatter_from_column_to_column_say_how_sure_a_centre_is():
     assert 0.8 < np.sqrt(np.mean(line.sigma[found] ** 2)) / actual < 1.4
 
 
+def test_one_clipped_pixel_is_a_lines_if_those_beside_it_are_bright_too():
+    """Rationale: every fourth row of photographs that clip; but a hot pixel is no line."""
+    sharpened = np.array([20, 0, 30, 190, 225, 255, 225, 190, 30, 0, 20], np.uint8)
+    hot = np.array([20, 20, 20, 20, 100, 255, 130, 20, 20, 20, 20], np.uint8)
+    for profile, there in ((sharpened, True), (hot, False)):
+        image = np.full((72, 40), 20, np.uint8)
+        image[31:42] = profile[:, None]
+        line = vs.line_centres(image)
+        assert line.found.all() == line.found.any() == there
+        assert not there or np.abs(line.row - 36.0).max() < 0.05
+
+
 def test_lines_without_clipped_pixels_are_as_before():
     """Rationale: one clipped column changes no other."""
     row = rows_of(120)

@@ -161,6 +161,14 @@ class _Plateaus(NamedTuple):
         above, below = (np.any(self.flanks & side, axis=0) for side in (row < first, row > last))
         return above & below & self.clipped.any(axis=0) & (self.height > 0.0)
 
+    @property
+    def hot(self) -> Mask:
+        """Where one pixel alone is clipped, and no line's: a pixel beside it is less than half."""
+        first, last = self.ends
+        line = np.arange(first.size)
+        beside = np.minimum(self.values[first - 1, line], self.values[last + 1, line])
+        return (first == last) & (beside < self.saturation - 0.5 * self.height)
+
     def crossings(self, level: Array) -> Array:
         """Rows (2, L) between which the values are beyond levels (L,), to parts of a pixel."""
         count, lines = self.values.shape
@@ -304,7 +312,8 @@ def _between_flanks(at: _Plateaus, noise: Noise, column: Index) -> tuple[Array, 
     steep = (_LEVELS[-1] - _LEVELS[0]) * room / np.maximum(np.abs(passed[0] - passed[-1]), 0.5)
     grain = np.sqrt(noise.variance(0.5 * room, column))
     of_noise = np.sqrt(((grain / steep) ** 2).sum(axis=0)) / 2.0
-    return middles.mean(axis=0), np.sqrt(middles.var(axis=0) + of_noise**2 + _SEEN_PX**2)
+    spread = np.sqrt(middles.var(axis=0) + of_noise**2 + _SEEN_PX**2)
+    return middles.mean(axis=0), np.where(at.hot, np.inf, spread)
 
 
 def _started(at: _Plateaus) -> tuple[Array, Array]:
@@ -411,9 +420,9 @@ class _Problem(NamedTuple):
         left = self.weight * np.clip(1.0 - fitted, 0.0, 1.0)
         lit = left * np.clip(slopes[1], 0.0, self.height)
         squares = self.weight * (self.values - mean) ** 2 - left * self.dark
-        weight = np.maximum(lit.sum(axis=0), np.finfo(float).tiny)
+        weight = np.maximum(lit.sum(axis=0), _LEAST_NOISE * self.height)
         gain = np.maximum(squares.sum(axis=0), 0.0) / weight
-        return _local(gain, weight**2 / np.maximum((lit**2).sum(axis=0), np.finfo(float).tiny))
+        return _local(gain, weight**2 / np.maximum((lit**2).sum(axis=0), weight**2 / len(lit)))
 
     def misfit(self, found: Array) -> tuple[Array, Array, Array]:
         """Misfit beside the clipped pixels: relative to the noise, squared; free pixels; rms.
@@ -507,7 +516,6 @@ def _judged(fit: _Fit, at: Peaks, rows: int, max_sigma: float) -> ClippedFits:
     error = np.hypot(np.sqrt(excess) * fit.error, lopsided)
     spread = np.hypot(fit.spread, _MIDDLE * fit.half)
     spread[seen] = np.hypot(spread[seen], _unsteady(fit.middle[seen]))
-    spread[fit.half < 1.0] = np.inf  # one pixel may be a hot one
     gaussian &= error <= spread
     row = np.where(gaussian, fit.row, fit.middle)
     error = np.where(gaussian, error, spread)
