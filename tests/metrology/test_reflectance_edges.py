@@ -232,3 +232,14 @@ def test_a_fit_from_afar_comes_to_the_truth():
     assert np.exp(fit.shared[0]) == pytest.approx(3.0, rel=0.02)
     error = (fit.own[ROW] - row) / fit.row_error
     assert np.sqrt(np.mean(error**2)) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_fit_of_noise_that_is_said_to_have_none_fails_without_an_error():
+    """Rationale: rounding makes the normal matrix indefinite, which Cholesky's method refuses."""
+    rows = np.arange(15)[:, None] + np.zeros(24, int)
+    values = np.random.default_rng(0).normal(size=rows.shape)
+    own = np.repeat([[0.0], [0.0], [7.0], [9.0], [7.5]], 24, axis=1)
+    window = Window(rows, values, np.ones(rows.shape, bool))
+    fit = fit_edge(window, own, np.array([1.0, 0.0]), np.full(rows.shape, 1e-30))
+    assert np.isinf(fit.ratio_error)
+    assert np.isinf(fit.row_error).all()

@@ -144,7 +144,13 @@ def fit_edge(
         corner = corner + np.diag(penalty)
         better = False
         for _ in range(8):
-            step, shared_step = _step(normal, border, corner, gradient, shared_gradient, damping)
+            try:
+                step, shared_step = _step(
+                    normal, border, corner, gradient, shared_gradient, damping
+                )
+            except np.linalg.LinAlgError:  # rounding has made it indefinite
+                damping *= 10.0
+                continue
             moved = state[0] + _limited(step, state[0]), state[1] + np.clip(shared_step, -0.5, 0.5)
             trial = cost_of(*moved)
             if trial[0] < cost:
@@ -159,7 +165,11 @@ def fit_edge(
         if gained < _TOLERANCE * (1.0 + 1e-3 * cost) or _is_gone(*state):
             break
     normal, border, corner = _normal(weight, parts)
-    rows_variance, ratio_variance = _variances(normal + prior, border, corner + np.diag(penalty))
+    try:
+        found = _variances(normal + prior, border, corner + np.diag(penalty))
+    except np.linalg.LinAlgError:  # nothing is known of it: no edge
+        found = np.full(own.shape[1], np.inf), np.inf
+    rows_variance, ratio_variance = (np.where(each > 0.0, each, np.inf) for each in found)
     return EdgeFit(
         *state,
         np.sqrt(rows_variance),
