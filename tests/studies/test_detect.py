@@ -158,3 +158,17 @@ def test_pipes_devices_and_folders_named_like_images_are_refused(tmp_path):
             read_image(tmp_path / name)
     ended = run(tmp_path / "a.png", "--calibration", tmp_path / "c.yaml", "-o", tmp_path / "out")
     assert "c.yaml: is a pipe" in str(ended.exception)
+
+
+def test_where_one_colour_is_clipped_too_far_another_gives_the_centre(tmp_path):
+    """Rationale: the laser's own colour glows all over a bright part, whose line is green's."""
+    lit = picture(255, np.uint8)
+    red, green = lit.copy(), lit // 5
+    red[:45, 50:], green[:, 50:] = 255, lit[:, 50:] // 2
+    cv2.imwrite(str(tmp_path / "a.png"), np.dstack([0 * red, green, red]))
+    (found,) = detect([tmp_path / "a.png"], Settings(along="columns"))
+    np.testing.assert_allclose(found.line.row[found.line.found], ROW[found.line.found], atol=0.05)
+    assert found.line.found.mean() > 0.9
+    assert any("centres of its green channel" in remark for remark in found.remarks)
+    (alone,) = detect([tmp_path / "a.png"], Settings(along="columns", channel="red"))
+    assert alone.line.found.mean() < 0.6

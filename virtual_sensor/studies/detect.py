@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from virtual_sensor.display import Displayed
 from virtual_sensor.errors import InputError
 from virtual_sensor.imaging.dark_images import find_dark, without_other_light
 from virtual_sensor.imaging.image_files import Image, read_image
+from virtual_sensor.imaging.line_colours import COLOURS
 from virtual_sensor.metrology.calibration import Calibration
 from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.detectors import STEGER
@@ -25,6 +26,7 @@ from virtual_sensor.records import Record, Table, counts_of, status_names
 Array = NDArray[np.float64]
 
 _FEW, _SOME = 0.5, 0.1  # of the columns or rows
+_LOST = 0.02  # of them: if more are saturated, other colours are looked at
 
 
 @dataclass(frozen=True)
@@ -298,7 +300,7 @@ def detect(
                 raise InputError(f"{path}: {skipped[-1].reason}{others}") from None
             yield skipped[-1]
         else:
-            yield _detected(path, image, settings, calibration)
+            yield _detected(path, image, settings, calibration, darks)
 
 
 def _read(
@@ -327,10 +329,8 @@ def _read(
     return without_other_light(image, off)
 
 
-def _detected(
-    path: Path, read: Image, settings: Settings, calibration: Calibration | None
-) -> Detected:
-    """What is found in an image."""
+def _known(path: Path, read: Image, settings: Settings) -> tuple[Settings, list[str]]:
+    """The settings with what an image says, and remarks on it."""
     remarks = [note.removeprefix(f"{path}: ") for note in read.notes]
     here, said = settings.knowing(read.detector_options)
     remarks += said
@@ -345,8 +345,55 @@ def _detected(
         remarks.append("has a knee-point: grey values beyond it are stretched back.")
         if here.saturation is not None and read.sensor:
             here = replace(here, saturation=float(read.sensor.without_knee(here.saturation)))
+    return here, remarks
+
+
+def _with_other_colours(
+    path: Path,
+    read: Image,
+    settings: Settings,
+    darks: Mapping[Path, Path] | None,
+    line: LineCentres,
+) -> tuple[LineCentres, list[str]]:
+    """Where the colour that was chosen is clipped too far for a centre, that of another one."""
+    said: list[str] = []
+    chosen = settings.channel is None and settings.wavelength_nm is None
+    if not chosen or settings.peaks > 1 or settings.detector == STEGER:
+        return line, said
+    for colour in COLOURS if read.channel in COLOURS else ():
+        lost = line.status == Status.SATURATED
+        if colour == read.channel or np.mean(lost) < _LOST:
+            continue
+        asked = replace(settings, channel=colour, along=line.searched[0])
+        image = _read(path, asked, None, darks)
+        other = _known(path, image, asked)[0].centres(image.linear_grey.pixels)
+        better = lost & other.found
+        if better.any():
+            names = (each.name for each in fields(line))
+            line = replace(
+                line, **{n: np.where(better, getattr(other, n), getattr(line, n)) for n in names}
+            )
+            said.append(
+                f"has {better.sum()} centres of its {colour} channel, where the {read.channel} one"
+                f" is clipped too far: --channel {read.channel} leaves them out."
+            )
+    return line, said
+
+
+def _detected(
+    path: Path,
+    read: Image,
+    settings: Settings,
+    calibration: Calibration | None,
+    darks: Mapping[Path, Path] | None,
+) -> Detected:
+    """What is found in an image."""
+    here, remarks = _known(path, read, settings)
+    straight = read.linear_grey
     began = time.perf_counter()
     line = here.centres(straight.pixels)
+    line, said = _with_other_colours(path, read, settings, darks, line)
+    remarks += said
     time_s = time.perf_counter() - began
     other = {"columns": "rows", "rows": "columns"}.get(here.along)
     if (
