@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tifffile
 import trimesh
+from artificial import line_image
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
@@ -350,3 +351,12 @@ def test_a_sequence_is_drawn_frame_by_frame_and_points_as_a_map():
         left, _, bottom, top = axes.images[0].get_extent()
         assert (left + 0.5) % 1.0 == (top + 0.5) % 1.0 == 0.0
         assert bottom > top
+
+
+def test_ghosts_of_a_line_are_drawn_where_they_are():
+    """Beside the line, not only as marks at the edge of the picture."""
+    image = line_image(np.full(40, 20.0), 2.0, 100.0) + line_image(np.full(40, 45.0), 2.0, 40.0)
+    line = vs.line_centres(image, peaks=2)
+    assert np.all(line.status[1] == vs.Status.GHOST)
+    drawn = [curve.get_ydata() for curve in line.plot().lines]
+    assert any(len(rows) == 40 and np.allclose(rows, 45.0, atol=0.05) for rows in drawn)

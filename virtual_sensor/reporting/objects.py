@@ -150,8 +150,10 @@ def write_picture(path: Path, thing: object) -> None:
 
 @draws("metrology.centres.LineCentres")
 def _line_centres(axes: Axes, line: LineCentres) -> None:
-    """The centres as the camera sees them; below, which of them are not ok."""
+    """The centres and ghosts as the camera sees them; below, which of them are not ok."""
     _dots(axes, line.pixel, color=colour("line"), label="found")
+    ghost = line.status == line._statuses["status"].GHOST
+    _dots(axes, np.stack([line.column[ghost], line.row[ghost]], axis=-1), color=colour("ghost"))
     by_row = line.normal_deg.size and np.all(line.normal_deg == 0.0)
     places = line.row if by_row else line.column
     height = 0.0
