@@ -56,12 +56,13 @@ _CHANGE = 2.0  # cost of a change by a sigma from place to place
 _RATIOS = (1.5, 2.5, 5.0, 12.0)
 _ROW_STEPS = np.arange(-2.0, 2.01, 0.5)  # sigma
 _EDGE_STEPS = np.arange(-3.0, 3.01, 0.5)
-_NODES, _SEVERAL = 32, 2  # places along the edge at which it is sought first, columns of each
+_NODES, _SEVERAL = (32, 96), 2  # places along the edge at which it is sought first, columns of each
 _LEAST_RATIO, _MOST_RATIO = 1.1, 40.0
 _ROUGH = 0.03  # noise that is added at first, of the height, so that no fit is caught
 _STARTS, _FIRST_STEPS = 2, 6
 _LOOKED_AT, _FINE = 16, 0.01  # columns that are looked at first, and noise of their height
 _DARKEST, _MORE = -0.1, 1.5  # light on the dark side; what an edge leaves over what a Gaussian does
+_GRAINY = 0.03  # change of the height, of which few places do not tell enough
 _GRAINS = 3.0  # contrast of a pixel's speckle, in what it makes of the height's changes
 _PERHAPS = 1.3  # times as much is left by a first fit in some columns
 _ROUNDS = 2  # of fits with the noise that the last one shows
@@ -200,13 +201,16 @@ def _segment(
     doubted = (uneven > 0.0) | np.isin(status, _DOUBTED)
     if not _may_be_edge(image, first, line, row, width, doubted, noise, saturation):
         return none
-    some = np.unique(np.linspace(0, column.size - 1, _SEVERAL * _NODES).round().astype(int))
-    thin = Line._make(values[some] for values in line)
     broader = (1.0,) if clean.sum() > _ENOUGH_CLEAN else (1.0, 1.3, 1.7)
-    window = _window(image, first + some, row[some], broader[-1] * width[some], saturation)
-    fit = _first_fit(window, row[some], np.outer(broader, width[some]), thin, noise, first + some)
-    if not _is_edge(window, fit, thin, clean[some], _PERHAPS):
-        return none
+    for nodes in _NODES if _unevenness(line) > _GRAINY else _NODES[:1]:
+        some = np.unique(np.linspace(0, column.size - 1, _SEVERAL * nodes).round().astype(int))
+        thin = Line._make(values[some] for values in line)
+        window = _window(image, first + some, row[some], broader[-1] * width[some], saturation)
+        fit = _first_fit(
+            window, row[some], np.outer(broader, width[some]), thin, noise, first + some
+        )
+        if not _is_edge(window, fit, thin, clean[some], _PERHAPS):
+            return none
     window = _window(image, column, row, broader[-1] * width, saturation)
     own = np.stack([np.interp(column - first, some, values) for values in fit.own])
     shared, smooth = fit.shared, _smoothness(fit, column.size / some.size)
