@@ -498,6 +498,11 @@ def _likeliest(problem: _Problem, start: Array, max_sigma: float) -> Array:
     return found
 
 
+def is_unsure(error: Array, width: Array) -> Mask:
+    """Whether centres of lines so broad (NaN: unknown) may err too much to be centres at all."""
+    return ~(error < np.fmax(_UNSURE_PX, _UNSURE * width))
+
+
 def _judged(fit: _Fit, at: Peaks, rows: int, max_sigma: float) -> ClippedFits:
     """The centres with their errors, and their status."""
     seen = np.isfinite(fit.row)
@@ -531,7 +536,7 @@ def _judged(fit: _Fit, at: Peaks, rows: int, max_sigma: float) -> ClippedFits:
     margin, near = np.where(seen, margin, at.sigma), np.where(seen, row, at.row)
     reasons = (
         (Status.AT_BORDER, (near - margin < -0.5) | (near + margin > rows - 0.5)),
-        (Status.SATURATED, ~(error < np.fmax(_UNSURE_PX, _UNSURE * width))),
+        (Status.SATURATED, is_unsure(error, width)),
     )
     status = np.select([so for _, so in reasons], [why for why, _ in reasons], Status.CLIPPED)
     return ClippedFits(profile, status, np.where(gaussian, fit.height_error, np.inf))

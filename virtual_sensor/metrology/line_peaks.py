@@ -16,7 +16,8 @@ from scipy.ndimage import uniform_filter1d
 from virtual_sensor.arrays import LARGEST, number_within, one_of, whole_number
 from virtual_sensor.calls import public
 from virtual_sensor.metrology.centres import LineCentres, Status, is_found, is_measured
-from virtual_sensor.metrology.clipped_fits import clipping_level, fit_clipped
+from virtual_sensor.metrology.clipped_fits import clipping_level, fit_clipped, is_unsure
+from virtual_sensor.metrology.continued_lines import off_the_line
 from virtual_sensor.metrology.detectors import (
     COLUMNWISE,
     NAMES,
@@ -249,6 +250,11 @@ def _columnwise(
         status[clipped.rank, clipped.column] = verdict
         found[:, clipped.rank, clipped.column] = profile
         uncertain[clipped.rank, clipped.column] = height_error * profile.sigma
+        at = np.flatnonzero(status[0] == Status.CLIPPED)
+        clear = (status[0] == Status.OK) & ~ghosts[0]
+        doubt = off_the_line(found[0, 0], clear, at, lines[1, 0, at])
+        found[1, 0, at] = np.hypot(found[1, 0, at], doubt)
+        status[0, at[is_unsure(*found[1:3, 0, at])]] = Status.SATURATED
 
     there = is_found(status) | (status == Status.CUT)
     found[:, ~there] = np.nan
