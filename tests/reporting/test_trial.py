@@ -33,7 +33,7 @@ def score(condition, detector, ratio=1.2, time_us=5.0, lost=0.0, outliers=0.0):
     return Score(
         *(condition.kind, condition.width_px, condition.column_electrons),
         *(condition.read_noise_electrons, detector, 0.0, error, error, error, 0.01),
-        *(outliers, lost, outliers, 0, np.nan, 100, time_us),
+        *(outliers, lost, outliers, 0.0, 0, np.nan, 100, time_us),
         amount=condition.amount,
     )
 

@@ -56,7 +56,8 @@ def off_the_line(row: Array, clear: Mask, clipped: Index, width: Array) -> Array
         places.append(np.where(known, height[at] + slope[at] * far, np.nan))
         doubts.append(np.sqrt(variance[at] * (1.0 / _FIT + far**2 / squares[at])))
         ends.append((middle[at], height[at], slope[at]))
-    between = _between(*ends, clipped)
+    before, behind = ends
+    between = _between(before, behind, clipped)
     places.append(between + 0.0 * places[0] * places[1])
     doubts.append(np.fmin(*doubts))
     away = np.abs(row[clipped] - places)

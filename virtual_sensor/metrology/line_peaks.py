@@ -250,11 +250,11 @@ def _columnwise(
         status[clipped.rank, clipped.column] = verdict
         found[:, clipped.rank, clipped.column] = profile
         uncertain[clipped.rank, clipped.column] = height_error * profile.sigma
-        at = np.flatnonzero(status[0] == Status.CLIPPED)
+        cut_off = np.flatnonzero(status[0] == Status.CLIPPED)
         clear = (status[0] == Status.OK) & ~ghosts[0]
-        doubt = off_the_line(found[0, 0], clear, at, lines[1, 0, at])
-        found[1, 0, at] = np.hypot(found[1, 0, at], doubt)
-        status[0, at[is_unsure(*found[1:3, 0, at])]] = Status.SATURATED
+        doubt = off_the_line(found[0, 0], clear, cut_off, lines[1, 0, cut_off])
+        found[1, 0, cut_off] = np.hypot(found[1, 0, cut_off], doubt)
+        status[0, cut_off[is_unsure(*found[1:3, 0, cut_off])]] = Status.SATURATED
 
     there = is_found(status) | (status == Status.CUT)
     found[:, ~there] = np.nan

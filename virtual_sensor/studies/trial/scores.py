@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from virtual_sensor import interrupts
-from virtual_sensor.metrology.centres import Status
+from virtual_sensor.metrology.centres import LineCentres, Status
 from virtual_sensor.metrology.drawn_lines import line_shares
 from virtual_sensor.metrology.line_peaks import line_centres
 from virtual_sensor.metrology.truth import FINE_PX, TrueLine, compare_line, rms
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 OUTLIER_PX, OUTLIER_BOUNDS = 0.5, 6.0  # an outlier is farther off than both
 WRONG_SIGMAS, MOST_WRONG = 6.0, 0.01
-"""No centre that counts as found may be off by more of its own sigmas, but in so many columns."""
+"""No centre that is OK may be off by more of its own sigmas, but in so many columns."""
 PHASES = np.linspace(-0.5, 0.5, 41)
 _ENDS_PX = 3.5  # columns next to a line's ends are lit in part: their truth is of another place
 _WITH_GHOSTS = ("ghostly frame", "spattered frame")
@@ -47,9 +47,10 @@ class Score(Condition):
         Rms of the Cramer-Rao bound over the columns; NaN where noise is not all.
     outlier_share, lost_share : float
         Of the columns with a line: wrong though OK; without a centre.
-    wrong_share : float
-        Of them: found, yet off by more than six of the sigmas that the detector predicts for it
-        (and 0.02 px), or found where there is no line. Where it predicts no error it promises none.
+    wrong_share, marked_wrong_share : float
+        Of them: OK, yet off by more than six of the sigmas that the detector predicts for it
+        (and 0.02 px), or OK where there is no line. Where it predicts no error it promises none.
+        Likewise of centres that are marked as worth less: CLIPPED and CORRECTED.
     ghosts : int
         Places beside the line that it gives in a ghostly or spattered frame, asked for three peaks
         of a column.
@@ -70,6 +71,7 @@ class Score(Condition):
     outlier_share: float
     lost_share: float
     wrong_share: float
+    marked_wrong_share: float
     ghosts: int
     ghost_share: float
     columns: int
@@ -98,7 +100,7 @@ class Score(Condition):
 
     @property
     def breaks_the_rule(self) -> bool:
-        """Whether more than 1 % of its centres are farther off than it says: by six sigmas."""
+        """Whether more than 1 % of the columns are OK, and farther off than it says: six sigmas."""
         return self.wrong_share > MOST_WRONG
 
 
@@ -127,8 +129,6 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
     bound = image.bound_px[np.rint(errors.column).astype(int)]
     least = np.maximum(OUTLIER_PX, OUTLIER_BOUNDS * np.nan_to_num(bound))
     wild = np.abs(errors.error_px) > least
-    claimed = np.maximum(WRONG_SIGMAS * errors.sigma, FINE_PX)  # NaN claims nothing
-    wrong = np.abs(errors.error_px) > claimed
     beside, labelled = _ghosts(detector, condition, image)
     good, sigma = errors.error_px[~wild], errors.sigma[~wild]
     with_sigma = np.isfinite(sigma)
@@ -142,12 +142,23 @@ def score(detector: str, condition: Condition, image: TrialImage) -> Score:
         bound_px=rms(image.bound_px[image.truth.columns(_ENDS_PX)]),
         outlier_share=float(wild.sum() / errors.expected),
         lost_share=errors.lost.size / errors.expected,
-        wrong_share=float(wrong.sum() + errors.stray_centres) / errors.expected,
+        wrong_share=_wrong(line, (Status.OK,), image),
+        marked_wrong_share=_wrong(line, (Status.CLIPPED, Status.CORRECTED), image),
         ghosts=beside,
         ghost_share=labelled / beside if beside else np.nan,
         columns=errors.expected,
         time_us=1e6 * min(took) / image.grey.shape[1],
     )
+
+
+def _wrong(line: LineCentres, of: tuple[Status, ...], image: TrialImage) -> float:
+    """Centres of such statuses that are off by more than they say, over the line's columns."""
+    others = line.found & ~np.isin(line.status, of)
+    alone = replace(line, status=np.where(others, Status.NO_PEAK, line.status).astype(np.uint8))
+    errors = compare_line(alone, image.truth, end_px=_ENDS_PX)
+    claimed = np.maximum(WRONG_SIGMAS * errors.sigma, FINE_PX)  # NaN claims nothing
+    wrong = np.abs(errors.error_px) > claimed
+    return float(wrong.sum() + errors.stray_centres) / errors.expected
 
 
 def _ghosts(detector: str, condition: Condition, image: TrialImage) -> tuple[int, int]:

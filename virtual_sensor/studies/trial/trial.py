@@ -111,8 +111,8 @@ class Trial(Displayed):
     def breaches(self) -> list[Score]:
         """Scores of detectors that promise more than they keep, the worst first.
 
-        More than 1 % of a line's columns have a centre that counts as found, and is off by more
-        than six of its own sigmas.
+        More than 1 % of a line's columns have a centre that is OK, and off by more than six of its
+        own sigmas.
         """
         broken = [each for each in self.scores if each.breaks_the_rule]
         return sorted(broken, key=lambda each: -each.wrong_share)
