@@ -73,6 +73,7 @@ _CROSSING, _JUMP = 40, 0.5  # columns, and part of the log ratio
 _USUAL = 1.4  # times the misfit of the columns beside it
 _TOGETHER, _AMONG = 15, 61  # columns whose misfits are averaged; those of which the powers are
 _CHANCE, _NEARLY_CHANCE = 1.5, 2.0  # times the power of a mean of noise: in all, and in places
+_FAR_BETTER = 0.7  # what is left, over that of other models, where it is more than noise
 _OWN_WIDTH = 0.1  # by which part the fit's width may differ from that of clean columns
 _CLEAR = 6.0  # what is gained, in columns' square roots
 _DOUBT = 5.0  # widths by which a centre may be off, for each lopsided misfit
@@ -221,13 +222,16 @@ def _segment(
         variance = _noise_of(window, fit, noise, column)
     fit = fit_edge(window, own, shared, variance, smooth)
     near = _near(fit, 1.0)
-    if not (_is_edge(window, fit, line, clean) and _is_sure(window, fit, line, clean)):
+    if not (_is_edge(window, fit, line, clean) and _goes_on(fit, line, clean)):
         return none
     own, (ratio, blur) = fit.own, fit.shared
     below = ndtr((own[ROW] - own[EDGE]) / np.exp(blur))
     reflected = np.exp(-0.5 * ratio) + (np.exp(0.5 * ratio) - np.exp(-0.5 * ratio)) * below
     error = np.hypot(fit.row_error * _underestimated(window, fit), _FORM * np.exp(own[WIDTH]))
-    error = np.where(_is_explained(window, fit, line), error, np.inf)
+    alike = _alike(window, fit)
+    error = error * np.sqrt(np.maximum(alike, 1.0))
+    noisy = alike < _NEARLY_CHANCE * max(np.median(alike[near]), 1.0)
+    error = np.where(noisy & _is_moved(fit, line), error, np.inf)
     height = np.exp(own[HEIGHT]) * reflected
     return near, np.stack([own[ROW], error, np.exp(own[WIDTH]), height, own[LEVEL]])
 
@@ -285,35 +289,38 @@ def _is_edge(window: Window, fit: EdgeFit, line: Line, clean: Mask, loosely: flo
     limit = _AS_GOOD if clean.sum() > _ENOUGH_CLEAN else _BETTER
     gained = gaussian * (pixels - 3.0 * near.sum()) - left * (pixels - 4.2 * near.sum())
     limit = loosely * min(limit * min(others), _USUAL * usual)
+    if loosely == 1.0:  # the fit's variance is of what it leaves: its amount alone tells nothing
+        together, each = _powers(window, fit)[:, near].sum(axis=1)
+        beside_it = clean.sum() > _ENOUGH_CLEAN
+        if together > _CHANCE * each:  # neighbours share what is no noise
+            limit = min(limit, _FAR_BETTER * min(others)) if beside_it else 0.0
     return bool(left < limit and gained > _CLEAR * np.sqrt(near.sum()))
 
 
-def _is_sure(window: Window, fit: EdgeFit, line: Line, clean: Mask) -> bool:
-    """Whether noise alone is left, and the line goes on beside the edge as broad as it is there.
-
-    The variance of the fit is taken from what it leaves, so that its amount tells nothing; but
-    what neighbours have in common is no noise.
-    """
-    powers = _powers(window, fit)[:, _near(fit, _MIDDLE)].sum(axis=1)
-    goes_on = True
-    if clean.sum() > _ENOUGH_CLEAN:
-        ratio = np.exp(fit.own[WIDTH][clean]) / line.width[clean]
-        goes_on = abs(np.median(ratio) - 1.0) < _OWN_WIDTH
-    return bool(goes_on and powers[0] < _CHANCE * powers[1])
+def _goes_on(fit: EdgeFit, line: Line, clean: Mask) -> bool:
+    """Whether the line is as broad as where it is clean, if it is so anywhere."""
+    if clean.sum() <= _ENOUGH_CLEAN:
+        return True
+    ratio = np.median(np.exp(fit.own[WIDTH][clean]) / line.width[clean])
+    return bool(abs(ratio - 1.0) < _OWN_WIDTH)
 
 
-def _is_explained(window: Window, fit: EdgeFit, line: Line) -> Mask:
-    """Where noise alone is left, and the peaks (L,) are about where the edge moves them to."""
-    together, each = uniform_filter1d(_powers(window, fit), _AMONG, axis=1, mode="nearest")
+def _is_moved(fit: EdgeFit, line: Line) -> Mask:
+    """Where the peaks (L,) are about where the edge moves the line's centroid to."""
     own, width, blur = fit.own, np.exp(fit.own[WIDTH]), np.exp(fit.shared[BLUR])
     brighter, both = np.expm1(fit.shared[RATIO]), np.hypot(width, blur)
     away = (own[ROW] - own[EDGE]) / both
     shift = brighter * np.exp(-0.5 * away**2) / np.sqrt(2.0 * np.pi)
     shift *= width**2 / both / (1.0 + brighter * ndtr(away))
     off = np.nan_to_num(line.row - own[ROW] - shift)
-    moved = np.abs(off) < np.abs(shift) + _ALLOWED * width
-    explained: Mask = moved & (together < _NEARLY_CHANCE * each)
-    return explained
+    moved: Mask = np.abs(off) < np.abs(shift) + _ALLOWED * width
+    return moved
+
+
+def _alike(window: Window, fit: EdgeFit) -> Array:
+    """Power (L,) of what neighbouring columns leave alike, over what it is of noise."""
+    together, each = uniform_filter1d(_powers(window, fit), _AMONG, axis=1, mode="nearest")
+    return np.asarray(together / np.maximum(each, 1e-300))
 
 
 def _powers(window: Window, fit: EdgeFit) -> Array:
