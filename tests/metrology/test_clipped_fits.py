@@ -6,7 +6,7 @@ import pytest
 from artificial import line_image
 
 import virtual_sensor as vs
-from virtual_sensor.metrology.clipped_fits import clipping_level
+from virtual_sensor.metrology.clipped_fits import _normal, clipping_level
 from virtual_sensor.metrology.detectors import COLUMNWISE
 
 WELL = 10_000.0
@@ -232,3 +232,10 @@ def test_a_compressed_picture_varies_where_it_was_clipped():
     error = (line.row - row)[line.found]
     assert np.sqrt(np.mean(error**2)) < 0.1
     assert np.mean(np.abs(error) > 3.0 * line.sigma[line.found]) < 0.03
+
+
+def test_a_normal_matrix_is_never_singular():
+    """Rationale: a line so far from the pixels that its share in them all but underflows."""
+    for slopes in ([1.0, 1e-160, 0.0, 1e-170], [0.0, 0.0, 0.0, 0.0]):
+        matrix = _normal(np.array(slopes)[:, None, None] * np.ones((4, 9, 1)), np.ones((9, 1)))
+        assert np.isfinite(np.linalg.inv(matrix)).all()

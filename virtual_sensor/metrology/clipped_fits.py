@@ -51,7 +51,7 @@ _CLEARLY = 3.0  # standard errors
 _UNSURE_PX, _UNSURE = 1.0, 0.3  # and widths: the largest error of a centre
 _IN_VIEW = 2.5  # sigma of a line on either side that lie in the image
 _FARTHEST = 1e6  # sigma from the saturation: beyond it squares are too large
-_RIDGE = 1e-10
+_RIDGE, _LEAST_SEEN = 1e-10, 1e-20  # of a normal matrix's diagonal, and of its largest value
 _FLAT, _DROP, _STEPS_DOWN = 3, 0.1, 4.0  # rows; of the height and grey values: no Gaussian has such
 _FEWEST_FLAT, _SOME_FLAT = 8, 0.05  # columns, and of those that reach the highest value
 _MOST_COLUMNS = 512  # in which a picture is looked at
@@ -467,7 +467,9 @@ def _normal(slopes: Array, information: Array) -> Array:
     """Normal matrices (L, k, k) of derivatives (k, n, L), never singular."""
     normal: Array = np.einsum("inl,jnl->lij", slopes * information, slopes)
     own = np.einsum("lii->li", normal)
-    return normal + np.where(own > 0.0, _RIDGE * own, _RIDGE)[:, None] * np.eye(len(slopes))
+    most = own.max(axis=1, keepdims=True, initial=0.0)
+    least = np.where(most > 0.0, _LEAST_SEEN * most, 1.0)  # what is not seen at all has some too
+    return normal + (_RIDGE * np.maximum(own, least))[:, None] * np.eye(len(slopes))
 
 
 def _likeliest(problem: _Problem, start: Array, max_sigma: float) -> Array:
