@@ -91,11 +91,11 @@ def test_what_needs_a_laser_says_what_to_use_instead() -> None:
 def test_a_scene_may_have_projectors_beside_a_laser(tmp_path) -> None:
     def with_laser(text: str) -> str:
         hot = (shipped_scenes() / "hot_cylinder.xml").read_text(encoding="utf-8")
-        laser = hot[hot.index("    <emitter ") : hot.index("    <bsdf ")]
+        laser = hot[hot.index("    <emitter ") : hot.index("    <include ")]
         for name, value in re.findall(r'<default name="(\w+)" value="([^"]*)"', hot):
             if f'name="{name}"' not in text:
                 laser = laser.replace(f'"${name}"', f'"{value}"')
-        return text.replace("    <bsdf ", laser + "    <bsdf ", 1)
+        return text.replace("    <include ", laser + "    <include ", 1)
 
     scene = vs.load_scene(written(tmp_path, with_laser), **SMALL)
     assert list(scene.sources) == ["projector", "laser"]
@@ -110,7 +110,7 @@ def test_a_scene_may_have_projectors_beside_a_laser(tmp_path) -> None:
         _ = scene.source
 
     def twice(text: str) -> str:
-        own = text[text.index("    <emitter ") : text.index("    <bsdf ")]
+        own = text[text.index("    <emitter ") : text.index("    <include ")]
         return text.replace(own, own + own.replace(' id="projector"', ""))
 
     scene = vs.load_scene(written(tmp_path, twice), **SMALL)
