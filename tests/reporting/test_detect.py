@@ -222,7 +222,7 @@ def test_folders_go_on_without_what_cannot_be_used(tmp_path, undrawn, unpainted_
     ended = run(folder / "cut.jpg", folder / "no.png", "-o", tmp_path / "none")
     assert isinstance(ended.exception, InputError)
     assert "no.png: begins like" in str(ended.exception)
-    assert "nor can the other 1 images be used" in str(ended.exception)
+    assert "nor can the other image be used" in str(ended.exception)
     assert not (tmp_path / "none").exists()
 
 

@@ -296,7 +296,9 @@ def detect(
         except InputError as error:
             skipped.append(Skipped(path, f"{error}".removeprefix(f"{path}: ")))
             if len(skipped) == len(paths):
-                others = f"; nor can the other {len(paths) - 1} images be used" * (len(paths) > 1)
+                more = len(paths) - 1
+                others = f"the other {more} images" if more > 1 else "the other image"
+                others = f"; nor can {others} be used" if more else ""
                 raise InputError(f"{path}: {skipped[-1].reason}{others}") from None
             yield skipped[-1]
         else:
