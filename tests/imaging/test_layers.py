@@ -1,5 +1,7 @@
 """Layers of a frame's light: direct, by bounce, and which rays make the ghosts."""
 
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -8,6 +10,7 @@ from matplotlib.figure import Figure
 import virtual_sensor as vs
 from virtual_sensor.imaging.layers import GhostStatus, GhostTruth
 from virtual_sensor.imaging.render import Frame, PixelTruth, RenderReport, write_exr
+from virtual_sensor.studies.ghosts import ghost_facts
 
 HEIGHT, WIDTH = 12, 8
 LINE_ROW, GHOST_ROW = 3, 9
@@ -87,6 +90,18 @@ def test_ghosts_are_counted_beside_their_line_by_column():
     assert columns.seen.sum() == 4
     assert repr(columns) == "GhostColumns: ghosts in 4 of 8 columns, up to 0.1 of the line"
     assert layered(ghost=0.009).ghost_columns.seen.sum() == 0
+
+
+def test_what_is_said_of_ghosts_is_of_all_columns_of_the_line():
+    """Ghosts of 0.1 to 0.4 of the line in half of eight columns, none in the others."""
+    frame = layered(ghost=0.1)
+    brighter = np.concatenate([np.arange(1, 5), np.ones(4)]).astype(np.float32)
+    found = ghost_facts(replace(frame, indirect=frame.indirect * brighter))
+    assert (found.bounces, found.columns, found.ghost_columns) == (2, 8, 4)
+    assert found.ghost_over_line == pytest.approx(0.05)
+    assert found.largest_ghost_over_line == pytest.approx(0.3 + 0.1 * (0.95 * 7.0 - 6.0))
+    assert found.indirect_share == pytest.approx(2.0 / (24.0 + 2.0))
+    assert ghost_facts(replace(frame, direct=None, indirect=None)) is None
 
 
 def test_layers_are_channels_of_the_exr_file(tmp_path):

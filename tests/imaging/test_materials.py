@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from image_makers import write_exr
 from virtual_sensor_scenes import make_bearing_ring as bearing_ring
 from virtual_sensor_scenes import make_v_groove as v_groove
 
 import virtual_sensor as vs
-from virtual_sensor.engine import mi
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.imaging.checks import SeenSurface, check_scene
 from virtual_sensor.imaging.materials import installed_materials, material_words
 from virtual_sensor.imaging.scene_file import parameter_words, shipped_scenes
@@ -65,7 +66,7 @@ def test_iron_is_as_it_is_at_the_wavelength():
 def test_a_material_is_any_bsdf_in_a_file(tmp_path, monkeypatch):
     """Whatever its id is, with its texture beside it; and the scene is the same when unpickled."""
     monkeypatch.chdir(tmp_path)
-    mi.Bitmap(np.full((1, 2, 1), [[[0.2], [0.8]]], np.float32)).write("halves.exr")
+    write_exr(Path("halves.exr"), {"Y": np.array([[0.2, 0.8]], np.float32)})
     texture = '<string name="filename" value="halves.exr"/><boolean name="raw" value="true"/>'
     texture = f'<texture type="bitmap" name="reflectance">{texture}</texture>'
     wood = f'<bsdf version="3.0.0" type="diffuse" id="wood">{texture}</bsdf>'
@@ -81,6 +82,25 @@ def test_a_material_is_any_bsdf_in_a_file(tmp_path, monkeypatch):
     assert copied == {"mine.xml", "materials/wood.xml", "materials/halves.exr"}
     again = vs.new_scene("other/mine", from_scene=path)
     assert vs.load_scene(again).parameters["material"] == "wood"
+
+
+def test_mitsuba_reads_files_with_a_second_thread(monkeypatch):
+    """Rationale: a lone thread waits for ever where a texture is an OpenEXR file."""
+    instantiate, threads, seen = mi.parser.instantiate, dr.thread_count(), []
+
+    def counted(*given):
+        seen.append(dr.thread_count())
+        return instantiate(*given)
+
+    monkeypatch.setattr(mi.parser, "instantiate", counted)
+    try:
+        for number in (1, 3):
+            dr.set_thread_count(number)
+            vs.load_scene("v_groove", **SMALL)
+            assert dr.thread_count() == number
+    finally:
+        dr.set_thread_count(threads)
+    assert seen == [2, 3]
 
 
 REFUSED = {

@@ -19,7 +19,7 @@ from virtual_sensor import interrupts
 from virtual_sensor.child import physical_memory
 from virtual_sensor.devices.laser import LaserLine
 from virtual_sensor.display import Displayed
-from virtual_sensor.engine import mi
+from virtual_sensor.engine import dr, mi
 from virtual_sensor.errors import InputError, naming
 from virtual_sensor.files import exists, readable, scratch_folder, sha256_of
 from virtual_sensor.imaging.expansion import grow
@@ -201,6 +201,17 @@ def _listening() -> Iterator[list[str]]:
             logger.add_appender(appender)
 
 
+@contextmanager
+def _never_alone() -> Iterator[None]:
+    """Give Mitsuba a second thread, where it has one: it waits for others to read an OpenEXR file."""
+    threads = dr.thread_count()
+    dr.set_thread_count(max(threads, 2))
+    try:
+        yield
+    finally:
+        dr.set_thread_count(threads)
+
+
 def warnings_of(main: Path, heard: list[str]) -> list[str]:
     """Notes of Mitsuba's warnings; refuse a shape that is not what the scene says."""
     notes = []
@@ -266,7 +277,8 @@ def load(
                     node.props.mark_queried(name, False)
             _let_no_ray_through(state)
             mi.parser.transform_all(config, state)
-            scene = mi.parser.instantiate(config, state)
+            with _never_alone():
+                scene = mi.parser.instantiate(config, state)
             notes += warnings_of(main, heard)
             cameras = {sensor.id(): sensor for sensor in scene.sensors()}
             sources = {each.id(): each for each in scene.emitters() if is_source(each)}
