@@ -173,6 +173,36 @@ def test_the_lay_of_turned_steel_runs_round_the_part(roughness, along):
         assert values[0] / values[1] == pytest.approx(terms[0] / terms[1], rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["turned", "rolled", "ground", "blasted", "polished"])
+def test_along_the_lay_the_roughness_is_that_along_it(name):
+    """Of microfacets: u is along the lay, v across it."""
+    parameters = {"roughness": 0.31, "roughness_along": 0.13, **SMALL}
+    held = mi.traverse(bsdf_of(vs.load_scene("v_groove", material=f"{name}_steel", **parameters)))
+    alpha = [np.ravel(held[f"alpha_{axis}.value"])[0] for axis in "uv"]
+    assert alpha == pytest.approx([0.13, 0.31], rel=1e-6)
+
+
+OF_THE_PART = {"u_mm", "v_mm", "u_0", "v_0"}  # which it says itself
+
+
+@pytest.mark.parametrize("path", installed_materials(), ids=lambda path: path.stem)
+def test_each_parameter_of_a_material_changes_how_it_reflects(path):
+    """Somewhere on the part, and in some direction."""
+    rng = np.random.default_rng(0)
+    si = mi.SurfaceInteraction3f()
+    si.uv = mi.Point2f(rng.uniform(-9.0, 9.0, (2, 4000)))
+    wi, wo = ([*rng.uniform(-0.4, 0.4, (2, 4000)), np.full(4000, 0.9)] for _ in range(2))
+    si.wi = mi.Vector3f(wi)
+
+    def seen(**parameters):
+        scene = vs.load_scene("v_groove", material=path.stem, **parameters, **SMALL)
+        return np.ravel(bsdf_of(scene).eval(mi.BSDFContext(), si, mi.Vector3f(wo)))
+
+    usual = seen()
+    for name in parameter_words(path).keys() - OF_THE_PART:
+        assert np.abs(seen(**{name: 0.37}) - usual).max() > 1e-3 * usual.max(), name
+
+
 def test_a_mesh_without_texture_coordinates_has_its_lay_along_x(tmp_path):
     """Rationale: Mitsuba takes any tangent there, another one on each triangle."""
     path = vs.new_scene(tmp_path / "mine", part="bracket.stl", material="turned_steel")

@@ -1,4 +1,4 @@
-"""What a part throws onto itself, estimated before rendering: how far air bends it, what hides it."""
+"""What a part throws onto itself, before it is rendered: how far air bends it, and how much."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def test_what_air_bends_is_counted_in_pixels():
     assert fine == pytest.approx(2.0 * coarse, rel=0.02)
 
 
-def test_the_share_is_of_the_light_that_is_reflected(tmp_path):
+def test_the_share_is_of_the_light_that_is_reflected():
     """Of a groove with walls at right angles, of diffuse light: by the form factor of its walls.
 
     Each wall throws 1 - 1/sqrt(2) of its light onto the other one, if all of it is lit alike.

@@ -203,7 +203,7 @@ def _listening() -> Iterator[list[str]]:
 
 @contextmanager
 def _never_alone() -> Iterator[None]:
-    """Give Mitsuba a second thread, where it has one: it waits for others to read an OpenEXR file."""
+    """Give Mitsuba two threads at least: to read an OpenEXR file one waits for another."""
     threads = dr.thread_count()
     dr.set_thread_count(max(threads, 2))
     try:
