@@ -94,7 +94,7 @@ def test_statuses_name_what_is_wrong(method):
     image[2, 15] = np.nan  # far from the line: no harm
     image[:, [20]] = line_image(0.4, 2.5, 100.0)
     image[:, [21]] = line_image(62.0, 2.5, 100.0)
-    image[30, 27] = 150.0
+    image[36, 27] = 150.0  # no line's: a hot pixel in its skirt
     image[:, 34] = np.nan
     wrong = {3: "NO_PEAK", 8: "TOO_NARROW", 13: "BAD_PIXELS", 14: "BAD_PIXELS"}
     wrong |= {20: "AT_BORDER", 21: "AT_BORDER", 27: "SATURATED", 34: "BAD_PIXELS"}
