@@ -29,7 +29,11 @@ class GhostStatus(StatusEnum):
     """Whether a source lights a pixel by so many reflections."""
 
     LIT = 0, "Light of the source arrives by so many reflections; its rays are given."
-    DARK = 1, "No light of the source was found that arrives by so many reflections."
+    DARK = (
+        1,
+        "No light of the source was found that arrives by so many reflections: for fainter light, "
+        "use more indirect_samples.",
+    )
 
 
 @dataclass(frozen=True, eq=False)
