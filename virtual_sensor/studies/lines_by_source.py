@@ -48,7 +48,8 @@ def lines_by_source(
         By so much the image may differ from the scene: by the lens's blur, a part or a pose that is
         known to so much.
     method, **options
-        See `line_centres`.
+        See `line_centres`.  `choose` is "highest", unless it is given: the scene tells which light
+        is the line's.
 
     Returns
     -------
