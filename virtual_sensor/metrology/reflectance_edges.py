@@ -479,7 +479,8 @@ def _may_be_edge(
     gains = (sides * match).sum(axis=2)
     best = np.arange(some.size), gains.argmax(axis=1)
     one, more = sides[best].T
-    dark = np.fmin(one, one + more) / np.fmax(one, one + more)
+    bright = np.fmax(one, one + more)
+    dark = np.divide(np.fmin(one, one + more), bright, np.zeros_like(bright), where=bright > 0.0)
     weight = window.use / variance
     mean = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
     left = (weight * (window.values - mean) ** 2).sum(axis=0) - gains[best]
