@@ -98,12 +98,17 @@ FOUND_NAMES = tuple(status.name.lower() for status in FOUND)
 
 def is_found(status: ArrayLike) -> NDArray[np.bool_]:
     """Where statuses are those of a centre of the line."""
-    return np.isin(status, FOUND)
+    return _is_one_of(status, FOUND)
 
 
 def is_measured(status: ArrayLike) -> NDArray[np.bool_]:
     """Where statuses are those of a peak whose numbers are known: the line's, or a ghost's."""
-    return np.isin(status, (*FOUND, Status.GHOST))
+    return _is_one_of(status, (*FOUND, Status.GHOST))
+
+
+def _is_one_of(status: ArrayLike, some: tuple[Status, ...]) -> NDArray[np.bool_]:
+    status = np.asarray(status)
+    return np.logical_or.reduce([status == each for each in some])
 
 
 def found_in_words(status: ArrayLike) -> str:

@@ -22,6 +22,7 @@ _OF_USUAL = 0.8  # and none by much less than its neighbours, of noise that is k
 _MORE_OF_RIDGE, _OF_RIDGE_WIDTHS = 2.0, 2.0
 _RIDGE_NEIGHBOURS = 101  # points next to each other share their noise
 _FEWEST = 8  # columns that can tell
+_MAY = 0.6  # of a scatter: so much less may a few blocks of columns show of it
 _ROUGH = 0.25  # relative scatter of the widths of a line that is nothing but grains
 
 
@@ -34,7 +35,7 @@ def is_rough(width: Array) -> bool:
         Of the Gaussian that fits each column best; NaN where there is none.
     """
     known = width[np.isfinite(width)]
-    if known.size < _FEWEST or not _may_be_grainy(known):
+    if known.size < _FEWEST or not _may_scatter(known, _ROUGH):
         return False
     middle, away = running_scatter(known, NEIGHBOURS)
     return bool(np.median(away / middle) > _ROUGH)
@@ -58,7 +59,7 @@ def with_scatter(sigma: Array, width: Array, found: NDArray[np.bool_], known: bo
         each = zip(sigma, width, found, strict=True)
         return np.stack([with_scatter(*line, known) for line in each])
     there = np.flatnonzero(found & np.isfinite(sigma) & np.isfinite(width))
-    if there.size < _FEWEST or not _may_be_grainy(width[there]):
+    if there.size < _FEWEST or not _may_scatter(width[there], GRAINY):
         return sigma
     middle, away = running_scatter(width[there], NEIGHBOURS)
     usual = median_filter(sigma[there], NEIGHBOURS, mode="nearest")
@@ -83,9 +84,9 @@ def with_scatter_of_ridge(sigma: Array, width: Array, known: bool) -> Array:
     return np.maximum(sigma, least)
 
 
-def _may_be_grainy(width: Array) -> bool:
-    """Whether it is worth while to look closer: of most lines it is not."""
+def _may_scatter(width: Array, share: float) -> bool:
+    """Whether widths may scatter by that share: of most lines they don't, which is soon seen."""
     blocks = np.resize(width, (-(-width.size // NEIGHBOURS), NEIGHBOURS))
     middle = np.median(blocks, axis=1)
     away = np.median(np.abs(blocks - middle[:, None]), axis=1) / QUARTILE
-    return bool(np.any(away > 0.5 * GRAINY * middle))
+    return bool(np.any(away > _MAY * share * middle))
