@@ -50,7 +50,7 @@ from virtual_sensor.metrology.line_profiles import (
 from virtual_sensor.metrology.line_shapes import Shapes, shapes
 from virtual_sensor.metrology.reflectance_edges import Line, correct_edges
 from virtual_sensor.metrology.ridges import ridges
-from virtual_sensor.metrology.scatter import is_rough, with_scatter
+from virtual_sensor.metrology.scatter import with_scatter
 
 ALONG = ("columns", "rows", "auto")
 CHOICES = ("path", "highest")
@@ -242,9 +242,8 @@ def _columnwise(
     lines[:, at.rank, at.column] = at.row, at.sigma, at.amplitude, at.background
     uneven[at.rank, at.column] = shape.uneven
     uncertain = found[1].copy()  # by how much the amplitude may change from column to column
-    if not is_rough(lines[1, 0]):  # of the line: ghosts stay as they are
-        first = uneven[0], status[0], found[:, 0]
-        correct_edges(image, Line(*lines[:, 0]), *first, noise, saturation)
+    first = uneven[0], status[0], found[:, 0]  # of the line: ghosts stay as they are
+    correct_edges(image, Line(*lines[:, 0]), *first, noise, saturation)
     if clipped.row.size:
         profile, verdict, height_error = fit_clipped(filled, clipped, noise, saturation, max_sigma)
         status[clipped.rank, clipped.column] = verdict

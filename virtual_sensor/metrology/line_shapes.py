@@ -49,7 +49,7 @@ _MOST_EXCESS = 1e6
 _GRAINY = 1.5  # shapes that scatter by so much more than the residuals say
 _BLOCK = 16  # columns whose mean misfit is compared with the noise, and four times as many
 _LOPSIDED = 0.004  # of the height: lopsided misfit of a block's mean that shifts a centre,
-_CERTAIN = 6.0  # and times the variance that the noise makes
+_CERTAIN = 7.0  # and times the variance that the noise makes
 _RIDGE = 1e-12  # no normal matrix is singular
 
 

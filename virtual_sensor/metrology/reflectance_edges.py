@@ -36,6 +36,7 @@ from virtual_sensor.metrology.edge_fits import (
     fit_edge,
 )
 from virtual_sensor.metrology.line_profiles import QUARTILE, Array, Index, Noise
+from virtual_sensor.metrology.scatter import is_rough
 
 Mask = NDArray[np.bool_]
 
@@ -105,7 +106,8 @@ def correct_edges(
 ) -> None:
     """Correct the profiles (5, W) of a detector, and their status (W,), where an edge shifts them.
 
-    What is uneven and no edge, as far as can be told, gets a larger standard deviation.
+    What is uneven and no edge, as far as can be told, gets a larger standard deviation.  A line of
+    nothing but grains stays as it is.
 
     Parameters
     ----------
@@ -118,7 +120,10 @@ def correct_edges(
     profile : ndarray of shape (5, W)
         As in `Profile`.
     """
-    for first, last in _segments(line, uneven, status):
+    segments = _segments(line, uneven, status)
+    if not (segments or uneven.any()) or is_rough(line.width):
+        return
+    for first, last in segments:
         part = slice(first, last)
         own = Line._make(values[part] for values in line)
         near, found = _segment(image, first, own, uneven[part], status[part], noise, saturation)
