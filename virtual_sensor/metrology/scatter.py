@@ -62,11 +62,14 @@ def with_scatter(sigma: Array, width: Array, found: NDArray[np.bool_], known: bo
     if there.size < _FEWEST or not _may_scatter(width[there], GRAINY):
         return sigma
     middle, away = running_scatter(width[there], NEIGHBOURS)
+    grainy = away > GRAINY * middle
+    if not grainy.any():
+        return sigma
     usual = median_filter(sigma[there], NEIGHBOURS, mode="nearest")
     more = _MORE_THAN_KNOWN if known else _MORE_THAN_RESIDUALS
     least = np.where(away > more * usual, _OF_WIDTHS * away, _OF_USUAL * usual * known)
     honest = sigma.copy()
-    honest[there] = np.maximum(sigma[there], np.where(away > GRAINY * middle, least, 0.0))
+    honest[there] = np.maximum(sigma[there], np.where(grainy, least, 0.0))
     return honest
 
 
