@@ -64,6 +64,7 @@ size = {"width": 512, "height": 512, "line_radius": 0.2}
 for roughness in (0.5, 0.2):
     steel = {"material": "ground_steel", "roughness": roughness}
     frame = vs.render_frame(vs.load_scene("v_groove", max_depth=3, **steel, **size))
+    assert frame.indirect is not None  # it is None where max_depth is 2
     image = vs.grey_values(frame.radiance, sensor, seed=1, peak_e=90_000)
     line = vs.line_centres(image, "max_likelihood", sensor=sensor)
     errors = vs.compare_line(line, frame, end_px=3.0)

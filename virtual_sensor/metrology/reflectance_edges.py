@@ -45,6 +45,7 @@ _MENDED = (Status.OK, *_DOUBTED, Status.POOR_FIT, Status.TOO_NARROW, Status.NO_P
 _BROADEST_PX = 16.0  # sigma: over a broader line no edge is sought
 _GAP = 12  # columns between two of one edge
 _FEWEST = 12  # columns that show an edge
+_FEWEST_PIXELS = 6  # of a column, that are neither clipped nor missing
 _MARGIN, _MOST_MARGIN = 48, 300  # columns beside them, to which their number is added; at most
 _LOST = 8  # columns without a line end it
 _REACH = 4.2  # sigma of the pixels that count
@@ -387,7 +388,8 @@ def _left(window: Window, weight: Array, basis: list[Array]) -> Array:
     terms = np.stack(basis)
     weighted = weight * terms
     normal = np.einsum("inl,jnl->lij", weighted, terms)
-    normal += 1e-9 * np.einsum("lii->l", normal)[:, None, None] * np.eye(len(basis))
+    ridge = 1e-9 * np.einsum("lii->l", normal) + np.finfo(float).tiny  # all pixels may be missing
+    normal += ridge[:, None, None] * np.eye(len(basis))
     right = np.einsum("inl,nl->li", weighted, window.values)
     solved = np.linalg.solve(normal, right[..., None])[..., 0]
     left: Array = (weight * (window.values - np.einsum("li,inl->nl", solved, terms)) ** 2).sum(0)
@@ -448,12 +450,18 @@ def _products(
     bright = gaussian * ndtr((off - away[:, None].astype(np.float32)) / np.float32(_FIRST_BLUR))
     basis = np.stack([gaussian, bright, off * gaussian, off * bright], dtype=np.float32)
     share = np.sqrt(weight).astype(np.float32)
-    mean = np.einsum("nl,insl->isl", (weight / weight.sum(axis=0)).astype(np.float32), basis)
+    part = _parts(weight)
+    mean = np.einsum("nl,insl->isl", part.astype(np.float32), basis)
     basis = ((basis - mean[:, None]) * share[:, None]).transpose(3, 2, 0, 1)
-    level = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
+    level = (part * window.values).sum(axis=0)
     seen = (share * (window.values - level)).astype(np.float32).T
     matches = (basis @ seen[:, None, :, None])[..., 0].astype(float)
     return matches, (basis @ basis.swapaxes(2, 3)).astype(float), moved, away
+
+
+def _parts(weight: Array) -> Array:
+    """Weights (n, L) with the sum 1 in each column; 0 in one whose pixels are all missing."""
+    return weight / np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
 
 
 def _may_be_edge(
@@ -477,6 +485,8 @@ def _may_be_edge(
     some = columns[np.linspace(0, columns.size - 1, _LOOKED_AT).round().astype(int)]
     own = Line._make(values[some] for values in line)
     window = _window(image, first + some, own.row, width[some], saturation)
+    if window.use.sum(axis=0).min() < _FEWEST_PIXELS:
+        return False
     variance = _first_variance(window, own, noise, first + some) + (_FINE * own.height) ** 2
     matches, squares, _, _ = _products(window, own.row, width[some], variance)
     match, square = matches[..., :2], squares[..., :2, :2] + 1e-6 * np.eye(2)
@@ -487,7 +497,7 @@ def _may_be_edge(
     bright = np.fmax(one, one + more)
     dark = np.divide(np.fmin(one, one + more), bright, np.zeros_like(bright), where=bright > 0.0)
     weight = window.use / variance
-    mean = (weight * window.values).sum(axis=0) / weight.sum(axis=0)
+    mean = (_parts(weight) * window.values).sum(axis=0)
     left = (weight * (window.values - mean) ** 2).sum(axis=0) - gains[best]
     z = (window.rows - own.row) / own.width
     gaussian = np.exp(-0.5 * z**2)
