@@ -71,7 +71,5 @@ for roughness in (0.5, 0.2):
     column = errors.column.astype(int)
     ghost, direct = (layer.max(axis=0)[column] for layer in (frame.indirect[0], frame.direct))
     print(f"roughness {roughness}: {errors.count / errors.expected:.0%} of the line found,")
-    wrong = errors.wrong().sum()
-    print(
-        f"    reflected light {np.median(ghost / direct):.1%} of the line's; {wrong} centres wrong"
-    )
+    share, wrong = np.median(ghost / direct), errors.wrong().sum()
+    print(f"    reflected light {share:.1%} of the line's; {wrong} centres wrong")
