@@ -16,7 +16,7 @@ from virtual_sensor_scenes.make_stepped_shaft import write_ply
 
 BORE_MM, SHOULDER_MM, HALF_WIDTH_MM, CHAMFER_MM = 22.5, 30.0, 10.0, 1.0  # radii, but the last two
 RACEWAY_MM, DEPTH_MM = 6.6, 3.0  # radius of the raceway's section, 0.52 of the ball's diameter
-FINE, COARSE = (24.0, 0.75), 4.0  # facets round the ring, degrees: near its top line, and elsewhere
+FINE, COARSE = (24.0, 0.75), 4.0  # facets round the ring, degrees: near its top line, and beyond
 ARC_DEG = 1.2  # of the raceway's section
 
 

@@ -1,7 +1,7 @@
 """Panel "bounces": the line's centres where a shiny part lights itself, by bounces and samples.
 
 What reflections leave out, or make noisy, moves the line's centres: each frame is judged beside the
-line's own light, so that a ghost elsewhere in a column counts for nothing, in columns whose line
+line's own light, so that a ghost beside it in a column counts for nothing, in columns whose line
 stands out of the ghost beneath.
 """
 
